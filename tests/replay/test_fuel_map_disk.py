@@ -7,24 +7,27 @@ from typing import Any
 
 import pytest
 from scenes.fuel_frames import write_site
-from scenes.own_disk import run_on_own_disk
+from scenes.own_disk import run_on_own_disk, run_on_own_disks
 from scenes.slow_fsync import slow_fsync
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
+CASES = ("full", "stopped_while_full", "lost", "full_from_the_start", "read_only", "no_inodes")
 FRAMES = 30
 MANY = 150
+States = dict[str, list[dict[str, Any]]]
 
 
-def states_of(case: str, folder: Path, more: dict[str, str] | None = None) -> list[dict[str, Any]]:
-    """What a node on a disk of its own says of itself, step by step."""
-    disk = folder / "disk"
-    disk.mkdir()
-    states: list[dict[str, Any]] = run_on_own_disk(PROGRAM, case, disk, write_site(folder), more=more)
-    return states
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> States:
+    """By case: what a node on a disk of its own says of itself, step by step. One process for all, whose start takes
+    longer than a case."""
+    folder = tmp_path_factory.mktemp("fuel_map_disk")
+    (folder / "disk").mkdir()
+    return run_on_own_disks(PROGRAM, CASES, folder / "disk", write_site(folder))
 
 
-def test_disk_that_fills_up(tmp_path: Path) -> None:
-    before, soon, during, after, restarted = states_of("full", tmp_path)
+def test_disk_that_fills_up(states: States) -> None:
+    before, soon, during, after, restarted = states["full"]
     assert (before["frames"], before["unsaved"], before["troubled"]) == (3, 0, False)
     assert (soon["frames"], soon["unsaved"], soon["updates"]) == (6, 0, 6), "in the room that the store holds"
     assert soon["troubled"]
@@ -39,38 +42,38 @@ def test_disk_that_fills_up(tmp_path: Path) -> None:
     assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (FRAMES, 0, False)
 
 
-def test_a_node_that_is_stopped_on_a_full_disk_writes_all(tmp_path: Path) -> None:
-    during, stopped, restarted = states_of("stopped_while_full", tmp_path)
+def test_a_node_that_is_stopped_on_a_full_disk_writes_all(states: States) -> None:
+    during, stopped, restarted = states["stopped_while_full"]
     assert during["unsaved"] > 0
     assert (stopped["frames"], stopped["unsaved"], stopped["updates"]) == (MANY, 0, MANY)
     assert (restarted["frames"], restarted["unsaved"]) == (MANY, 0)
 
 
-def test_what_is_lost_is_said_once(tmp_path: Path) -> None:
-    stopped, restarted = states_of("lost", tmp_path)
+def test_what_is_lost_is_said_once(states: States) -> None:
+    stopped, restarted = states["lost"]
     assert stopped["said"].startswith("27 frames are lost, which nobody was told are stored")
     assert "SQLITE_FULL" in stopped["said"]
     assert (stopped["frames"], stopped["updates"]) == (3, 3)
     assert restarted["frames"] == 3
 
 
-def test_disk_that_is_full_when_the_node_starts(tmp_path: Path) -> None:
-    during, after = states_of("full_from_the_start", tmp_path)
+def test_disk_that_is_full_when_the_node_starts(states: States) -> None:
+    during, after = states["full_from_the_start"]
     assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
     assert "disk" in during["error"]
     assert (after["frames"], after["unsaved"], after["updates"]) == (3, 0, 3)
 
 
-def test_disk_that_turns_read_only(tmp_path: Path) -> None:
-    before, during, after = states_of("read_only", tmp_path)
+def test_disk_that_turns_read_only(states: States) -> None:
+    before, during, after = states["read_only"]
     assert before["frames"] == 3
     assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
     assert "ead-only" in during["error"]
     assert (after["frames"], after["unsaved"]) == (6, 0)
 
 
-def test_disk_without_room_for_another_name(tmp_path: Path) -> None:
-    running, stopped, started, after, restarted = states_of("no_inodes", tmp_path)
+def test_disk_without_room_for_another_name(states: States) -> None:
+    running, stopped, started, after, restarted = states["no_inodes"]
     assert (running["frames"], running["unsaved"]) == (6, 0), "its files are there already"
     assert (stopped["frames"], stopped["updates"]) == (6, 6)
     assert started["troubled"]
@@ -81,7 +84,10 @@ def test_disk_without_room_for_another_name(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
-    during, restarted = states_of("slow", tmp_path, slow_fsync(tmp_path, 2.0))
+    (tmp_path / "disk").mkdir()
+    during, restarted = run_on_own_disk(
+        PROGRAM, "slow", tmp_path / "disk", write_site(tmp_path), more=slow_fsync(tmp_path, 2.0)
+    )
     assert (during["frames"], during["unsaved"], during["updates"]) == (30, 0, 30), "one wait for all that came"
     assert during["troubled"]
     assert "store_slow: the disk took" in during["error"]

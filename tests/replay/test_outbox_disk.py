@@ -6,24 +6,32 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scenes.own_disk import run_on_own_disk
+from scenes.own_disk import run_on_own_disks
 from scenes.slow_fsync import slow_fsync
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "outbox_disk_process.py"
+States = dict[str, list[dict[str, Any]]]
 
 
-def states_of(case: str, folder: Path, more: dict[str, str] | None = None) -> list[dict[str, Any]]:
-    """What a tower whose outbox is on a disk of its own says of itself, and what is in the file, step by step."""
+def states_of(cases: tuple[str, ...], folder: Path, more: dict[str, str] | None = None) -> States:
+    """By case: what a tower whose outbox is on a disk of its own says of itself, and what is in the file, step by
+    step."""
     disk, scene = folder / "disk", folder / "scene"
     disk.mkdir()
     scene.mkdir()
-    states: list[dict[str, Any]] = run_on_own_disk(PROGRAM, case, disk, scene, more=more)
-    assert all(state["dropped"] == {} for state in states), "no frame is lost"
+    states = run_on_own_disks(PROGRAM, cases, disk, scene, more=more)
+    assert all(state["dropped"] == {} for case in states.values() for state in case), "no frame is lost"
     return states
 
 
-def test_disk_that_fills_up(tmp_path: Path) -> None:
-    before, during, after = states_of("full", tmp_path)
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> States:
+    """Of one process, whose start takes longer than a case."""
+    return states_of(("full", "read_only", "no_inodes"), tmp_path_factory.mktemp("outbox_disk"))
+
+
+def test_disk_that_fills_up(states: States) -> None:
+    before, during, after = states["full"]
     assert (before["frames"], before["troubled"]) == ([0, 1, 2], False)
     assert 3 <= during["kept"] < 40
     assert during["frames"] == list(range(during["kept"])), "what is told to be kept is in the file, whole"
@@ -32,15 +40,15 @@ def test_disk_that_fills_up(tmp_path: Path) -> None:
     assert (after["kept"], after["frames"]) == (40, list(range(40)))
 
 
-def test_a_tower_that_starts_on_a_read_only_disk_keeps_its_frames_in_memory(tmp_path: Path) -> None:
-    during, after = states_of("read_only", tmp_path)
+def test_a_tower_that_starts_on_a_read_only_disk_keeps_its_frames_in_memory(states: States) -> None:
+    during, after = states["read_only"]
     assert (during["kept"], during["frames"], during["troubled"]) == (0, [0, 1, 2], True)
     assert "ead-only" in during["error"]
     assert (after["kept"], after["frames"]) == (4, list(range(7)))
 
 
-def test_disk_without_room_for_another_name(tmp_path: Path) -> None:
-    running, started, after = states_of("no_inodes", tmp_path)
+def test_disk_without_room_for_another_name(states: States) -> None:
+    running, started, after = states["no_inodes"]
     assert (running["frames"], running["troubled"]) == (list(range(6)), False), "its files are there already"
     assert (started["kept"], started["troubled"]) == (0, True)
     assert "No space left on device" in started["error"]
@@ -49,6 +57,6 @@ def test_disk_without_room_for_another_name(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
-    (state,) = states_of("slow", tmp_path, slow_fsync(tmp_path, 2.0))
+    (state,) = states_of(("slow",), tmp_path, slow_fsync(tmp_path, 2.0))["slow"]
     assert (state["kept"], state["frames"]) == (60, list(range(60))), "one wait for all that came"
     assert "outbox_slow: the disk took" in state["error"]

@@ -1,4 +1,4 @@
-"""How many examples hypothesis draws where each costs a tenth of a second."""
+"""How many examples hypothesis draws where each costs more than a hundredth of a second."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,22 @@ def run_on_own_disk(
 
     Skips, with the reason, where nothing is mounted.
     """
+    return run_on_own_disks(program, [case], *arguments, patience_s=patience_s, more=more)[case]
+
+
+def run_on_own_disks(
+    program: Path,
+    cases: Sequence[str],
+    *arguments: Path | str,
+    patience_s: float = 300.0,
+    more: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """The same of several cases, one after the other in one process, each on a disk of its own."""
     if shutil.which("unshare") is None:
         pytest.skip("needs `unshare` for a file system of its own")
     alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])} | dict(more or {})
-    command = [*alone, sys.executable, str(program), case, *map(str, arguments)]
+    command = [*alone, sys.executable, str(program), ",".join(cases), *map(str, arguments)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience_s)
     if done.returncode != 0 and "unshare" in done.stderr:
         pytest.skip(f"no mount namespace here: {done.stderr.strip()[:200]}")
@@ -37,7 +48,8 @@ def run_on_own_disk(
     said = json.loads(done.stdout.splitlines()[-1])
     if "no mounts here" in said:
         pytest.skip(f"cannot mount a file system here: {said['no mounts here'][:200]}")
-    return said["answer"]
+    answers: dict[str, Any] = said["answers"]
+    return answers
 
 
 def mount(folder: Path, *options: str) -> None:
@@ -45,15 +57,21 @@ def mount(folder: Path, *options: str) -> None:
 
 
 def answer(cases: dict[str, Callable[..., Any]]) -> None:
-    """Body of such a program: `CASE MOUNT_POINT ...`; the rest of the command line goes to the case as paths."""
-    case, mount_point, *rest = sys.argv[1:]
+    """Body of such a program: `CASE,CASE,... MOUNT_POINT ...`; the rest of the command line goes to each case as paths,
+    after the folder that its disk is to be mounted on."""
+    names, mount_point, *rest = sys.argv[1:]
     try:
         subprocess.run(["mount", "--make-rprivate", "/"], check=True, capture_output=True)
-        mount(Path(mount_point), "-t", "tmpfs", "-o", "size=4k", "tmpfs")
+        mount(Path(mount_point), "-t", "tmpfs", "tmpfs")
     except (OSError, subprocess.CalledProcessError) as error:
         print(json.dumps({"no mounts here": str(error)}))
         sys.exit()
-    print(json.dumps({"answer": cases[case](Path(mount_point), *map(Path, rest))}))
+    answers = {}
+    for name in names.split(","):
+        disk = Path(mount_point, name)
+        disk.mkdir()
+        answers[name] = cases[name](disk, *map(Path, rest))
+    print(json.dumps({"answers": answers}))
 
 
 def make_disk(folder: Path, size: str, inodes: int = 0) -> None:

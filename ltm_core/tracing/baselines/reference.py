@@ -13,7 +13,6 @@ import numpy as np
 from scipy import ndimage
 
 from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import BoolArray, Float32Array, Float64Array
 
@@ -41,7 +40,7 @@ def trace_reference(
     rasters = []
     for level in dem.levels:
         filled, outer = with_ceilings(level.elevation, possible.steepest * level.geometry.resolution, highest)
-        rasters.append(_Raster(level.elevation, filled, outer, level.geometry, origin))
+        rasters.append(_Raster(level, filled, outer, origin))
     ranges = np.empty(len(directions))
     for k, (east, north, up) in enumerate(directions):
         across = float(np.hypot(east, north))
@@ -84,18 +83,14 @@ def with_ceilings(elevation: Float32Array, rise: float, highest: float) -> tuple
 
 
 class _Raster:
-    """One raster and where the camera stands on it."""
+    """One raster, what its cells are, and where the camera stands on it."""
 
-    def __init__(
-        self,
-        nodes: Float32Array,
-        filled: Float32Array,
-        outer: BoolArray,
-        geometry: GridGeometry,
-        origin: Float64Array,
-    ) -> None:
-        self.nodes, self.filled, self.outer, self.resolution = nodes, filled, outer, geometry.resolution
-        self.oy, self.ox = (float(v) for v in geometry.to_grid(origin[0], origin[1]))
+    def __init__(self, dem: Dem, filled: Float32Array, outer: BoolArray, origin: Float64Array) -> None:
+        self.nodes, self.resolution = dem.elevation.astype(np.float64), dem.geometry.resolution
+        self.hole = np.asarray(np.isnan(_corners(dem.elevation)).any(axis=0), np.bool_)
+        self.outer = np.asarray(_corners(outer).any(axis=0), np.bool_)
+        self.ceiling = _corners(filled).max(axis=0)
+        self.oy, self.ox = (float(v) for v in dem.geometry.to_grid(origin[0], origin[1]))
 
     def over(self, heading: tuple[float, float]) -> tuple[float, float]:
         """The metres (near, far) between which a ray is over the nodes; near > far where it never is."""
@@ -119,33 +114,38 @@ class _Raster:
             cuts.append((np.arange(self.nodes.shape[1]) - self.ox) / cx)
         if cy != 0:
             cuts.append((np.arange(self.nodes.shape[0]) - self.oy) / cy)
-        q = np.unique(np.concatenate(cuts))
-        q = q[(q >= first) & (q <= last)]
+        q = np.concatenate(cuts)
+        q = np.sort(q[(q >= first) & (q <= last)])
         q = q[np.diff(q, prepend=-np.inf) > TOUCH]
         start, end = q[:-1], q[1:]
         middle = (start + end) / 2
         i = np.clip(np.floor(self.oy + cy * middle).astype(int), 0, self.nodes.shape[0] - 2)
         j = np.clip(np.floor(self.ox + cx * middle).astype(int), 0, self.nodes.shape[1] - 2)
-        nodes = self.nodes
-        corners = [nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]]
-        north_west, north_east, south_west, south_east = (c.astype(np.float64) for c in corners)
+        north_west, north_east, south_west, south_east = self.nodes[i + _SOUTH, j + _EAST]
 
-        def above(q: Float64Array) -> Float64Array:
-            u, v = self.ox + cx * q - j, self.oy + cy * q - i
-            north = (1 - u) * north_west + u * north_east
-            south = (1 - u) * south_west + u * south_east
-            return np.asarray(height.at(q * self.resolution) - ((1 - v) * north + v * south))
+        # Heights of the ray above the surface, (3, cells).
+        at = np.stack([start, middle, end])
+        u, v = self.ox + cx * at - j, self.oy + cy * at - i
+        north = (1 - u) * north_west + u * north_east
+        south = (1 - u) * south_west + u * south_east
+        above = height.at(at * self.resolution) - ((1 - v) * north + v * south)
 
-        filled, outside = self.filled, self.outer
-        ceilings = np.stack([filled[i, j], filled[i, j + 1], filled[i + 1, j], filled[i + 1, j + 1]])
-        hole = np.isnan(north_west + north_east + south_west + south_east)
-        outer = outside[i, j] | outside[i, j + 1] | outside[i + 1, j] | outside[i + 1, j + 1]
-        root = _first_roots(above(start), above(middle), above(end))
+        hole = self.hole[i, j]
+        root = _first_roots(*above)
         lowest = height.lowest(start * self.resolution, end * self.resolution)
-        blocked = hole & (lowest <= ceilings.max(axis=0))
+        blocked = hole & (lowest <= self.ceiling[i, j])
         hit = ~hole & ~np.isnan(root)
         place = (start + np.where(hit, root, 0.0) * (end - start)) * self.resolution
-        return _Pieces(hit, blocked, outer, place, above(start) < 0)
+        return _Pieces(hit, blocked, self.outer[i, j], place, above[0] < 0)
+
+
+_SOUTH, _EAST = np.array([[0], [0], [1], [1]]), np.array([[0], [1], [0], [1]])
+"""Rows and columns from a cell's first node to its four corners."""
+
+
+def _corners(nodes: np.ndarray) -> np.ndarray:
+    """(4, H - 1, W - 1): what the four corners of each cell have."""
+    return np.stack([nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]])
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from scenes.examples import examples
 
 from ltm_core.camera import Camera
 
@@ -26,7 +27,7 @@ cameras = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@examples(60, in_fuzz=150)
 @given(cameras)
 def test_every_ray_projects_to_its_pixel(camera: Camera) -> None:
     rays = camera.rays()
@@ -37,7 +38,7 @@ def test_every_ray_projects_to_its_pixel(camera: Camera) -> None:
     np.testing.assert_allclose(camera.project(rays[known]), np.stack([u, v], axis=-1)[known], atol=1e-5)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(60, in_fuzz=150)
 @given(st.floats(-0.4, 0.4), st.floats(0, 0.2), st.floats(0.0, 0.9), st.floats(0, 2 * np.pi))
 @example(0.0, 5e-324, 0.5, 1.0)
 def test_a_pixel_that_something_projects_to_has_that_ray(k1: float, k2: float, share: float, angle: float) -> None:
@@ -54,7 +55,7 @@ def test_a_pixel_that_something_projects_to_has_that_ray(k1: float, k2: float, s
     np.testing.assert_allclose(ray[:2] / ray[2], [x, y], atol=1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(40, in_fuzz=60)
 @given(cameras, st.integers(1, 12))
 def test_a_sampled_image_has_the_rays_of_its_pixels(camera: Camera, step: int) -> None:
     rays = camera.rays()[::step, ::step]

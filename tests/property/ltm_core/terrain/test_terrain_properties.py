@@ -19,6 +19,8 @@ from ltm_core.terrain.tile_pool import TilePool, schema_of
 
 RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25, 2.5, 0.5)
 BEGIN = 1_700_000_000
+SLOT, EXACT = np.int32(0), np.float32(0.0)
+"""The cell's tile and a pose without error, of the types that the map gives: others would be compiled anew."""
 Look = tuple[int, int, float, float, bool]
 """Seconds, bit of the camera, height above the reference, variance, whether it is a bound only."""
 
@@ -37,10 +39,8 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
     for name in FIELDS:
         one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
-        own, pose = np.float32(variance), np.float32(0.0)
-        update_cell(
-            one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES.independent_after, RULES
-        )
+        own = float(np.float32(variance))
+        update_cell(one.cells, SLOT, 0, dz, own, own, EXACT, bounded, seconds, bit, RULES.independent_after, RULES)
     return one
 
 
@@ -140,23 +140,9 @@ def passed_below(relative_variance: float) -> TilePool:
     one = pool(True)
     for name in FIELDS:
         one.cells.field(name)[0, 0] = 0
-    dz, least, exact = np.float32(-8.0), np.float32(0.25), np.float32(0)
     for number in range(4):
-        when, camera = BEGIN + 3600 * number, 1 + number % 2
-        update_cell(
-            one.cells,
-            0,
-            0,
-            dz,
-            least,
-            np.float32(relative_variance),
-            exact,
-            True,
-            when,
-            camera,
-            RULES.independent_after,
-            RULES,
-        )
+        when, camera, after = BEGIN + 3600 * number, 1 + number % 2, RULES.independent_after
+        update_cell(one.cells, SLOT, 0, -8.0, 0.25, relative_variance, EXACT, True, when, camera, after, RULES)
     return one
 
 

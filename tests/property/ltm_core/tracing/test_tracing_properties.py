@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scenes.examples import examples
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
@@ -39,7 +40,7 @@ def ray(heading_deg: float, slope: float) -> Float64Array:
     return direction / np.linalg.norm(direction)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(60, in_fuzz=150)
 @given(terrains, positions, headings, slopes)
 def test_a_hit_is_the_first_point_on_the_surface(
     elevation: np.ndarray, position: tuple[float, float, float], heading: float, slope: float
@@ -56,7 +57,7 @@ def test_a_hit_is_the_first_point_on_the_surface(
     assert (known > -1e-4 - steepest * 1e-5).all()
 
 
-@settings(max_examples=100, deadline=None)
+@examples(50, in_fuzz=100)
 @given(terrains, positions, headings, slopes, st.integers(0, ROWS - 1), st.integers(0, COLS - 1), st.floats(0, 20))
 def test_raising_terrain_never_lengthens_a_range(
     elevation: np.ndarray,
@@ -79,7 +80,7 @@ def test_raising_terrain_never_lengthens_a_range(
         assert not (np.isnan(before) and np.isposinf(after))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(60, in_fuzz=150)
 @given(holed, positions, headings, slopes)
 def test_holes_make_ranges_unknown_but_never_wrong(
     elevation: np.ndarray, position: tuple[float, float, float], heading: float, slope: float
@@ -101,7 +102,7 @@ def test_holes_make_ranges_unknown_but_never_wrong(
         assert filled <= fast + 1e-4
 
 
-@settings(max_examples=100, deadline=None)
+@examples(50, in_fuzz=100)
 @given(terrains, positions, headings, slopes)
 def test_mirrored_terrain_gives_the_same_range(
     elevation: np.ndarray, position: tuple[float, float, float], heading: float, slope: float

@@ -6,8 +6,9 @@ import random
 from pathlib import Path
 from typing import Any
 
+import pytest
 from rclpy.serialization import serialize_message
-from scenes.own_disk import run_on_own_disk
+from scenes.own_disk import run_on_own_disks
 from std_msgs.msg import String
 
 from ltm_msgs_py.bag.reader import BagReader
@@ -17,20 +18,21 @@ from ltm_ros.runtime.health import Health
 
 MINUTE_NS = 60 * 10**9
 PROGRAM = Path(__file__).parents[3] / "scenes" / "recording_process.py"
+CASES = ("full", "stopped_while_full", "floor", "full_from_the_start", "killed", "no_inodes", "read_only")
 
 
-def on_disk(case: str, folder: Path) -> Any:
-    disk = folder / "disk"
-    disk.mkdir()
-    return run_on_own_disk(PROGRAM, case, disk)
+@pytest.fixture(scope="module")
+def on_disk(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """By case, of one process, whose start takes longer than a case."""
+    return run_on_own_disks(PROGRAM, CASES, tmp_path_factory.mktemp("disk"))
 
 
 def is_read_alike(read: dict[str, Any]) -> bool:
     return bool(read["ours"] == read["mcap"] == read["rosbags"] and not read["damage"])
 
 
-def test_a_disk_that_fills_up_and_has_room_again(tmp_path: Path) -> None:
-    during, after, read = on_disk("full", tmp_path)
+def test_a_disk_that_fills_up_and_has_room_again(on_disk: dict[str, Any]) -> None:
+    during, after, read = on_disk["full"]
     for state in (during, after):
         assert state["out"] + sum(state["dropped"].values()) == state["sent"]
         assert state["dropped"].keys() == {"disk"}
@@ -48,8 +50,8 @@ def test_a_disk_that_fills_up_and_has_room_again(tmp_path: Path) -> None:
     assert after["files"] == ["bag/bag_0.mcap", "bag/bag_1.mcap"]
 
 
-def test_stopped_while_the_disk_is_full(tmp_path: Path) -> None:
-    state, read = on_disk("stopped_while_full", tmp_path)
+def test_stopped_while_the_disk_is_full(on_disk: dict[str, Any]) -> None:
+    state, read = on_disk["stopped_while_full"]
     assert state["out"] + sum(state["dropped"].values()) == state["sent"]
     assert is_read_alike(read)
     assert read["ours"] == [*range(state["out"])]
@@ -57,8 +59,8 @@ def test_stopped_while_the_disk_is_full(tmp_path: Path) -> None:
     assert state["whole"]
 
 
-def test_it_stops_above_a_floor_and_goes_on_by_itself(tmp_path: Path) -> None:
-    low, still_low, after, read = on_disk("floor", tmp_path)
+def test_it_stops_above_a_floor_and_goes_on_by_itself(on_disk: dict[str, Any]) -> None:
+    low, still_low, after, read = on_disk["floor"]
     assert (low["out"], low["dropped"], low["troubled"]) == (10, {"disk_low": 10}, True)
     assert low["read"] == [*range(10)], "the file is ended, and can be read meanwhile"
     assert "recording leaves 8 MB; remove what is not needed" in low["error"]
@@ -69,8 +71,8 @@ def test_it_stops_above_a_floor_and_goes_on_by_itself(tmp_path: Path) -> None:
     assert read["ours"] == [*range(10), *range(21, 31)]
 
 
-def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(tmp_path: Path) -> None:
-    during, after, read = on_disk("full_from_the_start", tmp_path)
+def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(on_disk: dict[str, Any]) -> None:
+    during, after, read = on_disk["full_from_the_start"]
     assert (during["out"], during["dropped"], during["files"]) == (0, {"disk": 3}, [])
     assert (after["out"], after["dropped"]) == (5, {"disk": 3})
     assert is_read_alike(read)
@@ -78,8 +80,8 @@ def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(tmp_path: Path) ->
     assert read["count"] == 6, "the latched message came before there was room"
 
 
-def test_a_killed_recorder_leaves_what_was_flushed_and_the_next_one_ends_its_bag(tmp_path: Path) -> None:
-    before, state, read, left = on_disk("killed", tmp_path)
+def test_a_killed_recorder_leaves_what_was_flushed_and_the_next_one_ends_its_bag(on_disk: dict[str, Any]) -> None:
+    before, state, read, left = on_disk["killed"]
     assert before["ours"] == [*range(31)], "each second all is handed over; the last message was not yet"
     assert any("without a footer" in note for note in before["damage"])
     assert is_read_alike(read)
@@ -89,8 +91,8 @@ def test_a_killed_recorder_leaves_what_was_flushed_and_the_next_one_ends_its_bag
     assert "was not finished" in state["told"][0]
 
 
-def test_a_disk_without_room_for_another_name(tmp_path: Path) -> None:
-    during, after, read = on_disk("no_inodes", tmp_path)
+def test_a_disk_without_room_for_another_name(on_disk: dict[str, Any]) -> None:
+    during, after, read = on_disk["no_inodes"]
     assert during["troubled"]
     assert during["dropped"].keys() == {"disk"}
     assert "No space left" in during["error"]
@@ -102,8 +104,8 @@ def test_a_disk_without_room_for_another_name(tmp_path: Path) -> None:
     assert read["ours"][-20:] == [*range(63, 83)]
 
 
-def test_a_disk_that_turns_read_only(tmp_path: Path) -> None:
-    during, after, first, second = on_disk("read_only", tmp_path)
+def test_a_disk_that_turns_read_only(on_disk: dict[str, Any]) -> None:
+    during, after, first, second = on_disk["read_only"]
     assert (during["out"], during["dropped"], during["troubled"]) == (0, {"disk": 5}, True)
     assert "ead-only" in during["error"]
     assert (after["out"], after["dropped"]) == (10, {"disk": 5})
