@@ -27,6 +27,7 @@ from ltm_ros.launching.run_status import all_watched, in_words
 from ltm_ros.launching.service_manager import ServiceManager
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
+from ltm_ros.runtime.process_memory import Trimming
 
 ASKED_AGAIN_S = 1.0
 """Before it is asked anew which nodes are up, where that could not be said."""
@@ -216,8 +217,10 @@ class Runner:
             manager.starting(f"starting {len(self.graph)} nodes")
             self.start()
             herald.start()
+            trimming = Trimming(time.monotonic())
             while not stopping.wait(0.2):
                 self._report(manager)
+                trimming.look(time.monotonic())
                 if all(label in self.given_up for label in required):
                     self._say("-- no node is left to run")
                     break

@@ -1,6 +1,7 @@
 """What each process keeps that is bounded, as a soak's report names it.
 
-Nothing of it is subtracted from what grows: it is full before growth is taken, or comes and goes in turns.
+Nothing of it is subtracted from what grows: it is full before growth is taken, fills slowly, or comes and goes in
+turns.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from ltm_ros.runtime.stamp_join import REMEMBERED as STAMPS
 
 STATED = "docs/runtime.md, memory over months"
 _FILE_MINUTES = RecorderConfig.model_fields["file_seconds"].default / 60
-_STORE = f"{CACHE_KB} kB of a store's file, full after its first tiles"
+_STORE = f"{CACHE_KB} kB of a store's file: its first tiles, then 18 bytes a frame that is counted, for two hours here"
 _PICTURE_KB = WORKING_WIDTH**2 * 9 / 16 * (1 + 1 / 8 + 4 / 16) / 1000
 
 

@@ -13,6 +13,7 @@ import pytest
 from ltm_ros.launching import runner as runner_module
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.process_memory import Trimming
 
 
 def test_a_machine_without_room_for_another_process_is_asked_again_what_is_up(
@@ -42,3 +43,31 @@ def test_a_machine_without_room_for_another_process_is_asked_again_what_is_up(
     assert [line for line in lines if os.strerror(errno.EAGAIN) in line] == [
         f"-- {OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))}"
     ]
+
+
+def test_the_runner_trims_its_own_heap_as_nodes_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lives as long as its nodes, and grew by a page a minute."""
+    (tmp_path / "idle_node.py").write_text("import time\ntime.sleep(600)\n")
+    looks: list[float] = []
+
+    class Watched(Trimming):
+        def look(self, now_s: float) -> None:
+            looks.append(now_s)
+            if len(looks) == 3:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    def refuse(*command: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(runner_module, "start_supervised", refuse)
+    monkeypatch.setattr(runner_module, "Trimming", Watched)
+    graph = Graph("ridge", (NodeSpec("idle", "/ridge", "idle_node"),))
+    runner = Runner(graph, log_folder=tmp_path, console=lambda line: None, environment={"PYTHONPATH": str(tmp_path)})
+    patience = threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGTERM))
+    patience.start()
+    try:
+        assert runner.run() == 0
+    finally:
+        patience.cancel()
+    assert len(looks) >= 3
+    assert looks == sorted(looks)
