@@ -17,7 +17,7 @@ import numpy as np
 from ltm_core.errors import RegionError
 from ltm_core.locating.locator import Agreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.turn_watch import TurnWatch
+from ltm_core.locating.turn_watch import TurnVerdict, TurnWatch
 from ltm_core.utc_time import DAY_NS
 
 NEARBY_DEG = 4.0
@@ -118,7 +118,7 @@ class Tracks:
             track.sightings, track.location = self._kept([*track.sightings, seen]), location
             if location.agreement is not None:
                 self.watch.note(track.fire, seen.stamp_ns, location.agreement.turns)
-            self._name()
+            self.rename()
             return track, alone, None
         track = Track(self._next, [seen], alone, self._next)
         if disputes:
@@ -128,7 +128,7 @@ class Tracks:
             self.watch.note(other.fire, seen.stamp_ns, agreement.turns)
         self._next += 1
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
-        self._name()
+        self.rename()
         return track, alone, track.wrong
 
     def forget(self, camera: str) -> bool:
@@ -151,14 +151,15 @@ class Tracks:
                 track.sightings = others
             except RegionError:  # none, or none that fit without it
                 track.closed = True
-        self._name()
+        self.rename()
         return found
 
-    def _name(self) -> None:
-        """What is known now of whom each track's cameras disagree with."""
-        wrong = self.watch.verdict.wrong
+    def rename(self) -> TurnVerdict:
+        """Say of each track which of its cameras is wrong, by what is known now, which is returned."""
+        verdict = self.watch.verdict
         for track in self.tracks:
-            track.wrong = wrong if wrong in track.disputed else None
+            track.wrong = verdict.wrong if verdict.wrong in track.disputed else None
+        return verdict
 
     def expire(self, now_ns: int) -> None:
         """End tracks that nobody has seen for long, and forget what was said of cameras long ago."""
