@@ -19,6 +19,10 @@ _ONE_PLACE = math.radians(1.0)
 """Within which the marks of all cameras are of one place."""
 
 
+MOST_PICTURES = 12
+"""Of a camera that count, the newest: for a head, its last few presets."""
+
+
 @dataclass(frozen=True)
 class TurnVerdict:
     """`suspicion`: by camera, the probability that it is turned; `suspect`: the greatest's. `wrong`: the suspect, where
@@ -115,7 +119,7 @@ class TurnWatch:
     sure: float
     memory_ns: int = DAY_NS
     most: int = 32
-    most_pictures: int = 12
+    most_pictures: int = MOST_PICTURES
     lost: set[str] = field(default_factory=set)
     _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
     _pictures: dict[str, list[SkylineTurns]] = field(default_factory=dict)

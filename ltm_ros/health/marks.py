@@ -73,7 +73,7 @@ class _Turned(_Told):
     sigma_deg: float
     fires: int
     pictures: int = Field(0, ge=0)
-    by: list[Literal["marks", "pictures"]] = Field(default_factory=lambda: ["marks"], max_length=2)
+    by: tuple[Literal["marks", "pictures"], ...] = ("marks",)
 
     def in_words(self) -> str:
         evidence = {

@@ -28,6 +28,8 @@ AFTER = (0, 1, 3, 10)
 SIDES = (-1, 0, 1)
 """By how many turns of TURNED_DEG a stated azimuth is then too great."""
 SECOND_NS = 1_000_000_000
+EVERY_NS = round(PoseRefinementConfig().every * SECOND_NS)
+"""Between two pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,24 +72,20 @@ def watched_eye(
     terrain: Terrain,
     errors: PoseErrors,
     rng: np.random.Generator,
-    gap: float,
     picture_config: PicturePoseConfig,
-    config: PoseRefinementConfig = PoseRefinementConfig(),
 ) -> WatchedEye:
     """Show an eye's frames in turn, BEFORE of them as they should be, then as each of SIDES has them.
 
     Args:
         frames: of one direction or of several, as of a fixed camera or a head.
-        gap: seconds between the last picture before the turn and the first after it.
     """
     offsets = rng.standard_normal(6)
-    watch = MountWatch(terrain, config, picture_config)
-    every = round(config.every * SECOND_NS)
+    watch = MountWatch(terrain, PoseRefinementConfig(), picture_config)
     turns: list[SkylineTurns] = []
     for number in range(BEFORE):
-        _show(watch, frames[number % len(frames)], offsets, errors, 0.0, number * every, turns)
+        _show(watch, frames[number % len(frames)], offsets, errors, 0.0, number * EVERY_NS, turns)
     correction, held = watch.correction, watch.state is MountState.HELD
-    begin, first = (BEFORE - 1) * every + round(gap * SECOND_NS), int(rng.integers(len(frames)))
+    begin, first = BEFORE * EVERY_NS, int(rng.integers(len(frames)))
     shown: dict[tuple[int, int], Shown] = {}
     for side in SIDES:
         after, since, noticed = copy.deepcopy(watch, {id(terrain): terrain}), list(turns), False
@@ -97,7 +95,7 @@ def watched_eye(
             if noticed:
                 continue  # it is named from now on
             frame = frames[(first + number) % len(frames)]
-            _show(after, frame, offsets, errors, side * TURNED_DEG, begin + number * every, since)
+            _show(after, frame, offsets, errors, side * TURNED_DEG, begin + number * EVERY_NS, since)
             noticed = not after.correction.known
     return WatchedEye(name, frames[0].frame.pose.position, offsets, correction, held, shown)
 

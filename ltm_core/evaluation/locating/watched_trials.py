@@ -13,12 +13,12 @@ from ltm_core.evaluation.locating.smoke_score import TURNED_DEG
 from ltm_core.evaluation.locating.smoke_sites import SmokeSite
 from ltm_core.evaluation.locating.smoke_trials import PoseErrors, sighting
 from ltm_core.evaluation.locating.turned_trials import marks_evidence, seen_by_all
-from ltm_core.evaluation.locating.watched_eyes import WatchedEye
+from ltm_core.evaluation.locating.watched_eyes import EVERY_NS, SECOND_NS, WatchedEye
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import LEVEL_SHARE
 from ltm_core.locating.turn_evidence import TurnEvidence
-from ltm_core.locating.turn_watch import TurnVerdict, judged
+from ltm_core.locating.turn_watch import MOST_PICTURES, TurnVerdict, judged
 from ltm_core.pose_estimation.skyline_turns import SkylineTurns
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.visibility.point_visibility import PointVisibility
@@ -27,6 +27,8 @@ _CORRELATION = 2.0
 """Cells, of the model's error, as in `smoke_sites`."""
 _LEAST_CLEARANCE = 1.0
 """Metres of an eye above the ground as it is taken to be."""
+_TO_MARK = 5.0
+"""Seconds from the last picture to the marks."""
 _TRIES = 4_000
 """Draws of three eyes and a place, for each case that is asked for."""
 
@@ -48,9 +50,14 @@ class WatchedScore:
 
     @classmethod
     def of(cls, cases: Sequence[WatchedCase], after: int, sure: float, gap: float) -> WatchedScore:
-        """`gap`: `WatchedCase.both`."""
+        """`gap`: `WatchedCase.pictures`."""
         named = [
-            (case.turned, case.marks(sure).wrong, case.pictures(sure, after).wrong, case.both(sure, after, gap).wrong)
+            (
+                case.turned,
+                case.marks(sure).wrong,
+                case.pictures(sure, after, gap).wrong,
+                case.both(sure, after, gap).wrong,
+            )
             for case in cases
         ]
         found = [float(np.mean([bool(one[0]) and one[k] == one[0] for one in named])) for k in (1, 2, 3)]
@@ -73,25 +80,33 @@ class WatchedCase:
     def marks(self, sure: float) -> TurnVerdict:
         return judged(self._fires, sure)
 
-    def pictures(self, sure: float, after: int) -> TurnVerdict:
-        """`after`: pictures since the turn."""
-        return judged([], sure, pictures=self._turns(after), lost=self.lost(after))
+    def pictures(self, sure: float, after: int, gap: float) -> TurnVerdict:
+        """`after`: pictures since the turn; `gap`: seconds between the last one before it and what follows."""
+        return judged([], sure, pictures=self._turns(after, gap), lost=self.lost(after))
 
     def both(self, sure: float, after: int, gap: float) -> TurnVerdict:
-        """`gap`: seconds between the last picture and the marks. What a camera marks that is known to look elsewhere
-        says nothing any more.
+        """As `pictures`, with a fire that is marked at last. What a camera marks that is known to look elsewhere says
+        nothing any more.
         """
-        lost, turns = self.lost(after), self._turns(after)
+        lost, turns = self.lost(after), self._turns(after, gap)
         fires = [] if lost else self._fires
         newest = max((seen.stamp_ns for each in turns.values() for seen in each), default=0)
-        return judged(fires, sure, pictures=turns, stamps=[newest + round(gap * 1e9)] * len(fires), lost=lost)
+        at = newest + round((_TO_MARK if after else gap) * SECOND_NS)
+        return judged(fires, sure, pictures=turns, stamps=[at] * len(fires), lost=lost)
 
     @property
     def _fires(self) -> list[TurnEvidence]:
         return [] if self.fire is None else [self.fire]
 
-    def _turns(self, after: int) -> dict[str, Sequence[SkylineTurns]]:
-        return {name: eye.shown[self.sides[name], after].turns[-12:] for name, eye in self.eyes.items()}
+    def _turns(self, after: int, gap: float) -> dict[str, Sequence[SkylineTurns]]:
+        """Of the newest pictures, as many as the node `locate` keeps."""
+        said = {}
+        for name, eye in self.eyes.items():
+            before, every = len(eye.shown[self.sides[name], 0].turns), eye.shown[self.sides[name], after].turns
+            later = round(gap * SECOND_NS) - EVERY_NS
+            since = [replace(seen, stamp_ns=seen.stamp_ns + later) for seen in every[before:]]
+            said[name] = [*every[:before], *since][-MOST_PICTURES:]
+        return said
 
     def lost(self, after: int) -> list[str]:
         return [name for name, eye in self.eyes.items() if eye.shown[self.sides[name], after].noticed]

@@ -40,9 +40,6 @@ def locate(
         list[Path] | None,
         typer.Option(help="Instead: folders of `ltm simulate`, whose eyes are three watched cameras. Repeatable."),
     ] = None,
-    gap: Annotated[
-        float, typer.Option(help="With --frames: seconds between the last pictures before a turn and what follows.")
-    ] = 10.0,
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")
     ] = None,
@@ -69,7 +66,7 @@ def locate(
     if frames:
         from ltm_ros.cli.eval.locate_watched import watched
 
-        watched(frames, count, angle_sigma, dem_error, gap, draw, console, json_path)
+        watched(frames, count, angle_sigma, dem_error, draw, console, json_path)
         return
     if points is not None:
         if guess is None or not dem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from ltm_core.evaluation.pose.pose_trial import PreparedFrame
 
 _DEM_SIGMA = 1.0
+_GAPS = (10.0, 3600.0)
+"""Seconds between the last pictures before a turn and what follows: it was turned just now, or in an hour's fog."""
 _HEADS, _FIXED = "heads that look around", "fixed cameras, one view each"
 
 
@@ -21,7 +24,6 @@ def watched(
     count: int,
     angle_sigma: float,
     dem_error: float | None,
-    gap: float,
     draw: int,
     console: Console,
     json_path: Path | None,
@@ -52,7 +54,7 @@ def watched(
                 eyes = []
                 for name, views in frames.items():
                     shown = views if kind == _HEADS else [views[int(rng.integers(len(views)))]]
-                    eyes.append(watched_eye(name, shown, terrain, errors, rng, gap, pictures))
+                    eyes.append(watched_eye(name, shown, terrain, errors, rng, pictures))
                 site = eyes_site(folder.name, terrain.dem, eyes, error, draw)
                 for turned in (True, False):
                     found = watched_cases(site, eyes, count, turned, errors, config, terrain.bend, draw)
@@ -62,25 +64,24 @@ def watched(
     rows = []
     for kind in (_HEADS, _FIXED):
         table = Table(title=f"{kind}: three, one turned by 2 degrees; and none turned")
-        for column in ("pictures since", "cases", "named by marks", "by pictures", "by both", "right one named",
-                       "none turned", "named by marks", "by pictures", "by both"):  # fmt: skip
+        for column in ("seconds without", "pictures since", "cases", "named by marks", "by pictures", "by both",
+                       "right one named", "none turned", "named by marks", "by pictures", "by both"):  # fmt: skip
             table.add_column(column, justify="right")
-        for after in AFTER:
+        for gap, after in product(_GAPS, AFTER):
             one, none = (
-                WatchedScore.of(cases[kind, turned], after, config.sure_of_wrong, gap if after == 0 else 5.0)
-                for turned in (True, False)
+                WatchedScore.of(cases[kind, turned], after, config.sure_of_wrong, gap) for turned in (True, False)
             )
             table.add_row(
-                *(str(after), str(one.count), f"{one.marks:.1%}", f"{one.pictures:.1%}", f"{one.both:.1%}"),
-                *(f"{one.right_both:.1%}", str(none.count), f"{none.right_marks:.1%}", f"{none.right_pictures:.1%}"),
-                f"{none.right_both:.1%}",
+                *(f"{gap:g}", str(after), str(one.count), f"{one.marks:.1%}", f"{one.pictures:.1%}"),
+                *(f"{one.both:.1%}", f"{one.right_both:.1%}", str(none.count), f"{none.right_marks:.1%}"),
+                *(f"{none.right_pictures:.1%}", f"{none.right_both:.1%}"),
             )
-            rows += [vars(one) | {"kind": kind, "turned": True}, vars(none) | {"kind": kind, "turned": False}]
+            told_of = {"kind": kind, "gap": gap}
+            rows += [vars(one) | told_of | {"turned": True}, vars(none) | told_of | {"turned": False}]
         console.print(table)
     console.print(
         f"conditions: rendered pictures, geometric smoke clicked on by three eyes of "
-        f"{', '.join(folder.name for folder in folders)}; poses stated to {angle_sigma:g} deg; "
-        f"{gap:g} s between the last pictures before the turn and what follows",
+        f"{', '.join(folder.name for folder in folders)}; poses stated to {angle_sigma:g} deg",
         highlight=False,
     )
     console.print("\n".join(told), highlight=False)
