@@ -28,9 +28,9 @@ from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, f
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
-from ltm_core.pose_estimation.skyline_turns import SkylineTurns, skyline_turns
+from ltm_core.pose_estimation.skyline_turns import SkylineTurns
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
-from ltm_core.pose_estimation.turn_search import clearer_turn
+from ltm_core.pose_estimation.turn_search import clearer_turn, skyline_turns
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
 

@@ -11,14 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.picture_evidence import PictureEvidence
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.pose_prior import PosePrior
-from ltm_core.pose_estimation.pose_refinement import skyline_cost
-from ltm_core.pose_estimation.skyline_search import search_azimuths
-from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float64Array
 
 TURN_STEP = math.radians(0.1)
@@ -39,24 +31,3 @@ class SkylineTurns:
     azimuth: float
     hfov: float
     logs: Float64Array
-
-
-def skyline_turns(
-    evidence: PictureEvidence, stamp_ns: int, known: PosePrior, horizon: TerrainHorizon, config: PicturePoseConfig
-) -> SkylineTurns | None:
-    """Of an undistorted picture, about the pose that its camera is said to have; None where too little of a skyline
-    fits at any angle: fog, or no sky.
-    """
-    if evidence.skyline is None:
-        return None
-    camera: Camera = evidence.camera
-    azimuth, pitch, roll = known.pose.angles_deg
-    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
-    azimuths = np.asarray(math.radians(azimuth) - SKYLINE_TURNS[::-1], np.float64)  # they must rise
-    found = search_azimuths(evidence.skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config.skyline)
-    best = int(np.argmin(found.cost))
-    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
-    there = Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
-    if skyline_cost(there, camera, evidence, horizon, config)[1] < config.verdict.clear_support:
-        return None
-    return SkylineTurns(stamp_ns, math.radians(azimuth), math.radians(camera.hfov_deg), -found.cost[::-1])

@@ -98,7 +98,7 @@ class WatchedCase:
     def _fires(self) -> list[TurnEvidence]:
         return [] if self.fire is None else [self.fire]
 
-    def _turns(self, after: int, gap: float) -> dict[str, Sequence[SkylineTurns]]:
+    def _turns(self, after: int, gap: float) -> dict[str, list[SkylineTurns]]:
         """Of the newest pictures, as many as the node `locate` keeps."""
         said = {}
         for name, eye in self.eyes.items():

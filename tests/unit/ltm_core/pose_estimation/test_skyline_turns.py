@@ -12,7 +12,8 @@ from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns, skyline_turns
+from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.pose_estimation.turn_search import skyline_turns
 from ltm_core.vision.labels import UNLABELLED
 
 pytestmark = pytest.mark.kernel
