@@ -152,7 +152,7 @@ class Locate(Handler[LocateConfig]):
         anew.
         """
         correction, lost = msg_to_correction(message), self._tracks.watch.lost
-        before, was_lost = self._rotations[name], name in lost
+        before = self._rotations[name]
         if correction.known:
             lost.discard(name)
         else:
@@ -161,8 +161,9 @@ class Locate(Handler[LocateConfig]):
         refitted = _apart(correction.rotation, before) > STEP and self._tracks.forget(name)
         if refitted:
             self.health.note(f"refitted.{name}")
-        if refitted or was_lost != (name in lost):
-            self._told = self._named()
+        named = self._named()
+        if refitted or named != self._told:
+            self._told = named
             self._publish_tracks(stamp_of(message))
 
     def on_turns(self, name: str, message: Any) -> None:
