@@ -147,10 +147,14 @@ class WalkConfig(Strict):
 
 
 class ViewsConfig(Strict):
-    """Seeded viewpoints for training: knolls and slopes, with heights, headings and fields of view drawn at random."""
+    """Seeded viewpoints: knolls and slopes, with heights, headings and fields of view drawn at random.
+
+    `slopes`: every other eye stands anywhere; without, all stand on knolls, as fire-watch towers do.
+    """
 
     positions: int = Field(8, ge=1)
     views: int = Field(8, ge=1)  # frames a position
+    slopes: bool = True
     mast: tuple[float, float] = (2.0, 25.0)
     pitch_deg: tuple[float, float] = (-14.0, 1.0)
     roll_deg: tuple[float, float] = (-3.0, 3.0)

@@ -1,4 +1,4 @@
-"""Draws camera positions for training pictures: seeded knolls and slopes of a site."""
+"""Draws camera positions: seeded knolls and slopes of a site."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class Viewpoint:
 
 
 def draw_viewpoints(site: HeightField, config: ViewsConfig, seed: int) -> list[list[Viewpoint]]:
-    """`config.positions` lists of `config.views` viewpoints; every other position is a knoll, the rest lie anywhere.
+    """`config.positions` lists of `config.views` viewpoints; every other position is a knoll, the rest lie anywhere
+    (`config.slopes`) or are knolls, too.
 
     Headings that look straight into the slope beside the camera are drawn again (eight times at most).
     """
@@ -35,7 +36,9 @@ def draw_viewpoints(site: HeightField, config: ViewsConfig, seed: int) -> list[l
     prominence = HeightField((site.elevation - broad).astype(np.float32), g)
     out: list[list[Viewpoint]] = []
     for i in range(config.positions):
-        candidates = np.array([g.x_min, g.y_min]) + size * rng.uniform(0.08, 0.92, (60 if i % 2 == 0 else 1, 2))
+        candidates = np.array([g.x_min, g.y_min]) + size * rng.uniform(
+            0.08, 0.92, (1 if config.slopes and i % 2 else 60, 2)
+        )
         x, y = candidates[int(np.argmax(prominence.at(candidates[:, 0], candidates[:, 1])))]
         eye = np.array([x, y, float(site.at(x, y)) + rng.uniform(*config.mast)])
         views = []

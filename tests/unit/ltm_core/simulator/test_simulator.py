@@ -206,6 +206,19 @@ def test_viewpoints_are_seeded_and_above_ground(terrain: SyntheticTerrain) -> No
     assert [v.azimuth_deg for p in places for v in p] == [v.azimuth_deg for p in again for v in p]
 
 
+def test_towers_stand_on_knolls(terrain: SyntheticTerrain) -> None:
+    def clearance(slopes: bool) -> list[float]:
+        """Of each eye over the mean ground 120 m about it."""
+        wish = ViewsConfig(positions=8, views=1, mast=(0.0, 0.0), slopes=slopes)
+        turns = np.radians(np.arange(0, 360, 15))
+        eyes = [views[0].eye for views in draw_viewpoints(terrain.site, wish, seed=8)]
+        around = [terrain.site.at(x + 120 * np.sin(turns), y + 120 * np.cos(turns)) for x, y, _ in eyes]
+        return [float(eye[2] - np.mean(z)) for eye, z in zip(eyes, around, strict=True)]
+
+    assert min(clearance(slopes=False)) > 0.0
+    assert min(clearance(slopes=True)[1::2]) < 0.0
+
+
 def test_haze_follows_beer_and_lambert() -> None:
     radiance = np.full((2, 3, 3), 0.2, np.float32)
     lengths = np.array([[0.0, 5000.0, 1e9], [5000.0, 0.0, 1e9]], np.float32)
