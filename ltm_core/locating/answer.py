@@ -175,6 +175,8 @@ def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
         "turned_deg": round(math.degrees(verdict.turn), 3),
         "sigma_deg": round(math.degrees(verdict.sigma), 3),
         "fires": verdict.fires,
+        "pictures": verdict.pictures,
+        "by": list(verdict.by),
     }
 
 

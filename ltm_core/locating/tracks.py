@@ -17,7 +17,7 @@ import numpy as np
 from ltm_core.errors import RegionError
 from ltm_core.locating.locator import Agreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.turn_watch import TurnWatch
+from ltm_core.locating.turn_watch import TurnVerdict, TurnWatch
 from ltm_core.utc_time import DAY_NS
 
 NEARBY_DEG = 4.0
@@ -87,6 +87,7 @@ class Tracks:
     tracks: list[Track] = field(default_factory=list)
     watch: TurnWatch = field(init=False)
     _next: int = 1
+    _named: str | None = None
 
     def __post_init__(self) -> None:
         self.watch = TurnWatch(self.locator.config.sure_of_wrong, self.memory_ns)
@@ -118,8 +119,8 @@ class Tracks:
             track.sightings, track.location = self._kept([*track.sightings, seen]), location
             if location.agreement is not None:
                 self.watch.note(track.fire, seen.stamp_ns, location.agreement.turns)
-            self._name()
-            return track, alone, None
+            self.rename()
+            return self._with(seen, track), alone, None
         track = Track(self._next, [seen], alone, self._next)
         if disputes:
             other, agreement = max(disputes, key=lambda each: len(each[0].cameras))
@@ -128,7 +129,8 @@ class Tracks:
             self.watch.note(other.fire, seen.stamp_ns, agreement.turns)
         self._next += 1
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
-        self._name()
+        self.rename()
+        track = self._with(seen, track)
         return track, alone, track.wrong
 
     def forget(self, camera: str) -> bool:
@@ -151,14 +153,50 @@ class Tracks:
                 track.sightings = others
             except RegionError:  # none, or none that fit without it
                 track.closed = True
-        self._name()
+        self.rename()
         return found
 
-    def _name(self) -> None:
-        """What is known now of whom each track's cameras disagree with."""
-        wrong = self.watch.verdict.wrong
+    def rename(self) -> TurnVerdict:
+        """Say of each track which of its cameras is wrong, by what is known now, which is returned. Of a camera that is
+        newly named, what it had kept apart is put together.
+        """
+        verdict = self.watch.verdict
+        if verdict.wrong is not None and verdict.wrong != self._named:
+            for fire in dict.fromkeys(track.fire for track in self.tracks if verdict.wrong in track.disputed):
+                self._reunite(fire, verdict.wrong)
+        self._named = verdict.wrong
         for track in self.tracks:
-            track.wrong = wrong if wrong in track.disputed else None
+            track.wrong = verdict.wrong if verdict.wrong in track.disputed else None
+        return verdict
+
+    def _with(self, seen: SeenAt, track: Track) -> Track:
+        """The track of a sighting; naming a camera may have moved it from the one that it has joined."""
+        return next((one for one in self.tracks if seen in one.sightings), track)
+
+    def _reunite(self, fire: int, wrong: str) -> None:
+        """A turned camera in between lets right ones mark a fire apart: with it one of them agrees by chance, the other
+        then does not. What they have marked becomes one track where they agree, what the wrong one has marked another.
+        """
+        open_ones = [track for track in self.tracks if track.fire == fire and not track.closed]
+        parts = [(track, [s for s in track.sightings if s.sighting.name != wrong]) for track in open_ones]
+        apart = sorted((part for part in parts if part[1]), key=lambda part: part[0].number)
+        if len(apart) < 2:
+            return
+        first, right = apart[0][0], self._kept([seen for _, marks in apart for seen in marks])
+        marked = [seen for track in open_ones for seen in track.sightings if seen.sighting.name == wrong]
+        try:
+            together = self.locator.locate([seen.sighting for seen in right], self.smoke)
+            alone = self.locator.locate([seen.sighting for seen in self._kept(marked)], self.smoke) if marked else None
+        except RegionError:
+            return
+        if not _agree(together, self.locator.limit):
+            return
+        first.sightings, first.location = right, together
+        others = [track for track in open_ones if track is not first]
+        if alone is not None:
+            kept = others.pop(0)
+            kept.sightings, kept.location = self._kept(marked), alone
+        self.tracks = sorted((t for t in self.tracks if t not in others), key=lambda track: track.last_ns)
 
     def expire(self, now_ns: int) -> None:
         """End tracks that nobody has seen for long, and forget what was said of cameras long ago."""

@@ -1,15 +1,17 @@
-"""Which camera of a site is turned, by the marks of several fires together."""
+"""Which camera of a site is turned, by the marks of several fires and by its own pictures together."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ltm_core.locating.slips import HELD, slip_density
+from ltm_core.locating.slip_history import turned_ratios
+from ltm_core.locating.slips import LOST, slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
+from ltm_core.pose_estimation.skyline_turns import SkylineTurns
 from ltm_core.types import Float64Array
 from ltm_core.utc_time import DAY_NS
 
@@ -17,11 +19,15 @@ _ONE_PLACE = math.radians(1.0)
 """Within which the marks of all cameras are of one place."""
 
 
+MOST_PICTURES = 12
+"""Of a camera that count, the newest: for a head, its last few presets."""
+
+
 @dataclass(frozen=True)
 class TurnVerdict:
     """`suspicion`: by camera, the probability that it is turned; `suspect`: the greatest's. `wrong`: the suspect, where
     that is sure. `turn`, `sigma`: radians by which the suspect's stated azimuths are too great, if it is turned.
-    `fires`: by which it was judged.
+    `fires`, `pictures`: of how many of the suspect it was judged by. `by`: what names it, `marks`, `pictures`, or both.
     """
 
     suspicion: dict[str, float]
@@ -30,48 +36,69 @@ class TurnVerdict:
     turn: float
     sigma: float
     fires: int
+    pictures: int = 0
+    by: tuple[str, ...] = ()
 
 
 SLIPS = slip_density(TURNS, STEP)
 NOBODY = TurnVerdict({}, None, None, 0.0, 0.0, 0)
+_NONE_SEEN: Mapping[str, Sequence[SkylineTurns]] = {}
 
 
 def judged(
-    fires: Sequence[TurnEvidence], sure: float, held: Collection[str] = (), slips: Float64Array = SLIPS
+    fires: Sequence[TurnEvidence],
+    sure: float,
+    slips: Float64Array = SLIPS,
+    pictures: Mapping[str, Sequence[SkylineTurns]] = _NONE_SEEN,
+    stamps: Sequence[int] | None = None,
+    lost: Collection[str] = (),
 ) -> TurnVerdict:
     """Whether one camera is turned, and which.
 
-    That one is turned is as probable beforehand as that none is, and each camera as another, but for those that are
-    `held`; by how much is known as `slip_density` has it. Where none is, the poses still err by what their covariances
-    say, and alike in all fires: of this the explanation by the one camera that makes the marks likeliest stands for
-    all, so that none is named for an error that its covariance allows.
+    That one is turned is as probable beforehand as that none is, and each camera as another; by how much is known as
+    `slip_density` has it, and since when as `slip_history` has it. Where none is, the poses still err by what their
+    covariances say, and alike in all fires: of this the explanation by the one camera that makes the marks likeliest
+    stands for all, so that none is named for an error that its covariance allows.
 
     Args:
         fires: of different fires; several sightings of one fire are one.
-        sure: probability above which a camera is named; of two that mark one fire none is: it may be two fires.
-        held: cameras whose pictures say that their poses are right.
+        sure: probability above which a camera is named; of two that mark one fire none is, unless by its pictures: it
+            may be two fires.
         slips: (T,) density of the angle of a camera that is turned.
+        pictures: by camera, what the skylines of its latest clear pictures say.
+        stamps: of the fires; None: all of one time.
+        lost: cameras that look elsewhere, as their nodes `pose` say after several pictures.
     """
-    names = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
+    marking = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
+    names = [*marking, *(name for name, seen in pictures.items() if seen and name not in marking)]
     if not names:
         return NOBODY
-    totals = {name: _total(fires, name) for name in names}
-    sigmas = {name: max(fire.sigmas[name] for fire in fires if name in fire.sigmas) for name in names}
-    turned = np.array([_integral(totals[name], slips) for name in names])
-    stated = [_integral(totals[name], _normal(sigmas[name])) for name in names]
-    none = max(0.0, *stated)
-    chances = np.array([HELD if name in held else 1.0 for name in names]) / len(names)
-    shares = turned + np.log(chances)
+    at = [0] * len(fires) if stamps is None else stamps
+    told = {
+        name: turned_ratios(
+            [(stamp, fire.ratios[name]) for stamp, fire in zip(at, fires, strict=True) if name in fire.ratios],
+            pictures.get(name, ()),
+        )
+        for name in names
+    }
+    sigmas = {name: max((fire.sigmas[name] for fire in fires if name in fire.sigmas), default=0.0) for name in names}
+    turned = np.array([_integral(told[name][1], slips) for name in names])
+    none = max(0.0, *(_integral(told[name][0], _normal(sigmas[name])) for name in names))
+    shares = turned - math.log(len(marking) or len(names)) + [LOST if name in lost else 0.0 for name in names]
     every = float(np.logaddexp.reduce([*shares, none]))
     suspicion = {name: math.exp(share - every) for name, share in zip(names, shares.tolist(), strict=True)}
     suspect = max(names, key=lambda name: suspicion[name])
-    weights = np.exp(totals[suspect] - totals[suspect].max()) * slips
+    weights = np.exp(told[suspect][1] - told[suspect][1].max()) * slips
     weights /= weights.sum()
     turn = float(weights @ TURNS)
     sigma = math.sqrt(float(weights @ (TURNS - turn) ** 2) + STEP**2 / 12)
     seen = sum(suspect in fire.ratios for fire in fires)
-    sure_of_it = suspicion[suspect] > sure and (len(names) > 2 or seen > 1)
-    return TurnVerdict(suspicion, suspect, suspect if sure_of_it else None, turn, sigma, seen)
+    looked = len(pictures.get(suspect, ()))
+    wrong = suspect if suspicion[suspect] > sure else None
+    if wrong is not None and len(marking) <= 2 and seen == 1:
+        wrong = suspect if looked and judged([], sure, slips, pictures, lost=lost).wrong == suspect else None
+    by = () if wrong is None else (*(["marks"] if seen else []), *(["pictures"] if looked else []))
+    return TurnVerdict(suspicion, suspect, wrong, turn, sigma, seen, looked, by)
 
 
 @dataclass
@@ -85,14 +112,17 @@ class TurnWatch:
         sure: `judged`.
         memory_ns: fires seen longer ago do not count: a mount that has been put right is right again.
         most: fires that count, the newest.
-        held: cameras whose pictures say that their poses are right.
+        lost: cameras that look elsewhere, as their nodes `pose` say.
+        most_pictures: of a camera that count, the newest.
     """
 
     sure: float
     memory_ns: int = DAY_NS
     most: int = 32
-    held: set[str] = field(default_factory=set)
+    most_pictures: int = MOST_PICTURES
+    lost: set[str] = field(default_factory=set)
     _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
+    _pictures: dict[str, list[SkylineTurns]] = field(default_factory=dict)
 
     def note(self, fire: int, stamp_ns: int, evidence: TurnEvidence) -> None:
         """Takes the place of what the same fire, or one at its place, has said before, unless that was of more
@@ -106,10 +136,15 @@ class TurnWatch:
         self._fires = dict(list(self._fires.items())[-self.most :])
         self.expire(stamp_ns)
 
+    def look(self, camera: str, seen: SkylineTurns) -> None:
+        """Take what a clear picture of a camera says; give them in time order."""
+        self._pictures[camera] = [*self._pictures.get(camera, ()), seen][-self.most_pictures :]
+
     def forget(self, camera: str) -> bool:
         """Begin anew with a camera whose poses are others now: of fires that it has marked, what was said of the others
         hung on its direction too. Whether there were any.
         """
+        self._pictures.pop(camera, None)
         before = len(self._fires)
         self._fires = {key: fire for key, fire in self._fires.items() if camera not in fire[1].ratios}
         return len(self._fires) < before
@@ -117,22 +152,27 @@ class TurnWatch:
     def expire(self, now_ns: int) -> None:
         """Forget what was seen too long ago."""
         self._fires = {key: fire for key, fire in self._fires.items() if now_ns - fire[0] <= self.memory_ns}
+        for camera, pictures in self._pictures.items():
+            self._pictures[camera] = [seen for seen in pictures if now_ns - seen.stamp_ns <= self.memory_ns]
 
     @property
     def verdict(self) -> TurnVerdict:
-        return judged([evidence for _, evidence in self._fires.values()], self.sure, self.held)
+        fires, stamps = [fire for _, fire in self._fires.values()], [stamp for stamp, _ in self._fires.values()]
+        both = judged(fires, self.sure, pictures=self._pictures, stamps=stamps, lost=self.lost)
+        if both.wrong is None:
+            return both
+        by = {
+            "marks": judged(fires, self.sure, stamps=stamps).wrong,
+            "pictures": judged([], self.sure, pictures=self._pictures, lost=self.lost).wrong,
+        }
+        alone = tuple(what for what, wrong in by.items() if wrong == both.wrong)
+        return replace(both, by=alone or tuple(by))
 
 
 def _of_one_place(one: TurnEvidence, other: TurnEvidence) -> bool:
     shared = one.azimuths.keys() & other.azimuths.keys()
     off = [math.remainder(one.azimuths[name] - other.azimuths[name], 2 * math.pi) for name in shared]
     return len(off) > 1 and max(map(abs, off)) < _ONE_PLACE
-
-
-def _total(fires: Sequence[TurnEvidence], name: str) -> Float64Array:
-    """(T,) of all fires that the camera has seen."""
-    ratios = [fire.ratios[name] for fire in fires if name in fire.ratios]
-    return np.asarray(np.sum(ratios, axis=0), np.float64)
 
 
 def _integral(logs: Float64Array, density: Float64Array) -> float:

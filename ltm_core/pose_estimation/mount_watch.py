@@ -28,8 +28,9 @@ from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, f
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
+from ltm_core.pose_estimation.skyline_turns import SkylineTurns
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
-from ltm_core.pose_estimation.turn_search import clearer_turn
+from ltm_core.pose_estimation.turn_search import clearer_turn, skyline_turns
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
 
@@ -100,6 +101,14 @@ class MountWatch:
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
         return self._gather(evidence, self._prior(stated, covariance))
+
+    def turns(
+        self, evidence: PictureEvidence, stamp_ns: int, stated: Pose, covariance: Float64Array
+    ) -> SkylineTurns | None:
+        """What a picture says of a turn of the camera from the pose that it is published with: `stated`, corrected."""
+        pose, _ = self.correction.applied(stated, covariance)
+        prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
+        return skyline_turns(evidence, stamp_ns, prior, self._horizon(evidence, prior)[0], self._search)
 
     def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
         if self.state is not MountState.SLIPPED:

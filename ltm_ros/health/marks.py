@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
-from typing import Any
+from typing import Any, Literal
 
 from geometry_msgs.msg import PointStamped
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -72,11 +72,17 @@ class _Turned(_Told):
     turned_deg: float
     sigma_deg: float
     fires: int
+    pictures: int = Field(0, ge=0)
+    by: tuple[Literal["marks", "pictures"], ...] = ("marks",)
 
     def in_words(self) -> str:
+        evidence = {
+            "marks": f"the marks of {self.fires} {'fire' if self.fires == 1 else 'fires'}",
+            "pictures": "the skyline in its pictures" if self.pictures else "its pictures",
+        }
         return (
-            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by the marks of {self.fires} "
-            f"{'fire' if self.fires == 1 else 'fires'} its "
+            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by "
+            f"{' and '.join(evidence[what] for what in self.by)} its "
             f"stated azimuths are {abs(self.turned_deg):.1f} degrees too {'great' if self.turned_deg > 0 else 'small'} "
             f"(sigma {self.sigma_deg:.1f}); look after its mount"
         )

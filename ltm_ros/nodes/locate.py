@@ -38,6 +38,7 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.pose_correction import msg_to_correction
+from ltm_msgs_py.skyline_turns import msg_to_turns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -51,6 +52,7 @@ from ltm_ros.runtime.topics import (
     LOCATE_REGION,
     LOCATE_TRACKS,
     POSE_CORRECTION,
+    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -103,8 +105,10 @@ class Locate(Handler[LocateConfig]):
         self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks, memory_ns=memory)
         self._scenes = {name: SceneFilter.of(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
-        self._turns: dict[str, Float64Array] = {name: np.eye(3) for name in site.cameras}
+        self._rotations: dict[str, Float64Array] = {name: np.zeros(3) for name in site.cameras}
         """By which stated poses are corrected."""
+        self._told: tuple[str | None, tuple[str, ...]] = (None, ())
+        """The camera that was named last, and by what."""
         self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
             name: OrderedDict() for name in site.cameras
         }
@@ -123,6 +127,7 @@ class Locate(Handler[LocateConfig]):
             found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
             if self._site.refine_poses is not None:
                 found[self._of(name, POSE_CORRECTION)] = partial(self.on_correction, name)
+                found[self._of(name, POSE_TURNS)] = partial(self.on_turns, name)
             found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
             found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
         return found
@@ -143,19 +148,37 @@ class Locate(Handler[LocateConfig]):
             poses.popitem(last=False)
 
     def on_correction(self, name: str, message: Any) -> None:
-        """Which cameras' pictures hold their poses: others are rather turned. With one whose mount has been fitted anew
-        it begins anew.
+        """Which cameras' pictures say that they look elsewhere. With one whose mount has been fitted anew it begins
+        anew.
         """
-        correction, held = msg_to_correction(message), self._tracks.watch.held
-        if correction.held:
-            held.add(name)
+        correction, lost = msg_to_correction(message), self._tracks.watch.lost
+        before = self._rotations[name]
+        if correction.known:
+            lost.discard(name)
         else:
-            held.discard(name)
-        before, self._turns[name] = self._turns[name], matrix_of_vector(correction.rotation)
-        turned = float(np.linalg.norm(vector_of_matrix(self._turns[name] @ before.T)))
-        if turned > STEP and self._tracks.forget(name):
+            lost.add(name)
+        self._rotations[name] = correction.rotation
+        refitted = _apart(correction.rotation, before) > STEP and self._tracks.forget(name)
+        if refitted:
             self.health.note(f"refitted.{name}")
+        named = self._named()
+        if refitted or named != self._told:
+            self._told = named
             self._publish_tracks(stamp_of(message))
+
+    def on_turns(self, name: str, message: Any) -> None:
+        """What a clear picture of a camera says of its being turned."""
+        told = msg_to_turns(message, name)
+        if self._stamps.refuses(f"turns of {name}", told.turns.stamp_ns):
+            return
+        if _apart(told.rotation, self._rotations[name]) > STEP:
+            self.health.note(f"turns_of_another_correction.{name}")
+            return
+        self._tracks.watch.look(name, told.turns)
+        named = self._named()
+        if named != self._told:
+            self._told = named
+            self._publish_tracks(told.turns.stamp_ns)
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
@@ -178,8 +201,14 @@ class Locate(Handler[LocateConfig]):
         if wrong is not None:
             self.health.note(f"disagrees.{wrong}")
         self.health.gauge("tracks", len(self._tracks.tracks))
+        self._told = self._named()
         self._publish_fused(track, stamp)
         self._publish_tracks(stamp)
+
+    def _named(self) -> tuple[str | None, tuple[str, ...]]:
+        """The camera that is named now, which tracks then say, and what names it."""
+        verdict = self._tracks.rename()
+        return verdict.wrong, verdict.by
 
     def _of(self, name: str, topic: Topic) -> Topic:
         return replace(topic, name=camera_topic(self._site.name, name, topic))
@@ -237,8 +266,13 @@ class Locate(Handler[LocateConfig]):
         self.outlet.publish(LOCATE_TRACKS, String(data=json.dumps(collection)))
 
     def _turned(self) -> dict[str, Any] | None:
-        """The camera that is turned by all that fires have said, if one is named."""
+        """The camera that is turned by all that fires and pictures have said, if one is named."""
         return turned_data(self._tracks.watch.verdict)
+
+
+def _apart(one: Float64Array, other: Float64Array) -> float:
+    """Radians between two rotation vectors."""
+    return float(np.linalg.norm(vector_of_matrix(matrix_of_vector(one) @ matrix_of_vector(other).T)))
 
 
 def _place_msg(said: Answer, stamp: int) -> Any:

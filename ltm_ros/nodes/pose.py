@@ -13,17 +13,20 @@ from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError, StoreError
+from ltm_core.pose import Pose
 from ltm_core.pose_estimation.mount_memory_io import memory_file, mount_terms, recall_memory, write_memory
 from ltm_core.pose_estimation.mount_watch import MountWatch
-from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.site_terrain import site_terrain
 from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
@@ -34,6 +37,7 @@ from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     POSE_CORRECTION,
     POSE_INFO,
+    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     STATED_POSE,
@@ -48,7 +52,7 @@ class PoseKeepingConfig(JoinConfig):
 class PoseKeeping(Handler[PoseKeepingConfig]):
     """Looks at a picture now and then: what it costs is that of a few frames a minute."""
 
-    publications = (POSE_CORRECTION, POSE_INFO)
+    publications = (POSE_CORRECTION, POSE_INFO, POSE_TURNS)
 
     def __init__(self, config: PoseKeepingConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -116,11 +120,18 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
             self.health.note(f"mount.{watch.state.value}")
             self._tell(stamp)
             self._keep()
+        self._tell_turns(evidence, stamp, stated, covariance)
         self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
 
     def _tell(self, stamp: int) -> None:
         self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
         self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
+
+    def _tell_turns(self, evidence: PictureEvidence, stamp: int, stated: Pose, covariance: Float64Array) -> None:
+        turns = self._watch.turns(evidence, stamp, stated, covariance)
+        if turns is not None:
+            told = ToldTurns(self.config.camera, self._watch.correction.rotation, turns)
+            self.outlet.publish(POSE_TURNS, turns_to_msg(told))
 
     def _recall(self, seen: Camera | None) -> None:
         """Begin with what is kept. `seen`: the calibration of the pictures, where the site does not state it."""

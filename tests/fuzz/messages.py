@@ -31,6 +31,7 @@ from fuzz.target import Target
 from ltm_core.errors import LtmError
 from ltm_core.fuel.votes import VoteCaster
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.raster.surface_versions_io import AS_GIVEN, SurfaceManifest
 from ltm_core.terrain.change import Changed
 from ltm_core.vision.labels import LabelSet
@@ -41,6 +42,7 @@ from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_msgs_py.terrain import changed_to_msg
 from ltm_msgs_py.votes import votes_to_msg
@@ -395,10 +397,12 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
     point.point.x, point.point.y = 24.0, 25.0
     found = PoseCorrection(np.zeros(3), np.eye(3) * 1e-6, 0.01, np.array([0.0, 0.0, 0.0, 1e-6]))
     correction = correction_to_msg(found, stamp_of(parts["info"]))
+    turns = SkylineTurns(stamp_of(parts["info"]), 1.0, 0.9, np.linspace(0.0, 9.0, len(SKYLINE_TURNS)))
     messages = [
         (f"/{NAME}/tower/posed/camera_info", parts["info"]),
         (f"/{NAME}/tower/posed/pose", parts["pose"]),
         (f"/{NAME}/tower/pose/correction", correction),
+        (f"/{NAME}/tower/pose/turns", turns_to_msg(ToldTurns("tower", np.zeros(3), turns))),
         (f"/{NAME}/tower/locate/region", region),
         (f"/{NAME}/tower/locate/point", point),
     ]

@@ -16,9 +16,11 @@ from scenes.located import CAMERA, hills, sighting
 from scenes.waiting import wait_for
 
 from ltm_core.dem import Dem
+from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
@@ -30,6 +32,7 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
+    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -58,6 +61,7 @@ def write_site(folder: Path) -> Path:
         "curvature": False,
         "cameras": {name: {} for name in TOWERS},
         "locating": {"dem_sigma": 0.5},
+        "refine_poses": {},
     }
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content))
@@ -83,7 +87,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         for name in TOWERS:
             bystander.listen(of(name, LOCATE_ESTIMATE), LOCATE_ESTIMATE.type)
             bystander.listen(of(name, LOCATE_GEOJSON), LOCATE_GEOJSON.type)
-            for topic in (POSED_CAMERA_INFO, POSED_POSE, LOCATE_REGION, LOCATE_POINT):
+            for topic in (POSED_CAMERA_INFO, POSED_POSE, POSE_TURNS, LOCATE_REGION, LOCATE_POINT):
                 bystander.open(of(name, topic), topic.type)
         bystander.wait_for_wiring(1)
 
@@ -147,3 +151,15 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         assert told()["seen_by"] == ["north", "east"]
         # Smoke is asked for here: who sees the place and where to turn them stands in the track.
         assert {view["camera"] for view in told()["cameras"]} == set(TOWERS)
+
+        # North's skyline, as its node `pose` tells it, lies two degrees beside where it should be.
+        logs = np.maximum(-0.5 * ((np.degrees(SKYLINE_TURNS) - 2.0) / 0.2) ** 2, -40.0)
+
+        def named() -> Any:
+            for direction in range(3):
+                turns = SkylineTurns(stamp + (1 + direction) * SECOND, 2.0 * direction, 1.0, logs)
+                bystander.send(of("north", POSE_TURNS), turns_to_msg(ToldTurns("north", np.zeros(3), turns)))
+            return json.loads(bystander.heard[tracks][-1].data)["turned"]
+
+        wait_for(named, "north to be named by its pictures")
+        assert (named()["camera"], named()["by"]) == ("north", ["pictures"])

@@ -45,10 +45,9 @@ class TurnedCase:
     turn_deg: float
     fires: tuple[TurnEvidence, ...]
 
-    def verdict(self, fires: int, sure: float, held: int = 0, slips: Float64Array = SLIPS) -> TurnVerdict:
-        """After the first ones. `held`: right cameras whose pictures hold their poses."""
-        right = [name for fire in self.fires[:1] for name in fire.ratios if name != self.turned]
-        return judged(self.fires[:fires], sure, right[:held], slips)
+    def verdict(self, fires: int, sure: float, slips: Float64Array = SLIPS) -> TurnVerdict:
+        """After the first ones."""
+        return judged(self.fires[:fires], sure, slips)
 
     @property
     def told(self) -> bool:
@@ -77,11 +76,9 @@ class NamingScore:
     off_deg: float
 
     @classmethod
-    def of(
-        cls, cases: Sequence[TurnedCase], fires: int, sure: float, held: int = 0, slips: Float64Array = SLIPS
-    ) -> NamingScore:
-        """`held`, `slips`: `TurnedCase.verdict`."""
-        verdicts = [(case, case.verdict(fires, sure, held, slips)) for case in cases]
+    def of(cls, cases: Sequence[TurnedCase], fires: int, sure: float, slips: Float64Array = SLIPS) -> NamingScore:
+        """`slips`: `TurnedCase.verdict`."""
+        verdicts = [(case, case.verdict(fires, sure, slips)) for case in cases]
         found = [(case, verdict) for case, verdict in verdicts if case.turned and verdict.wrong == case.turned]
         most = [bool(case.turned) and said.suspect == case.turned for case, said in verdicts]
         off = [abs(math.degrees(verdict.turn) - case.turn_deg) for case, verdict in found]
@@ -142,15 +139,15 @@ def turned_cases(
                     marked.append(found)
             if len(marked) == fires:
                 break
-            views = _seen_by_all(rng, site, sight, towers)
+            views = seen_by_all(rng, site, sight, towers)
         if len(marked) < fires:
             continue
         done += 1
-        said = [evidence for marks in marked if (evidence := _evidence(locator, marks)) is not None]
+        said = [evidence for marks in marked if (evidence := marks_evidence(locator, marks)) is not None]
         yield TurnedCase(site.name, f"camera_{wrong}" if turned else "", float(turns[wrong]), tuple(said))
 
 
-def _seen_by_all(
+def seen_by_all(
     rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, towers: Sequence[Float64Array]
 ) -> list[SeenPlume] | None:
     """Smoke at a random place around the towers; None where one of them does not see it, or two look alike."""
@@ -166,7 +163,7 @@ def _seen_by_all(
     return views if len(views) == len(towers) else None
 
 
-def _evidence(locator: Locator, marks: Sequence[Sighting]) -> TurnEvidence | None:
+def marks_evidence(locator: Locator, marks: Sequence[Sighting]) -> TurnEvidence | None:
     try:
         agreement = locator.locate(marks, smoke=True).agreement
     except RegionError:

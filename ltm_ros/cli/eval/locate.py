@@ -36,6 +36,10 @@ def locate(
         int, typer.Option(help="Instead: three cameras, one or none of them turned, mark so many fires; who is named.")
     ] = 0,
     draw: Annotated[int, typer.Option(help="With --dem: each number has other cases on the same rasters.", min=0)] = 0,
+    frames: Annotated[
+        list[Path] | None,
+        typer.Option(help="Instead: folders of `ltm simulate`, whose eyes are three watched cameras. Repeatable."),
+    ] = None,
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")
     ] = None,
@@ -58,6 +62,11 @@ def locate(
     console = Console()
     if speed:
         _speed(console, json_path)
+        return
+    if frames:
+        from ltm_ros.cli.eval.locate_watched import watched
+
+        watched(frames, count, angle_sigma, dem_error, draw, console, json_path)
         return
     if points is not None:
         if guess is None or not dem:

@@ -66,9 +66,6 @@ def naming(
     console.print(f"of one fire, told that one camera is off by exactly 2 degrees: {told:.1%} right", highlight=False)
     known = [NamingScore.of(cases[turned], 1, sure, slips=EXACTLY) for turned in (True, False)]
     console.print(f"told that one may be, and that it is by exactly 2 degrees: {_named(*known)}", highlight=False)
-    for held, what in ((1, "one right camera"), (2, "both right cameras")):
-        scores = [NamingScore.of(cases[turned], 1, sure, held) for turned in (True, False)]
-        console.print(f"where pictures hold the pose of {what}: {_named(*scores)}", highlight=False)
     if json_path is not None:
         write_figures(json_path, rows)
         console.print(f"  {json_path}", highlight=False)

@@ -101,9 +101,6 @@ def test_naming_is_scored_by_fires() -> None:
     assert (two.named, two.wrongly_named, two.suspect) == (0.25, 0.5, 0.25)
     assert two.off_deg == pytest.approx(0.0, abs=0.05)
     assert [case.told for case in cases] == [True, False, False, False]
-    # What two fires say of a camera outweighs that its pictures hold its pose.
-    held = NamingScore.of(cases[:2], 2, 0.9, held=1)
-    assert (held.named, held.wrongly_named) == (0.5, 0.5)
     told = NamingScore.of(cases[:1], 2, 0.9, slips=EXACTLY)
     assert (told.named, told.off_deg) == (1.0, pytest.approx(0.0, abs=0.01))
 

@@ -9,6 +9,7 @@ from scenes.located import hills, sighting
 from ltm_core.errors import RegionError
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.tracks import SeenAt, Tracks
+from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
 
 pytestmark = pytest.mark.kernel
 
@@ -73,6 +74,30 @@ def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
     assert shared.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
     assert tracks.watch.verdict.fires == 0
     assert not tracks.forget("a")
+
+
+def test_what_a_turned_camera_kept_apart_is_one_track_once_it_is_named() -> None:
+    """`a` is turned and marks first; with it one right camera agrees by chance, and the other one no more."""
+    tracks = Tracks(Locator(hills(), 0.0))
+    valley = np.array([-100.0, 2100.0, 0.0])
+    tracks.add(seen("a", valley, 0, turned_deg=0.6))
+    tracks.add(seen("b", valley, 1))
+    tracks.add(seen("c", valley, 2))
+    assert [track.cameras for track in tracks.tracks] == [["a", "b"], ["c"]]
+    assert tracks.watch.verdict.wrong is None
+    tracks.watch.lost.add("a")  # as its pictures say
+    for direction in range(3):
+        logs = -0.5 * ((np.degrees(SKYLINE_TURNS) - 0.6) / 0.2) ** 2
+        tracks.watch.look("a", SkylineTurns(3 * MINUTE, 2.0 * direction, 1.0, logs))
+    assert tracks.rename().wrong == "a"
+    by_number = sorted(tracks.tracks, key=lambda track: track.number)
+    assert [(track.number, {*track.cameras}) for track in by_number] == [(1, {"b", "c"}), (2, {"a"})]
+    (whole,) = (track for track in tracks.tracks if "b" in track.cameras)
+    assert whole.location.posterior.mean == pytest.approx(tuple(valley[:2]), abs=20)
+    assert tracks.rename().wrong == "a"
+    assert len(tracks.tracks) == 2
+    again, _, _ = tracks.add(seen("c", valley, 4))
+    assert again is whole
 
 
 def test_what_is_kept_is_bounded() -> None:

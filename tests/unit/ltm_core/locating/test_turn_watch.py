@@ -59,9 +59,7 @@ def test_slips_are_of_degrees() -> None:
 
 
 def test_of_angles_that_explain_alike_the_likelier_slip_counts() -> None:
-    """Three narrow peaks of one height: the shares are the densities of slips there, and a tenth of it of who is
-    held.
-    """
+    """Three narrow peaks of one height: the shares are the densities of slips there."""
     at = {"a": 2.0, "b": -1.0, "c": 6.0}
     fires = [alike(*at.values())]
     density = {name: float(slip_density(np.array([turn * DEG]), STEP)[0]) for name, turn in at.items()}
@@ -69,11 +67,11 @@ def test_of_angles_that_explain_alike_the_likelier_slip_counts() -> None:
     total = sum(density.values())
     assert free.suspicion == pytest.approx({name: one / total for name, one in density.items()}, rel=0.03)
     assert free.wrong is None
-    weighed = density | {"b": 0.1 * density["b"], "c": 0.1 * density["c"]}
-    held = judged(fires, 0.8, held={"b", "c"})
+    weighed = density | {"c": 100 * density["c"]}
+    lost = judged(fires, 0.7, lost={"c"})
     total = sum(weighed.values())
-    assert held.suspicion == pytest.approx({name: one / total for name, one in weighed.items()}, rel=0.03)
-    assert held.wrong == "a"
+    assert lost.suspicion == pytest.approx({name: one / total for name, one in weighed.items()}, rel=0.03)
+    assert lost.wrong == "c"
 
 
 def test_of_two_cameras_one_fire_names_none() -> None:

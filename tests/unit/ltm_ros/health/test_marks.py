@@ -142,7 +142,10 @@ def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: 
     assert marks.wrong() == []
     hear(tracks(5, turned=TURNED))
     (said,) = marks.wrong()
-    assert "camera east seems to be turned (97%): by the marks of 3 fires" in said
+    assert "camera east seems to be turned (97%): by the marks of 3 fires its" in said
+    hear(tracks(5, turned=TURNED | {"pictures": 4, "by": ["marks", "pictures"]}))
+    (said,) = marks.wrong()
+    assert "(97%): by the marks of 3 fires and the skyline in its pictures its" in said
     assert "2.0 degrees too small (sigma 0.1)" in said
     hear(tracks(6))
     assert marks.wrong() == []
