@@ -171,20 +171,25 @@ class LabellingStep:
         return self._scene.by_view
 
     def label(
-        self, photo: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None
+        self,
+        photo: UInt8Array,
+        looking: Looking | None = None,
+        stamp_ns: int | None = None,
+        in_order: bool = True,
     ) -> tuple[Segmentation, SceneView]:
         """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
 
-        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: of pictures that come in
-        their order, so that smoke is told by those before; None: by itself alone a picture shows none.
+        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
+        nobody knows. `in_order`: pictures come as they were taken, so that smoke is told by those before: by itself
+        alone a picture shows none.
         """
-        view = self._scene.look(photo, looking)
+        view = self._scene.look(photo, looking, stamp_ns)
         if view.reason is None:
             found = self._segmenter.segment(photo, self._zoom)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)
-        if self._smoke is None or stamp_ns is None or view.reason is not None:
+        if self._smoke is None or stamp_ns is None or not in_order or view.reason is not None:
             return found, view
         smoke = self._smoke.look(photo, found.labels, stamp_ns * 1e-9)
         if smoke is None:

@@ -17,7 +17,7 @@ from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.bench.archive import Way
-from ltm_ros.bench.simulated_month import Month, write_month
+from ltm_ros.bench.simulated_month import DRAW, Month, write_month
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.replay.run import ReplayOptions, run_offline
 
@@ -73,9 +73,9 @@ class MonthBench:
         return one and self.samples[0].different <= 0.001 * self.seen
 
 
-def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> MonthBench:
-    """In an empty `folder`."""
-    month = write_month(folder, said, days)
+def measure_month(folder: Path, days: int, said: Callable[[str], None], draw: int = DRAW) -> MonthBench:
+    """In an empty `folder`; `draw`: which month."""
+    month = write_month(folder, said, days, draw)
     options = ArchiveOptions(month.bags, month.site, str(folder / "all"))
     burned = replace(options, burns=month.burns)
     said("all frames, serial")

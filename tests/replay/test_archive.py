@@ -174,6 +174,19 @@ def test_archives_that_hold_the_same_frames_count_them_once(
     assert run(planned, serial, lambda done, total: None).digest == expected
 
 
+def test_pictures_that_repeat_the_last_one_are_no_frames_where_the_site_says_so(
+    own_site: SmallSite, tmp_path: Path
+) -> None:
+    """The mast's pictures are all the same; the map is that of the replay, whose capture leaves them out too."""
+    edited(own_site, lambda site: site["nodes"]["capture"].update(drop_repeated=True))
+    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
+    summary = reprocessed(options)
+    assert (summary.merged, summary.failed) == (FRAMES + 1, 0)
+    assert summary.digest == replayed(own_site.bag, own_site.path, tmp_path / "state")
+    record = json.loads((Path(options.out) / "run.json").read_text())
+    assert record["frames"]["unchanged"] == FRAMES - 1
+
+
 def rewritten(source: Path, target: Path, change: Callable[[int, bytes], bytes]) -> Path:
     """A bag whose tower's pictures are changed: their number from 0 on and bytes, to bytes."""
     topic, number = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
