@@ -30,7 +30,7 @@ _NIGHT = 60.0
 _DIM, _LOW_SUN_DEG = 145.0, 5.0
 """The same where the sun stands lower than that, in degrees: the camera has not made up for the light that is missing.
 A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm bench archive
---month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 12 are as dim."""
+--month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 11 are as dim."""
 _GLARE, _GLARE_BELOW = 0.35, 0.2
 """Shares of the picture, and of its lower half, that are burnt out."""
 _BURNT, _BLACK = 245, 14
