@@ -90,7 +90,8 @@ class FrameAtWork:
     @cached_property
     def _labelled(self) -> tuple[Segmentation, SceneView]:
         frame = self._frame
-        return self._steps.labelling.label(frame.image, Looking.of(frame.camera, frame.pose))
+        looking = Looking.of(frame.camera, frame.pose)
+        return self._steps.labelling.label(frame.image, looking, frame.stamp_ns, in_order=False)
 
     @cached_property
     def _depth(self) -> Float32Array:

@@ -176,23 +176,28 @@ class LabellingStep:
         return self._scene.by_view
 
     def label(
-        self, photo: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None
+        self,
+        photo: UInt8Array,
+        looking: Looking | None = None,
+        stamp_ns: int | None = None,
+        in_order: bool = True,
     ) -> tuple[Segmentation, SceneView]:
         """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
 
-        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: of pictures that come in
-        their order, so that smoke is told by those before, and a head chosen by them; None: by itself alone a picture
-        shows no smoke, and chooses its own head.
+        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
+        nobody knows. `in_order`: pictures come as they were taken, so that smoke is told by those before, and a head
+        chosen by them: by itself alone a picture shows no smoke, and chooses its own head.
         """
-        view = self._scene.look(photo, looking)
+        view = self._scene.look(photo, looking, stamp_ns)
+        among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:
-            found = self._segmenter.segment(photo, self._zoom, None if stamp_ns is None else stamp_ns * 1e-9)
+            found = self._segmenter.segment(photo, self._zoom, among_others_s)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)
-        if self._smoke is None or stamp_ns is None or view.reason is not None:
+        if self._smoke is None or among_others_s is None or view.reason is not None:
             return found, view
-        smoke = self._smoke.look(photo, found.labels, stamp_ns * 1e-9)
+        smoke = self._smoke.look(photo, found.labels, among_others_s)
         if smoke is None:
             return found, view
         gone = smoke & (found.labels != Label.SKY) & (found.labels != UNLABELLED)

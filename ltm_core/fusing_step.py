@@ -88,7 +88,7 @@ class FusingStep:
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
         camera, pose = frame.camera, frame.pose
-        seen = self._scene.look(frame.image, Looking.of(camera, pose)) if view is None else view
+        seen = self._scene.look(frame.image, Looking.of(camera, pose), frame.stamp_ns) if view is None else view
         ground: RangeImage | DepthImage = DepthImage(depth, camera, pose)
         surface = None
         if self._ground is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ltm_core.errors import ImageError
 from ltm_core.site import Site
+from ltm_core.sun import sun_elevation
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.camera_mask import CameraMask
 from ltm_core.vision.camera_mask_io import read_mask
@@ -68,7 +69,8 @@ class SceneFilter:
     """Says of each picture of a camera what of it shows the landscape.
 
     `make`: the camera's mask, that of all its views; None: it has none. `size`: of its pictures, where it is known
-    beforehand. `judged`: whether pictures are judged usable. `views`: masks of single views besides.
+    beforehand. `judged`: whether pictures are judged usable. `views`: masks of single views besides. `place`: longitude
+    and latitude of the site, radians, by which it is told how high the sun stood; None: that is not asked.
     """
 
     def __init__(
@@ -77,8 +79,9 @@ class SceneFilter:
         size: tuple[int, int] | None = None,
         judged: bool = True,
         views: ViewMasks | None = None,
+        place: tuple[float, float] | None = None,
     ) -> None:
-        self._make, self._judged, self._views = make, judged, views
+        self._make, self._judged, self._views, self._place = make, judged, views, place
         self.mask = make(*size) if make is not None and size is not None else None
         """Of all views, as last needed; None: there is none, or no size is known yet."""
         self._seen: tuple[str, BoolArray] | None = None
@@ -87,16 +90,18 @@ class SceneFilter:
     def of(cls, site: Site, camera: str) -> SceneFilter:
         """As the site file has it. Raises ConfigError for a camera that it lacks, and for a mask that cannot be."""
         config = site.camera(camera)
-        place, calibration = f"cameras.{camera}", config.calibration
+        where, calibration = f"cameras.{camera}", config.calibration
+        longitude, latitude = (float(np.radians(angle)) for angle in site.frame.to_lonlat(0.0, 0.0))
+        place = longitude, latitude
         size = None if calibration is None else (calibration.width, calibration.height)
         views = None
         if config.view_masks:
-            made = {v: _maker(v.mask, f"{place}.view_masks.{v.name}")[0] for v in config.view_masks}
+            made = {v: _maker(v.mask, f"{where}.view_masks.{v.name}")[0] for v in config.view_masks}
             views = ViewMasks(made, size)
         if config.mask is None:
-            return cls(judged=config.judge_pictures, views=views)
-        make, own = _maker(config.mask, f"{place}.mask")
-        return cls(make, size or own, config.judge_pictures, views)
+            return cls(judged=config.judge_pictures, views=views, place=place)
+        make, own = _maker(config.mask, f"{where}.mask")
+        return cls(make, size or own, config.judge_pictures, views, place)
 
     @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
@@ -126,13 +131,24 @@ class SceneFilter:
             seen = self._seen = view.name, own if common is None else own | common
         return seen[1]
 
-    def look(self, picture: UInt8Array, looking: Looking | None = None) -> SceneView:
-        """Of a picture (H, W, 3) RGB. Raises ConfigError where the mask is for another size, ImageError for another
-        shape."""
+    def judge(self, picture: UInt8Array, hidden: BoolArray | None, stamp_ns: int | None) -> Usability | None:
+        """Of a picture (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: when it was taken,
+        None: nobody knows. None: pictures are not judged. Raises ImageError for another shape."""
+        if not self._judged:
+            return None
+        sun_deg = None
+        if self._place is not None and stamp_ns is not None:
+            longitude, latitude = self._place
+            sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
+        return judge(picture, hidden, sun_deg)
+
+    def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
+        """Of a picture (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
+        mask is for another size, ImageError for another shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
             raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
-        return SceneView(hidden, judge(picture, hidden) if self._judged else None, self._masked(looking))
+        return SceneView(hidden, self.judge(picture, hidden, stamp_ns), self._masked(looking))
 
     def _masked(self, looking: Looking | None) -> str:
         if self._views is None or looking is None:

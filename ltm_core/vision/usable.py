@@ -1,7 +1,8 @@
 """Judges whether a picture shows enough of the landscape to be used, and where it does not, cheaply.
 
-By night, in fog, in glare, with a blank or a blurred picture, a network names what it was taught to see. Such a picture
-does not vote. The judgement is of one picture alone, reduced to some 480 columns: a few milliseconds at most.
+By night, at dusk, in fog, in glare, with a blank or a blurred picture, a network names what it was taught to see. Such
+a picture does not vote. The judgement is of one picture, reduced to some 480 columns, and of how high the sun stood: a
+few milliseconds at most.
 
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
 `ltm eval usable` scores them on others.
@@ -26,6 +27,10 @@ _BLANK = 1.5
 """Standard deviation of grey levels below which a picture holds nothing."""
 _NIGHT = 60.0
 """Grey level that 95 % of the picture stay below by night."""
+_DIM, _LOW_SUN_DEG = 145.0, 5.0
+"""The same where the sun stands lower than that, in degrees: the camera has not made up for the light that is missing.
+A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm bench archive
+--month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 11 are as dim."""
 _GLARE, _GLARE_BELOW = 0.35, 0.2
 """Shares of the picture, and of its lower half, that are burnt out."""
 _BURNT, _BLACK = 245, 14
@@ -47,6 +52,7 @@ class Unusable(StrEnum):
 
     BLANK = "blank"
     NIGHT = "night"
+    DUSK = "dusk"
     GLARE = "glare"
     FOG = "fog"
     BLUR = "blur"
@@ -69,14 +75,16 @@ class Usability:
 _SAID = {
     Unusable.BLANK: "blank: the picture is of one colour",
     Unusable.NIGHT: "night: the picture is too dark",
+    Unusable.DUSK: "dusk: the sun is low and the picture dim",
     Unusable.GLARE: "glare: too much of the picture is burnt out",
     Unusable.FOG: "fog: the picture shows no contrast anywhere",
     Unusable.BLUR: "blur: the picture has no fine detail; out of focus, or a wet or dirty lens",
 }
 
 
-def judge(picture: UInt8Array, hidden: BoolArray | None = None) -> Usability:
+def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
     """Of a picture (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
+    `sun_deg`: how high the sun stood, degrees; None: nobody knows.
 
     Raises ImageError for another shape.
     """
@@ -107,7 +115,9 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None) -> Usability:
         return Usability(Unusable.BLANK, np.ones((ROWS, COLUMNS), np.bool_))
     cells = _Cells(seen)
     doubtful = (cells.mean(burnt) >= _REGION) | (cells.mean(black) >= _REGION)
-    reason = _reason(levels if hidden is None else levels[seen], cells.mean(fine), cells.mean(coarse), cells, burnt)
+    levels = levels if hidden is None else levels[seen]
+    low = sun_deg is not None and sun_deg < _LOW_SUN_DEG
+    reason = _reason(levels, cells.mean(fine), cells.mean(coarse), cells, burnt, low)
     return Usability(reason, doubtful & cells.known)
 
 
@@ -130,14 +140,17 @@ def _to_grid(values: Float32Array) -> Float32Array:
 
 
 def _reason(
-    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, cells: _Cells, burnt: Float32Array
+    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, cells: _Cells, burnt: Float32Array, low_sun: bool
 ) -> Unusable | None:
     """`levels`: grey of what is seen; `fine`, `coarse`: contrast of the cells; `burnt`: (h, w)."""
     if float(cv2.meanStdDev(levels)[1].item()) < _BLANK:
         return Unusable.BLANK
     counts = np.cumsum(cv2.calcHist([levels], [0], None, [256], [0, 256]).ravel())
-    if int(np.searchsorted(counts, 0.95 * counts[-1])) < _NIGHT:
+    bright = int(np.searchsorted(counts, 0.95 * counts[-1]))
+    if bright < _NIGHT:
         return Unusable.NIGHT
+    if low_sun and bright < _DIM:
+        return Unusable.DUSK
     lower = burnt[len(burnt) // 2 :]
     if float(burnt.mean()) > _GLARE and float(lower.mean()) > _GLARE_BELOW:
         return Unusable.GLARE

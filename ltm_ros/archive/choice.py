@@ -12,7 +12,7 @@ from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import PictureReader, SmallLook
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.sampling import Sample, in_daylight, place_of, repeated, sampled, spans
+from ltm_ros.archive.sampling import Sample, in_daylight, place_of, repeated, sampled, span_number, spans
 
 LOOKS = "looks"
 REPEATED = "repeated: the camera had sent the same picture before"
@@ -43,7 +43,8 @@ def chosen(
             of = [code_digest(), look_digest(site, camera), sample.described, [frame.identity() for frame in new]]
             name = f"{LOOKS}/{digest(*of)}.json"
             if not results.has(name):
-                found = sampled(new, sample, looks[camera])
+                turn = span_number(span[0].stamp_ns, sample, longitude)
+                found = sampled(new, sample, looks[camera], turn)
                 kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
                 results.write(name, json.dumps(kept).encode())
             known = json.loads(results.read(name))

@@ -30,6 +30,7 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.repeat_check import RepeatCheck
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
@@ -98,12 +99,14 @@ class Failure:
 @dataclass
 class Manifest:
     """`frames` by camera and stamp. `unread`: recordings of which nobody knows what they hold. `failures`: frames that
-    were lost on the way here. `repeated`: frames that archives hold more than once. `damage`: of files, in words."""
+    were lost on the way here. `repeated`: frames that archives hold more than once. `unchanged`: pictures that are a
+    camera's last one again, and so no frames where the site has `drop_repeated`. `damage`: of files, in words."""
 
     frames: list[ArchiveFrame] = field(default_factory=list)
     unread: list[Failure] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     repeated: int = 0
+    unchanged: int = 0
     damage: list[str] = field(default_factory=list)
 
 
@@ -133,7 +136,7 @@ def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rul
 def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: ManifestRules, manifest: Manifest) -> None:
     health, frames = Health(), dict[int, ArchiveFrame]()
     log_time = 0
-    stamps = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind)
+    stamps, pictures = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind), RepeatCheck()
 
     def complete(joined: JoinedFrame) -> None:
         image: _Picture = joined.image
@@ -160,6 +163,10 @@ def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: Manifest
                                 "is taken: leave out the archive that is wrong")  # fmt: skip
             elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
                 known[message.stamp_ns] = message.content
+                if pictures.repeats(message.content):
+                    manifest.unchanged += 1
+                    if rules.join.drop_repeated:
+                        continue
                 join.add_image(message.stamp_ns, _Picture(message.file or file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")

@@ -21,37 +21,52 @@ _MOST = 24
 _HTML = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
 <title>{title}</title>
 <style>
 body {{ font: 16px/1.5 sans-serif; margin: 2em auto; max-width: 1100px; padding: 0 1em; }}
 img {{ max-width: 100%; height: auto; }}
-input {{ width: 100%; }}
+.film {{ display: flex; gap: 1em; align-items: center; }}
+.film input {{ flex: 1; }}
+output {{ font-variant-numeric: tabular-nums; }}
+small {{ color: #555; }}
 </style>
 <h1>{title}</h1>
-<p>{about}</p>
+<p>The map at the end of {count} days on which it changed, from {first} to {last}: move the slider, or play a film.</p>
 <h2>Through time</h2>
-<p><label>End of <output id="day">{last}</output>, UTC
-<input id="time" type="range" min="0" max="{most}" value="{most}"></label>
-<button id="film" type="button">Play</button></p>
+<p class="film"><button id="film" type="button">Play</button>
+<input id="time" type="range" min="0" max="{most}" value="{most}" aria-label="Day">
+<span>End of <output id="day">{last}</output>, UTC</span></p>
 <p><img id="map" src="{picture}" alt="Fuel map at the end of the chosen day"></p>
 <h2>Before and after</h2>
 <p><img src="change.png" alt="The map before any frame beside the map after all, and what has changed"></p>
+<p><small>{about}</small></p>
 <script>
 const days = {days};
+// Fetched beforehand: a film waits for no picture.
+const pictures = days.map(day => Object.assign(new Image(), {{ src: day + ".png" }}).src);
 const time = document.getElementById("time");
+const film = document.getElementById("film");
+let step = null;
 function show() {{
-  const day = days[time.value];
-  document.getElementById("day").textContent = day;
-  document.getElementById("map").src = day + ".png";
+  document.getElementById("day").textContent = days[time.value];
+  document.getElementById("map").src = pictures[time.value];
 }}
-time.addEventListener("input", show);
-document.getElementById("film").addEventListener("click", () => {{
-  time.value = 0;
+function stop() {{
+  clearInterval(step);
+  step = null;
+  film.textContent = "Play";
+}}
+time.addEventListener("input", () => {{ stop(); show(); }});
+film.addEventListener("click", () => {{
+  if (step !== null) {{ stop(); return; }}
+  if (+time.value >= days.length - 1) time.value = 0;
   show();
-  const step = setInterval(() => {{
-    if (+time.value >= days.length - 1) {{ clearInterval(step); return; }}
+  film.textContent = "Stop";
+  step = setInterval(() => {{
     time.value = +time.value + 1;
     show();
+    if (+time.value >= days.length - 1) stop();
   }}, 700);
 }});
 </script>
@@ -74,6 +89,8 @@ def write_page(map_: FuelSource, folder: Path) -> None:
     text = _HTML.format(
         title=html.escape(f"Fuel map of {map_.site.name}"),
         about=html.escape(map_.provenance(map_.layers, None).line()),
+        count=len(days),
+        first=days[0],
         last=days[-1],
         most=len(days) - 1,
         picture=f"{days[-1]}.png",

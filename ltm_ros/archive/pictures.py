@@ -12,7 +12,7 @@ from ltm_core.errors import ArchiveError, ImageError, LtmError, RecordingError
 from ltm_core.site import Site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.usable import WORKING_WIDTH, judge
+from ltm_core.vision.usable import WORKING_WIDTH
 from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
@@ -96,8 +96,7 @@ class SmallLook:
     """Says of a camera's pictures why they show too little, as the labelling does of whole ones (`usable.judge`)."""
 
     def __init__(self, site: Site, camera: str, reader: PictureReader) -> None:
-        self._scene, self._judged = SceneFilter.of(site, camera), site.camera(camera).judge_pictures
-        self._reader = reader
+        self._scene, self._reader = SceneFilter.of(site, camera), reader
 
     def __call__(self, frame: ArchiveFrame) -> str:
         """Empty: it is clear. Raises ArchiveError as `PictureReader.read`."""
@@ -106,13 +105,12 @@ class SmallLook:
             small = _small(picture)
         except LtmError as error:
             return f"damaged: {error}"
-        if not self._judged:
-            return ""
         hidden = self._scene.hidden(*picture.size, Looking.of(frame.calibration, frame.pose))
         if hidden is not None:
             size = small.shape[1], small.shape[0]
             hidden = cv2.resize(hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return judge(small, hidden).said
+        usability = self._scene.judge(small, hidden, frame.stamp_ns)
+        return "" if usability is None else usability.said
 
 
 def _small(picture: CompressedPicture | RawPicture) -> UInt8Array:

@@ -274,6 +274,7 @@ def _record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None
         "frames": {
             "found": len(planned.manifest.frames),
             "repeated": planned.manifest.repeated,
+            "unchanged": planned.manifest.unchanged,
             "chosen": len(planned.frames),
             "passed_over": planned.passed_over,
             "worked_now": summary.worked,

@@ -1,7 +1,8 @@
 """Chooses frames of an archive: looks of one view within a day tell nearly the same, so a few of them tell almost all.
 
 The frames of a camera's day or hour are cut into as many parts as looks are wanted, by daylight alone on days that have
-any, and of each part the first clear picture is taken, from its middle outwards. A picture that the camera had sent
+any, and of each part the first clear picture is taken, from its first or its third quarter outwards, by turns: light
+comes from another side each hour, and two days together have looks of all of them. A picture that the camera had sent
 before, on that day or the last one before it, is no new look. A choice hangs on nothing else outside its own span.
 """
 
@@ -23,6 +24,10 @@ from ltm_ros.archive.manifest import ArchiveFrame
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _DAYLIGHT = np.radians(5.0)
 """Of the sun, from which on a picture can be clear."""
+
+_QUARTERS = 0.25, 0.75
+"""Of a part, where a look is wanted: of what changes over the day, two such are four times as near to the mean of all
+as the middle is."""
 
 Look = Callable[[ArchiveFrame], str]
 """Why a frame's picture shows too little; empty: it is clear."""
@@ -72,8 +77,13 @@ def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> l
     """
     found: dict[tuple[str, int], list[ArchiveFrame]] = {}
     for frame in frames:
-        found.setdefault((frame.camera, (frame.stamp_ns + _shift(longitude)) // sample.span_ns), []).append(frame)
+        found.setdefault((frame.camera, span_number(frame.stamp_ns, sample, longitude)), []).append(frame)
     return list(found.values())
+
+
+def span_number(stamp_ns: int, sample: Sample, longitude: float) -> int:
+    """Spans since 1970, as `spans` has them."""
+    return (stamp_ns + _shift(longitude)) // sample.span_ns
 
 
 def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str, int]]:
@@ -94,13 +104,13 @@ def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str,
     return found
 
 
-def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look) -> Sampled:
-    """Of the frames of one span, in daylight where any are: see above."""
+def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: int) -> Sampled:
+    """Of the frames of one span, in daylight where any are: see above. `turn`: the number of the span."""
     if len(frames) <= sample.count:
         return Sampled(tuple(frames), Counter())
     chosen, passed = list[ArchiveFrame](), Counter[str]()
-    for part in np.array_split(np.arange(len(frames)), sample.count):
-        for number in _from_the_middle(part.tolist()):
+    for which, part in enumerate(np.array_split(np.arange(len(frames)), sample.count)):
+        for number in _outwards(part.tolist(), _QUARTERS[(turn + which) % 2]):
             if not (reason := look(frames[number])):
                 chosen.append(frames[number])
                 break
@@ -136,6 +146,7 @@ def place_of(site: Site) -> tuple[float, float]:
     return float(np.radians(longitude)), float(np.radians(latitude))
 
 
-def _from_the_middle(numbers: Sequence[int]) -> Iterator[int]:
-    middle = (len(numbers) - 1) / 2
-    return iter(sorted(numbers, key=lambda number: (abs(number - numbers[0] - middle), number)))
+def _outwards(numbers: Sequence[int], begin: float) -> Iterator[int]:
+    """From a share `begin` of them on, to both sides."""
+    place = numbers[0] + begin * len(numbers) - 0.5
+    return iter(sorted(numbers, key=lambda number: (abs(number - place), number)))

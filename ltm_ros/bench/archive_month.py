@@ -17,7 +17,8 @@ from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.bench.archive import Way
-from ltm_ros.bench.simulated_month import Month, write_month
+from ltm_ros.bench.archive_worker import EngineShare, engine_share
+from ltm_ros.bench.simulated_month import DRAW, Month, write_month
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.replay.run import ReplayOptions, run_offline
 
@@ -54,7 +55,8 @@ class MonthBench:
     """`ways`: to the map without burns, which a replay is not told of; `burned_ways`: to that with them.
 
     `seen`: cells that all frames see; `felled_found`: share of the seen felled cells that have changed. `page`: the
-    maps through time.
+    maps through time. `share`: of processor time that the engine takes where a task is a camera's day, as it is unless
+    told otherwise; None: too few days.
     """
 
     frames: int
@@ -65,6 +67,7 @@ class MonthBench:
     samples: tuple[SampleCost, ...]
     page: str
     resumed: Resumed | None = None
+    share: EngineShare | None = None
 
     @property
     def holds(self) -> bool:
@@ -73,9 +76,9 @@ class MonthBench:
         return one and self.samples[0].different <= 0.001 * self.seen
 
 
-def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> MonthBench:
-    """In an empty `folder`."""
-    month = write_month(folder, said, days)
+def measure_month(folder: Path, days: int, said: Callable[[str], None], draw: int = DRAW) -> MonthBench:
+    """In an empty `folder`; `draw`: which month."""
+    month = write_month(folder, said, days, draw)
     options = ArchiveOptions(month.bags, month.site, str(folder / "all"))
     burned = replace(options, burns=month.burns)
     said("all frames, serial")
@@ -83,6 +86,9 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> Month
     said("all frames, two workers")
     apart = replace(options, out=str(folder / "apart"), frames_per_task=10)
     ways.append(_way("2 workers, 10 frames a task", apart, on_workers(2)))
+    said("the engine's share, a camera's day a task")
+    daily = look_through(replace(options, out=str(folder / "daily")), _quiet)
+    share = engine_share(daily.tasks, daily.settings) if len(daily.tasks) > 2 else None
     said("offline replay")
     ways.append(_replayed(month, folder / "replay"))
     said("burns")
@@ -109,6 +115,7 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> Month
         tuple(samples),
         str(folder / "all/maps/index.html"),
         resumed(options, folder / "single", said),
+        share,
     )
 
 

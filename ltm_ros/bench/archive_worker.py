@@ -56,6 +56,14 @@ class EngineShare:
         return self.engine_s / (self.engine_s + self.tasks_s)
 
     @property
+    def said(self) -> str:
+        """In words."""
+        return (
+            f"engine: {self.share:.2%} of the processor time of {self.tasks} tasks of up to {self.frames} frames on "
+            f"two workers, {self.each_ms:.0f} ms each"
+        )
+
+    @property
     def each_ms(self) -> float:
         """Of scheduler and client, a task."""
         return 1e3 * self.engine_s / self.tasks

@@ -35,6 +35,8 @@ from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
 NAME, CRS, ORIGIN = "month", "EPSG:32611", (480_000.0, 4_150_020.0)
 CAMERA = Camera.from_fov(320, 180, 62.0)
 DAYS, A_DAY = 30, 24
+DRAW = 5
+"""Of the month that is drawn where none is asked for."""
 BEGIN_NS = int(np.datetime64("2026-08-01T00:20", "ns").astype(np.int64))
 HOUR_NS = 3600 * 10**9
 FELLED_DAY, BURNED_DAY, STUCK_DAYS = 8, 18, range(20, 27)
@@ -95,8 +97,11 @@ class _View:
         """(h, w, 2): of the ground's normal, to the east and to the north."""
 
 
-def write_month(folder: Path, said: Callable[[str], None], days: int = DAYS, seed: int = 5) -> Month:
-    """Into an existing empty folder; `said`: what is being made."""
+def write_month(
+    folder: Path, said: Callable[[str], None], days: int = DAYS, seed: int = DRAW, repeats_dropped: bool = True
+) -> Month:
+    """Into an existing empty folder; `said`: what is being made. `repeats_dropped`: the site leaves out pictures that
+    repeat the camera's last one (`drop_repeated`)."""
     world = make_world(seed, 0.1)
     fine = GridGeometry(
         world.geometry.x_min,
@@ -113,7 +118,7 @@ def write_month(folder: Path, said: Callable[[str], None], days: int = DAYS, see
     forms = majority_of(world.fine)
     felled = _disc(np.minimum(seen, 6) * (forms == LifeForm.TREE)) & (forms == LifeForm.TREE)
     burned = _disc(np.minimum(seen, 6) * np.isin(forms, (LifeForm.GRASS, LifeForm.SHRUB)) * ~_near(felled))
-    _write_site(folder, world, names)
+    _write_site(folder, world, names, repeats_dropped)
     _write_burn(folder / "burns.geojson", burned, world.geometry, days)
     bags = []
     for first in range(0, days, 10):
@@ -177,7 +182,7 @@ def _drawn(
     return np.asarray(np.clip(photo, 0, 255), np.uint8)
 
 
-def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
+def _write_site(folder: Path, world: World, poses: dict[str, Pose], repeats_dropped: bool) -> None:
     def in_crs(grid: GridGeometry) -> GridGeometry:
         x, y = grid.x_min + ORIGIN[0], grid.y_max + ORIGIN[1]
         return GridGeometry(x, y, grid.resolution, grid.width, grid.height, CRS)
@@ -200,7 +205,7 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
         "possible_ground": {"highest": 0.0},
         "model": NETWORK,
         "fuel": {"prior": {"path": "prior.tif"}, "max_range": 3000.0},
-        "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}},
+        "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}, "capture": {"drop_repeated": repeats_dropped}},
         "cameras": cameras,
     }
     (folder / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")

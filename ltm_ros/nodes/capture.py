@@ -3,6 +3,7 @@ under one stamp, as many as these can finish."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
@@ -23,6 +24,7 @@ from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.repeat_check import RepeatCheck
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.stamp_join import data_bytes
 from ltm_ros.runtime.topics import (
@@ -74,7 +76,7 @@ class Capture(Handler[CaptureConfig]):
         if self._refines:
             self.publications = (*self.publications, STATED_POSE)
         self._correction: PoseCorrection | None = None
-        self._stamps = StampCheck(outlet.now_ns, health)
+        self._stamps, self._pictures = StampCheck(outlet.now_ns, health), RepeatCheck()
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
         self._admission = Admission[JoinedFrame](
             self._send,
@@ -104,13 +106,23 @@ class Capture(Handler[CaptureConfig]):
         stamp = stamp_of(message)
         if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or self._too_large(message):
             return
-        if stamp < self._newest and not self._join.known(stamp):
+        known = self._join.known(stamp)
+        if stamp < self._newest and not known:
             self.health.note("out_of_order")
         # One from the future, of before the clock was set back, would pass for a camera that delivers, for as long.
         now = self.outlet.now_ns()
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
+        if (
+            self.config.drop_repeated
+            and not known
+            and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest())
+        ):
+            self.health.drop(
+                "repeated", f"an image of {self.config.camera} is the one before; restart a camera that stands still"
+            )
+            return
         self._join.add_image(stamp, message)
 
     def on_camera_info(self, message: Any) -> None:

@@ -101,7 +101,7 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
             return
         photo = msg_to_rgb(image)
         camera, stated = msg_to_camera(info), msg_to_pose(pose, "map")
-        seen = self._scene.look(photo, Looking.of(camera, stated))
+        seen = self._scene.look(photo, Looking.of(camera, stated), stamp)
         note_picture(self.health, seen)
         if seen.reason is not None:
             return  # the next one may be better

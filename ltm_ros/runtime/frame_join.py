@@ -37,6 +37,9 @@ class FrameJoinConfig(StrictModel):
     """Seconds that an image waits for its pose and calibration."""
     max_waiting: int = Field(20, ge=1)
     """Images that wait for their pose and calibration at most; beyond it the oldest is dropped."""
+    drop_repeated: bool = False
+    """Drop an image that has the bytes of the camera's last one: of a camera that stands still for a week, the one
+    picture would count as a week's looks. Nodes `source` send none; set it for other drivers, and their recordings."""
 
 
 @dataclass(frozen=True, eq=False)

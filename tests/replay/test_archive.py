@@ -174,6 +174,19 @@ def test_archives_that_hold_the_same_frames_count_them_once(
     assert run(planned, serial, lambda done, total: None).digest == expected
 
 
+def test_pictures_that_repeat_the_last_one_are_no_frames_where_the_site_says_so(
+    own_site: SmallSite, tmp_path: Path
+) -> None:
+    """The mast's pictures are all the same; the map is that of the replay, whose capture leaves them out too."""
+    edited(own_site, lambda site: site["nodes"]["capture"].update(drop_repeated=True))
+    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
+    summary = reprocessed(options)
+    assert (summary.merged, summary.failed) == (FRAMES + 1, 0)
+    assert summary.digest == replayed(own_site.bag, own_site.path, tmp_path / "state")
+    record = json.loads((Path(options.out) / "run.json").read_text())
+    assert record["frames"]["unchanged"] == FRAMES - 1
+
+
 def rewritten(source: Path, target: Path, change: Callable[[int, bytes], bytes]) -> Path:
     """A bag whose tower's pictures are changed: their number from 0 on and bytes, to bytes."""
     topic, number = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
@@ -215,6 +228,39 @@ def test_a_cut_recording_gives_what_it_has(options: ArchiveOptions, small_site: 
     assert summary.digest == replayed(cut, small_site.path, tmp_path / "state")
     record = json.loads((Path(options.out) / "run.json").read_text())
     assert "cut.mcap is cut short" in record["damage"][0] or "without a footer" in record["damage"][0]
+
+
+def test_clocks_that_stand_still_jump_or_were_never_set(own_site: SmallSite, tmp_path: Path) -> None:
+    """Five days without a frame, then a clock that is set back by an hour, then one that begins in 1970: frames count
+    by their stamps as in the replay, gaps are told before the run, and what has no time is named."""
+    day, hour = 86_400 * 10**9, 3600 * 10**9
+    first = own_site.write_bag(tmp_path / "first", 2)
+    later = own_site.write_bag(tmp_path / "later", 2, BEGIN_NS + 6 * day)
+    back = moved(own_site.write_bag(tmp_path / "made", 2, BEGIN_NS + 6 * day - hour), tmp_path / "back", 2 * hour)
+    unset = moved(own_site.write_bag(tmp_path / "early", 1, 5 * 10**9), tmp_path / "unset", BEGIN_NS + 7 * day)
+    bags = (first, later, back, unset)
+    options = ArchiveOptions(bags, own_site.path, str(tmp_path / "out"), max_failed=0.2)
+    summary = reprocessed(options)
+    assert (summary.merged, summary.failed) == (12, 2)
+    assert {failure.cause for failure in summary.failures} == {"unset_clock"}
+    (tmp_path / "state").mkdir()
+    for bag in bags:
+        run_offline(bag, own_site.path, ReplayOptions(state=tmp_path / "state"), lambda done, total: None)
+    assert summary.digest == digest_of(tmp_path / "state" / STORE_FILE)
+    command = ["reprocess", *map(str, bags), "--site", str(own_site.path), "--out", str(tmp_path / "dry"), "--dry-run"]
+    tried = CliRunner().invoke(cli, command, env={"COLUMNS": "160"})
+    assert tried.exit_code == 0, tried.output
+    about = [line.split()[1:8:2] for line in tried.output.splitlines() if "tower" in line or "mast" in line]
+    assert ["mast", "6", "2", "5"] in about
+    assert "unset_clock" in tried.output
+
+
+def moved(bag: Path, target: Path, by_ns: int) -> Path:
+    """Logged so much later than it was taken."""
+    with BagWriter(target) as written:
+        for message in BagReader(bag).messages():
+            written.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns + by_ns)
+    return target
 
 
 def test_a_store_that_a_node_went_on_from_is_not_written_over(options: ArchiveOptions) -> None:

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,6 +58,50 @@ def test_results_on_s3_are_those_on_disk(small_site: SmallSite, bucket: str, exp
     results.write(STORE_FILE, b"a node went on")
     with pytest.raises(ArchiveError, match="a node may have gone on from it"):
         reprocessed(options)
+
+
+def test_a_store_that_has_too_many_requests_gets_the_same_results(
+    small_site: SmallSite, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each file's first request of a kind is answered with 503, and every seventh of all others."""
+    seen, refused = Counter[str](), Counter[str]()
+
+    def refuses(request: str) -> bool:
+        seen[request] += 1
+        if seen[request] > 1 and seen.total() % 7:
+            return False
+        refused[request.partition(" ")[0]] += 1
+        return True
+
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "5")
+    with empty_bucket("archive", refuses) as address:
+        options = ArchiveOptions((small_site.bag,), small_site.path, f"{address}/year", frames_per_task=1)
+        summary = reprocessed(options)
+        again = reprocessed(options)
+    assert (summary.digest, summary.worked, summary.failed) == (expected, 2 * FRAMES, 0)
+    assert (again.digest, again.worked) == (expected, 0)
+    assert min(refused["PUT"], refused["GET"]) > 2 * FRAMES
+
+
+def test_a_store_that_keeps_refusing_is_named_and_the_run_goes_on_later(
+    small_site: SmallSite, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setattr("s3fs.S3FileSystem.retries", 1)
+    closed = list[bool]()
+
+    def refuses(request: str) -> bool:
+        return bool(closed) and request.startswith("PUT") and "/votes/" in request
+
+    with empty_bucket("archive", refuses) as address:
+        options = ArchiveOptions((small_site.bag,), small_site.path, f"{address}/year", frames_per_task=3)
+        closed.append(True)
+        with pytest.raises(ArchiveError, match=r"12 of 12 frames failed \(12 task\)"):
+            reprocessed(options)
+        record = json.loads(ResultFolder(options.out).read("run.json"))
+        assert all("cannot be used just now" in failure["why"] for failure in record["failures"])
+        closed.clear()
+        assert reprocessed(options).digest == expected
 
 
 def certificates(folder: Path) -> dict[str, Path]:

@@ -15,6 +15,7 @@ from weakref import WeakSet
 import pytest
 import s3fs
 from mcap.records import Chunk
+from scenes.own_disk import run_on_own_disk
 from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
 
@@ -30,6 +31,9 @@ from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.importer.build import import_photos
 
 pytestmark = pytest.mark.usefixtures("without_page")
+
+
+DISK = Path(__file__).parents[1] / "scenes" / "archive_disk_process.py"
 
 
 def reprocessed(options: ArchiveOptions) -> Summary:
@@ -130,6 +134,17 @@ def test_a_disk_that_fails_for_a_while_is_no_result(
     assert (summary.merged, summary.failed) == (0, 2 * FRAMES)
     assert "Input/output error" in summary.failures[0].why
     assert reprocessed(options).digest == expected
+
+
+def test_a_disk_that_fills_up_while_a_run_writes_is_named_and_the_run_goes_on_when_there_is_room(
+    small_site: SmallSite, expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / "disk").mkdir()
+    found = run_on_own_disk(DISK, "full", tmp_path / "disk", small_site.folder)
+    assert "No space left on device" in found["said"]
+    assert (found["maps"], found["partial"]) == ([], []), "no map, and no file that is not whole"
+    assert (found["digest"], found["frames"]) == (expected, 2 * FRAMES)
+    assert 0 < found["worked"] < 2 * FRAMES, "what was done before stays done"
 
 
 def write_photos(site: SmallSite, folder: Path) -> Path:

@@ -22,6 +22,10 @@ def archive(
     month: Annotated[
         int, typer.Option("--month", min=0, help="Days of a simulated month in its place, such as 30.")
     ] = 0,
+    draw: Annotated[int, typer.Option(help="Which month is drawn; another number, another month.", min=0)] = 5,
+    speedup: Annotated[
+        int, typer.Option("--speedup", min=0, help="Days of the recording, by one process and by two, in its place.")
+    ] = 0,
     keep: Annotated[Path | None, typer.Option(help="New folder in which the month and its maps stay.")] = None,
     json_path: JsonFile = None,
 ) -> None:
@@ -44,12 +48,15 @@ def archive(
     from ltm_ros.evaluation.figures_io import write_figures
 
     if month:
-        raise typer.Exit(0 if _month(month, keep, json_path) else 1)
+        raise typer.Exit(0 if _month(month, draw, keep, json_path) else 1)
     if (bag is None) != (site is None):
         raise ArchiveError("give both the bag and its --site, or neither for the demo's")
     console = Console()
     state = conditions(("numpy", "numba", "onnxruntime", "dask", "pyarrow"))
     demo = project_path("bags/demo")
+    if speedup:
+        _speedup(bag or demo / "recording", site or demo / "site.yaml", speedup, json_path)
+        return
     with tempfile.TemporaryDirectory(prefix="ltm-bench-archive-") as folder, console.status("") as status:
         found = measure(
             bag or demo / "recording",
@@ -84,10 +91,7 @@ def archive(
             "a frame"
         )
     for share in found.shares:
-        console.print(
-            f"engine: {share.share:.2%} of the processor time of {share.tasks} tasks of up to {share.frames} frames on "
-            f"two workers, {share.each_ms:.0f} ms each"
-        )
+        console.print(share.said)
     if found.engine is not None:
         idle = found.engine
         console.print(
@@ -100,7 +104,30 @@ def archive(
     raise typer.Exit(0 if len(found.digests) == 1 else 1)
 
 
-def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
+def _speedup(bag: Path, site: Path, days: int, json_path: Path | None) -> None:
+    import tempfile
+    from dataclasses import asdict
+
+    from rich.console import Console
+
+    from ltm_core.bench.measure import conditions
+    from ltm_ros.bench.archive_speedup import measure_speedup
+    from ltm_ros.cli.bench.runs import print_conditions
+    from ltm_ros.evaluation.figures_io import write_figures
+
+    console, state = Console(), conditions(("numpy", "numba", "onnxruntime", "dask", "pyarrow"))
+    with tempfile.TemporaryDirectory(prefix="ltm-bench-speedup-") as folder, console.status("") as status:
+        found = measure_speedup(bag, site, Path(folder), days, status.update)
+    console.print(
+        f"{found.tasks} tasks of up to {found.frames} frames: {found.alone:.2f} frames a second by one process, "
+        f"{found.together:.2f} by two: {found.times:.2f} times"
+    )
+    print_conditions(console, state)
+    if json_path is not None:
+        write_figures(json_path, {"conditions": state.as_dict(), "times": found.times, **asdict(found)})
+
+
+def _month(days: int, draw: int, keep: Path | None, json_path: Path | None) -> bool:
     """Whether all holds."""
     import tempfile
     from contextlib import nullcontext
@@ -119,7 +146,7 @@ def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
         keep.mkdir(parents=True)
     place = nullcontext(str(keep)) if keep is not None else tempfile.TemporaryDirectory(prefix="ltm-bench-month-")
     with place as folder, console.status("") as status:
-        found = measure_month(Path(folder), days, status.update)
+        found = measure_month(Path(folder), days, status.update, draw)
     table = Table(title=f"{found.frames} frames of {days} days", caption="processor: of this process, not of workers")
     for column in ("way", "worked", "wall s", "processor s", "digest"):
         table.add_column(column, justify="left" if column in ("way", "digest") else "right")
@@ -131,6 +158,8 @@ def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
             f"{again.tasks} done tasks again: {again.whole_s:.1f} s ({again.whole_cpu_s:.1f} s of processor) where all "
             f"is there, {again.remade_s:.1f} s ({again.remade_cpu_s:.1f} s) where the map and its layers are made again"
         )
+    if found.share is not None:
+        console.print(found.share.said)
     console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
     for one in found.samples:
         console.print(

@@ -25,6 +25,7 @@ def usable(
     half: Annotated[
         Half, typer.Option(help="Every second photo by name, from the first (a) or the second (b) on.")
     ] = Half.ALL,
+    sun: Annotated[float | None, typer.Option(help="Take the sun to have stood so high, degrees.")] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Count clear photos that are refused, by reason and name, and photos spoilt on purpose that are told."""
@@ -52,7 +53,7 @@ def usable(
         begin = time.process_time()
         judge(large)
         spent += time.process_time() - begin
-        found = judge(photo)
+        found = judge(photo, sun_deg=sun)
         doubtful.append(float(found.doubtful.mean()))
         if found.reason is not None:
             refused[path.name] = str(found.reason)

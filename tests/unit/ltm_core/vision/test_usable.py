@@ -9,7 +9,7 @@ from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, corners, tower_picture
 
 from ltm_core.errors import ImageError
 from ltm_core.types import UInt8Array
-from ltm_core.vision.scene_view import SceneView
+from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_core.vision.usable import COLUMNS, ROWS, Unusable, judge
 
 
@@ -21,6 +21,8 @@ def spoilt(way: str) -> UInt8Array:
     photo, rng = clear().astype(np.float32), np.random.default_rng(2)
     if way == "night":
         photo = 0.07 * photo + rng.normal(2.0, 2.0, photo.shape)
+    elif way == "dusk":
+        photo = 0.5 * photo
     elif way == "fog":
         photo = 0.05 * photo + 175.0
     elif way == "glare":
@@ -34,9 +36,25 @@ def spoilt(way: str) -> UInt8Array:
 
 @pytest.mark.parametrize("reason", list(Unusable))
 def test_each_way_to_be_of_no_use_is_told(reason: Unusable) -> None:
-    found = judge(spoilt(reason))
+    found = judge(spoilt(reason), sun_deg=2.0)
     assert found.reason is reason
     assert found.said.startswith(f"{reason}: ")
+
+
+def test_dusk_is_a_low_sun_and_a_dim_picture() -> None:
+    """A dark forest is dim at noon, and a camera may make up for the light of the evening."""
+    dim = spoilt("dusk")
+    assert [judge(dim, sun_deg=sun).reason for sun in (30.0, None, -9.0)] == [None, None, Unusable.DUSK]
+    assert judge(clear(), sun_deg=2.0).reason is None
+
+
+def test_how_high_the_sun_stood_is_told_by_stamp_and_place() -> None:
+    at_greenwich = SceneFilter(place=(0.0, np.radians(51.5)))
+    noon, evening = (int(np.datetime64(f"2026-06-21T{hour}", "ns").astype(np.int64)) for hour in ("12:00", "20:00"))
+    found = {stamp: at_greenwich.look(spoilt("dusk"), stamp_ns=stamp).reason for stamp in (noon, evening, None)}
+    assert found == {noon: None, evening: Unusable.DUSK, None: None}
+    nowhere = SceneFilter()
+    assert nowhere.look(spoilt("dusk"), stamp_ns=evening).reason is None
 
 
 def test_a_clear_picture_is_usable() -> None:

@@ -57,6 +57,19 @@ def test_what_a_view_s_mask_hides_is_not_judged(tmp_path: Path, azimuth_deg: flo
     assert (look(frame) == "") == clear
 
 
+def test_a_dim_picture_is_clear_at_noon_alone(tmp_path: Path) -> None:
+    """As live: the site is in California."""
+    small = write_small_site(tmp_path, recording=False)
+    dim = np.random.default_rng(3).integers(20, 140, (TOWER.height, TOWER.width, 3), np.uint8)
+    look = SmallLook(load_site(small.path), "tower", _Pictures(dim))
+    said = []
+    for moment in ("2026-06-21T20:00", "2026-06-22T04:00"):
+        stamp = int(np.datetime64(moment, "ns").astype(np.int64))
+        lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
+        said.append(look(ArchiveFrame("tower", stamp, "", "", 1, 5, "", lens, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0), ())))
+    assert said == ["", "dusk: the sun is low and the picture dim"]
+
+
 def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:
     raw = serialize_message(image_to_msg(np.full((4, 6, 3), 9, np.uint8), "rgb8", 7, "east_optical"))
     with BagWriter(tmp_path / "bag") as bag:

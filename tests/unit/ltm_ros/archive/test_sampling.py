@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -51,20 +51,38 @@ def test_days_begin_in_the_site_s_night() -> None:
 
 
 def test_looks_are_spread_over_a_day() -> None:
-    assert hours(sampled(FRAMES[:24], Sample.parsed("4/day"), clear).frames) == [2, 8, 14, 20]
-    assert sampled(FRAMES[:3], Sample.parsed("4/day"), clear).frames == tuple(FRAMES[:3])
+    sample = Sample.parsed("4/day")
+    assert sampled(FRAMES[:3], sample, clear, 0).frames == tuple(FRAMES[:3])
+    even, odd = (hours(sampled(FRAMES[:24], sample, clear, turn).frames) for turn in (0, 1))
+    assert (even, odd) == ([1, 10, 13, 22], [4, 7, 16, 19])
 
 
-def test_of_each_part_the_first_clear_one_from_the_middle_is_taken() -> None:
+def test_two_days_together_show_what_changes_over_a_day_as_all_of_its_hours_do() -> None:
+    """Of a parabola."""
+    every = [frame("east", minute * HOUR_NS // 60) for minute in range(24 * 60)]
+
+    def mean(frames: Sequence[ArchiveFrame]) -> float:
+        return float(np.mean([(one.stamp_ns / HOUR_NS - 12) ** 2 for one in frames]))
+
+    looks = [one for turn in (0, 1) for one in sampled(every, Sample.parsed("4/day"), clear, turn).frames]
+    middles = [every[60 * hour] for hour in (3, 9, 15, 21)]
+    assert abs(mean(middles) - mean(every)) > 2.5
+    assert abs(mean(looks) - mean(every)) < 0.8
+
+
+def test_of_each_part_the_first_clear_one_from_there_is_taken() -> None:
     """Fog until 9 h, glare at 14 h, a night from 18 h on."""
 
     def look(frame: ArchiveFrame) -> str:
         (hour,) = hours([frame])
         return "fog" if hour < 9 else "glare" if hour == 14 else "night" if hour >= 18 else ""
 
-    found = sampled(FRAMES[:24], Sample.parsed("4/day"), look)
-    assert hours(found.frames) == [9, 15]
-    assert found.passed_over == {"fog": 6 + 1, "glare": 1, "night": 6}
+    found = sampled(FRAMES[:24], Sample.parsed("4/day"), look, 0)
+    assert hours(found.frames) == [10, 13]
+    assert found.passed_over == {"fog": 6, "night": 6}
+    other = sampled(FRAMES[:24], Sample.parsed("4/day"), look, 1)
+    assert hours(other.frames) == [9, 16]
+    assert other.passed_over == {"fog": 6 + 3, "night": 6}
 
 
 def test_daylight_is_the_site_s_and_of_each_day(tmp_path: Path) -> None:

@@ -212,6 +212,19 @@ def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
     assert health.summary()["noted.out_of_order"] == "1"
 
 
+def test_an_image_that_is_the_last_one_again_is_no_new_one(capture_of: CaptureOf) -> None:
+    """Where the site says so: a test's camera may well send one picture all the time."""
+    other = encode_rgb(255 - PHOTO, "png")
+    for told, left in ((False, [1, 2, 3, 4, 5]), (True, [1, 3, 4])):
+        capture, outlet, health = capture_of(drop_repeated=told)
+        capture.on_camera_info(info(0))
+        for second, data in enumerate((None, None, other, None, None), start=1):
+            capture.subscriptions[POSE](pose(second * S))
+            capture.on_image(image(second * S, data))
+        assert [stamp // S for stamp in outlet.stamps(POSED_IMAGE)] == left
+        assert health.dropped == ({"repeated": 2} if told else {})
+
+
 def test_broken_image_does_not_hold_back_the_others(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     for stamp in (S, 2 * S, 3 * S, 4 * S):
