@@ -116,7 +116,10 @@ def _probability(
     Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
     """
     correlation = errors.correlation
-    own = (pixels / (1 + (pixels - 1) * correlation.cell))[:, None] * _log_shares(shares, errors)
+    weight = pixels / (1 + (pixels - 1) * correlation.cell)
+    if votes.confidence is not None:
+        weight *= _odds_weight(votes.confidence.astype(np.float64), rules.sure)
+    own = _log_shares(shares, errors, weight)
     if errors.appearance is not None and votes.visibility is not None:
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
         look = errors.appearance
@@ -141,10 +144,16 @@ def _probability(
     return probability
 
 
-def _log_shares(shares: Float64Array, errors: LabelErrors) -> Float64Array:
-    """(N, FORMS) log likelihood of one pixel's label in the mean of a cell's label shares (N, FORMS)."""
+def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
+    """(N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     result = np.full(shares.shape, -np.inf)
-    result[:, known] = shares @ table[known].T
+    result[:, known] = weight[:, None] * (shares @ table[known].T)
     return result
+
+
+def _odds_weight(confidence: Float64Array, sure: float) -> Float64Array:
+    """(N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
+    chance = np.clip(confidence, 0.5, sure)
+    return np.asarray(np.log(chance / (1 - chance)) / np.log(sure / (1 - sure)))

@@ -58,8 +58,15 @@ def test_labels_are_corrected_by_the_networks_errors() -> None:
 
 
 def test_low_confidence_weighs_less() -> None:
-    sure, unsure = (fuel_map(votes(Label.TREE, confidence=c)).layers().evidence[0, 0] for c in (0.9, 0.35))
-    assert (sure, unsure) == (pytest.approx(FRAME_CAP), pytest.approx(FRAME_CAP / 2))
+    """By the log odds that they are right: labels at even odds say nothing, however many pixels."""
+    sure, enough, unsure, even = (
+        evidence_of(votes(Label.TREE, confidence=c, cells=[(0, 0)]), 0, 0) for c in (0.9, 0.7, 0.6, 0.5)
+    )
+    np.testing.assert_allclose(sure, enough, rtol=1e-5)
+    likelier = [e[LifeForm.TREE - 1] / e[LifeForm.SHRUB - 1] for e in (enough, unsure)]
+    odds = np.log(0.6 / 0.4) / np.log(0.7 / 0.3)
+    assert 1 < likelier[1] == pytest.approx(likelier[0] ** odds, rel=0.02)
+    assert even.sum() == 0
 
 
 def test_coarse_pixels_weigh_less() -> None:
