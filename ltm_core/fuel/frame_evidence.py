@@ -49,8 +49,8 @@ def frame_evidence(
     p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
     been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
     cells whose surroundings the frame does not show. Of a network of whose cells' looks nothing is known, p is that of
-    the labels' shares given what the network calls each form, and w is also less than 1 for labels of low confidence
-    and those that two forms explain.
+    the labels' shares given what the network calls each form, flatter for labels of low confidence, and w is also less
+    than 1 for these.
 
     Args:
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
@@ -94,10 +94,6 @@ def frame_evidence(
         )
         amount *= coverage
     amounts = amount[:, None] * probability
-    if not by_look:
-        # Shafer's discount: labels that two forms explain as well say nothing of either.
-        first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
-        amounts *= (first - second)[:, None]
     return FrameEvidence(rows, cols, amounts, shown_forms(amounts, amount, _SUPPORTS), bearing)
 
 

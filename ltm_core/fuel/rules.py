@@ -36,7 +36,7 @@ class FusionRules(StrictModel):
     """Mean confidence of labels from which on they weigh fully. What less confident ones say of a life form weighs by
     the log odds that they are right, nothing at even odds (the best weights of votes: Nitzan & Paroush, Int. Economic
     Review 23, 1982), and counts in proportion to their confidence."""
-    context: float = Field(0.2, ge=0, le=1)
+    context: float = Field(0.15, ge=0, le=1)
     """What the labels of a cell of the same stand say for a cell that lies beside it, beside its own labels. A stand is
     where the prior map says the same: plants grow and change by stands, and the network errs by smaller pieces."""
     context_cells: float = Field(2.0, gt=0, le=8)
@@ -48,7 +48,7 @@ class FusionRules(StrictModel):
     """Metres by which plants stand above the terrain that their pixels are traced to; it displaces along the sight."""
     max_sigma: float = Field(300.0, gt=0)
     """Metres; cells that are placed worse get no evidence."""
-    posterior: float = Field(0.7, gt=0.5, lt=1)
+    posterior: float = Field(0.72, gt=0.5, lt=1)
     """Probability that the new life form is the commonest in the cell, before the cell changes."""
     odds: float = Field(2.0, ge=1)
     """How many times likelier than any other form looks must make the new one, before the cell changes. Not to be

@@ -121,7 +121,7 @@ def patch_of(*frames: tuple[float, float], shown: list[int], errors: LabelErrors
 def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not() -> None:
     """Errors of a view repeat, those of two sides mostly do not: what they say multiplies."""
     shown = [0] * len(LABELS)
-    shown[Label.TREE] = 40
+    shown[Label.TREE], shown[Label.SHRUB] = 33, 7
     systematic = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=1.0, stand=1.0, view=1.0, network=0.1))
     again = patch_of(*((0.0, 2.0 * k) for k in range(6)), shown=shown, errors=systematic)
     both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)

@@ -214,7 +214,7 @@ def test_systematic_errors_of_one_view_never_change_a_cell() -> None:
     errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.78, stand=0.33, view=0.78, network=0.34))
     shrub_or_tree = [0, 0, 12, 28, 0, 0, 0]
     frames = [votes(shrub_or_tree, NOW + k * HOUR, visibility=visibility(6)) for k in range(30)]
-    assert not fuel_map(*frames, errors=errors).layers().changed[0, 0]
+    assert not fuel_map(*frames, errors=errors, support=FusionRules().support).layers().changed[0, 0]
     assert fuel_map(*frames).layers().changed[0, 0]
 
 
