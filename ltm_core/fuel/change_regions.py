@@ -7,9 +7,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from ltm_core.fuel.life_form import forms_of
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.types import BoolArray, Float64Array, Int16Array, UInt8Array
+from ltm_core.types import BoolArray, Float64Array, UInt8Array
 
 _UNIT: Final = 256
 """Log odds are summed in whole numbers of 1 / _UNIT: of a part of the map they are then the whole map's, to the bit."""
@@ -18,7 +17,7 @@ _ABOUT: Final = np.ones((3, 3), np.uint8)
 
 
 def supported_changes(
-    wanted: UInt8Array, log_odds: Float64Array, prior: Int16Array, company: UInt8Array | None, rules: FusionRules
+    wanted: UInt8Array, log_odds: Float64Array, company: UInt8Array | None, rules: FusionRules
 ) -> BoolArray:
     """(H, W): the cells of `wanted` whose change is to be reported.
 
@@ -28,18 +27,14 @@ def supported_changes(
     region is reported as far as it goes, an unsure one not at all (hysteresis: Canny, IEEE PAMI 8, 1986).
 
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
-    likelier than any other. `prior`: codes. `company`: life forms of cells that have changed for other reasons than
-    looks, 0 none: `rules.min_cells` of them are support enough.
+    likelier than any other. `company`: life forms of cells that have changed for other reasons than looks, 0 none:
+    `rules.min_cells` of them are support enough.
     """
-    index = np.where((prior >= 0) & (prior < 256), prior, 0)
     kept = np.zeros(wanted.shape, np.bool_)
     for form in np.unique(wanted[wanted > 0]):
         members, sums = wanted == form, np.zeros(wanted.shape, np.float32)
-        # Labels spill over the edge of what stands beside a cell, so that this form's say less of the cell there.
-        beside = cv2.dilate(_TABLE[index, form - 1], _ABOUT) > 0
-        odds = np.where(beside, log_odds - np.log(rules.edge_odds), log_odds)
-        sure = members & (odds >= np.log(rules.sure_odds))
-        sums[sure] = np.rint(odds[sure] * _UNIT)
+        sure = members & (log_odds >= np.log(rules.sure_odds))
+        sums[sure] = np.rint(log_odds[sure] * _UNIT)
         if company is not None:
             members = members | (company == form)
             sums[company == form] = np.ceil(rules.support * _UNIT / rules.min_cells)
@@ -54,7 +49,7 @@ def supported_changes(
 
 def reach_of(rules: FusionRules) -> int:
     """Cells out to which others have a say in whether the change of a cell is reported."""
-    support = rules.support_cells + rules.grow_cells + 1 if rules.support > 0 else 0
+    support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
     return max(support, rules.min_cells - 1)
 
 
@@ -64,7 +59,3 @@ def _large(members: BoolArray, least: int) -> BoolArray:
     large = np.bincount(regions.ravel()) >= least
     large[0] = False
     return np.asarray(large[regions])
-
-
-_TABLE: Final = np.asarray(forms_of(np.arange(256, dtype=np.int16))).astype(np.uint8)
-"""(256, FORMS): the forms that a code stands for."""

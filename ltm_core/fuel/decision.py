@@ -149,7 +149,7 @@ class ChangeDecision:
             wanted, log_odds = np.zeros(codes.shape, np.uint8), np.zeros(codes.shape)
             wanted[touched] = np.where(judged.wants, judged.challenger + 1, 0)
             log_odds[touched] = judged.log_odds
-            changes = supported_changes(wanted, log_odds, codes, company, self._rules)[touched]
+            changes = supported_changes(wanted, log_odds, company, self._rules)[touched]
             decided = self._settle(judged, changes, cells, now_s)
             layers.code[touched] = decided.code
             layers.life_form[touched] = decided.form + 1

@@ -67,9 +67,6 @@ class FusionRules(StrictModel):
     """To each side, how far about a cell sure ones support it: of 30 m cells, a square of 270 m."""
     grow_cells: int = Field(6, ge=0, le=32)
     """Steps by which a region that is supported is reported beyond, over cells that hang together with it."""
-    edge_odds: float = Field(2.7, ge=1)
-    """By how much the odds of a cell count less as support where the prior knows the new form beside it: there labels
-    of what stands beside spill over, and a narrow strip is called as what it lies in."""
     min_cells: int = Field(3, ge=1, le=100)
     """Minimum mapping unit: a connected region that changes into one life form counts from so many cells on (of 30 m:
     0.27 ha)."""

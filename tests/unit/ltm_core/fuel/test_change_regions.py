@@ -17,15 +17,14 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import Label
 
-SHRUB, GRASS = 145, 102
+SHRUB = 145
 RULES = FusionRules()
 
 
-def reported(odds: np.ndarray, prior: np.ndarray | None = None, company: np.ndarray | None = None) -> np.ndarray:
+def reported(odds: np.ndarray, company: np.ndarray | None = None) -> np.ndarray:
     """Of cells that look like trees where their log odds are above 0."""
-    codes = np.full(odds.shape, SHRUB, np.int16) if prior is None else prior
     wanted = np.where(odds > 0, np.uint8(LifeForm.TREE), np.uint8(0))
-    return supported_changes(wanted, odds, codes, company, RULES)
+    return supported_changes(wanted, odds, company, RULES)
 
 
 def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
@@ -43,18 +42,6 @@ def test_a_sure_region_is_reported_so_far_and_not_farther() -> None:
     odds[2:5, 2:5] = 4.0
     ends = np.flatnonzero(reported(odds)[3])
     assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells + RULES.grow_cells)
-
-
-def test_beside_the_same_form_labels_support_a_change_less() -> None:
-    """A strip of shrubs that is called as the forest that it lies in."""
-    odds = np.zeros((12, 12))
-    odds[3:9, 5:7] = np.log(RULES.sure_odds) + 0.5
-    assert reported(odds).any()
-    forest = np.full(odds.shape, 183, np.int16)
-    forest[:, 5:7] = SHRUB
-    assert not reported(odds, forest).any()
-    odds[odds > 0] = 4.0
-    assert np.array_equal(reported(odds, forest), odds > 0)
 
 
 def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> None:
@@ -85,13 +72,12 @@ def test_seen_through_any_window_it_is_the_same() -> None:
     rng = np.random.default_rng(4)
     shape = 60, 50
     odds = np.where(rng.random(shape) < 0.55, rng.gamma(1.5, 0.9, shape), 0.0)
-    prior = rng.choice(np.array([SHRUB, SHRUB, SHRUB, GRASS, 183], np.int16), shape)
     wanted = np.where(odds > 0, rng.choice(np.array([1, 3], np.uint8), shape, p=[0.2, 0.8]), np.uint8(0))
-    whole = supported_changes(wanted, odds, prior, None, RULES)
+    whole = supported_changes(wanted, odds, None, RULES)
     assert 0.2 < whole[wanted > 0].mean() < 0.9
     for rows, cols, around_rows, around_cols in windows(shape, reach_of(RULES)):
         around = around_rows, around_cols
-        part = supported_changes(wanted[around], odds[around], prior[around], None, RULES)
+        part = supported_changes(wanted[around], odds[around], None, RULES)
         inside = part[
             rows.start - around_rows.start : rows.stop - around_rows.start,
             cols.start - around_cols.start : cols.stop - around_cols.start,
