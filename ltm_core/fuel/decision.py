@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Final
 
-import cv2
 import numpy as np
 from scipy.special import betainc, entr
 
+from ltm_core.fuel.change_regions import reach_of, supported_changes
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.majority import UNSEEN
@@ -23,11 +23,13 @@ _FLAT: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CellEvidence:
-    """Of (N,) cells, as of a time: `evidence` (N, FORMS), decayed; `first`, `last` (N, FORMS): seconds of the frames
-    that show each form, 0 none; `cameras` (N, FORMS): how many show it, 2 for more; `burned_at` (N,): seconds, 0 never.
+    """Of (N,) cells, as of a time: `evidence` (N, FORMS), decayed; `log_likelihood` (N, FORMS), up to a constant, of
+    what all views show together; `first`, `last` (N, FORMS): seconds of the frames that show each form, 0 none;
+    `cameras` (N, FORMS): how many show it, 2 for more; `burned_at` (N,): seconds, 0 never.
     """
 
     evidence: Float64Array
+    log_likelihood: Float64Array
     first: UInt32Array
     last: UInt32Array
     cameras: Int64Array
@@ -67,7 +69,8 @@ class _Judged:
 
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
     for. `fresh`, `regrown`: burned, and not or already grown over. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
-    index of the strongest other form. `wants`: to change into it.
+    index of the strongest other form. `log_odds` (N,): by how much looks make that likelier than any other form.
+    `wants`: to change into it.
     """
 
     codes: Int16Array
@@ -78,6 +81,7 @@ class _Judged:
     regrown: BoolArray
     alpha: Float64Array
     challenger: Int64Array
+    log_odds: Float64Array
     p_max: Float64Array
     wants: BoolArray
 
@@ -102,7 +106,7 @@ class ChangeDecision:
         # What a cell without evidence is depends on its code alone.
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)
-        nothing = CellEvidence(none.astype(float), none, none, none.astype(np.int64), none[:, 0])
+        nothing = CellEvidence(none.astype(float), none.astype(float), none, none, none.astype(np.int64), none[:, 0])
         judged = self._judge(every, nothing, 0.0)
         self._untouched = self._settle(judged, judged.wants, nothing, 0.0)
         self._known = np.asarray(forms_of(every).any(axis=1))
@@ -110,7 +114,7 @@ class ChangeDecision:
     @property
     def reach(self) -> int:
         """Cells out to which a cell's neighbours have a say in what it is."""
-        return self._rules.min_cells - 1
+        return reach_of(self._rules)
 
     def decide(
         self,
@@ -142,9 +146,10 @@ class ChangeDecision:
         )
         if touched.any():
             judged = self._judge(codes[touched], cells, now_s)
-            wanted = np.zeros(codes.shape, np.uint8) if company is None else company.copy()
-            wanted[touched] = np.where(judged.wants, judged.challenger + 1, wanted[touched])
-            changes = judged.wants & _in_regions(wanted, self._rules.min_cells)[touched]
+            wanted, log_odds = np.zeros(codes.shape, np.uint8), np.zeros(codes.shape)
+            wanted[touched] = np.where(judged.wants, judged.challenger + 1, 0)
+            log_odds[touched] = judged.log_odds
+            changes = supported_changes(wanted, log_odds, company, self._rules)[touched]
             decided = self._settle(judged, changes, cells, now_s)
             layers.code[touched] = decided.code
             layers.life_form[touched] = decided.form + 1
@@ -176,11 +181,14 @@ class ChangeDecision:
         alpha = cells.evidence + self._prior_evidence(agreeing, has_prior)
         challenger, better, p_max = _contest(alpha, agreeing, has_prior)
         here = np.arange(len(codes)), challenger
-        enough = cells.evidence[here] >= rules.min_evidence
+        others = cells.log_likelihood.copy()
+        others[here] = -np.inf
+        log_odds = cells.log_likelihood[here] - others.max(axis=1)
+        enough = (cells.evidence[here] >= rules.min_evidence) & (log_odds >= np.log(rules.odds))
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
         wants = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
         fresh = burned & ~regrown
-        return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, p_max, wants)
+        return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, log_odds, p_max, wants)
 
     def _settle(self, judged: _Judged, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
         """What cells become, those of `changes` (N,) their challenger."""
@@ -224,19 +232,6 @@ class ChangeDecision:
         return np.where(mixed, np.int16(c.grass_shrub), c.of(form, original[:, _SHRUB]))
 
 
-def _in_regions(forms: UInt8Array, least: int) -> BoolArray:
-    """(H, W): cells of connected regions (by sides and corners) of one form, not 0, of `least` cells or more."""
-    if least == 1:
-        return forms > 0
-    kept = np.zeros(forms.shape, np.bool_)
-    for form in np.unique(forms[forms > 0]):
-        _, regions = cv2.connectedComponents((forms == form).astype(np.uint8), connectivity=8)
-        large = np.bincount(regions.ravel()) >= least
-        large[0] = False
-        kept |= large[regions]
-    return kept
-
-
 def _favoured(alpha: Float64Array, possible: BoolArray, has_prior: BoolArray, posterior: float) -> Int64Array:
     """(N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless another
     is the commoner with the probability that a change would need; without a prior, the commonest.
@@ -273,10 +268,10 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, region: Fuel
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
     """
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
-    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0, min_cells=1)
+    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0, min_cells=1, support=0.0)
     seen = (classes >= 1) & (classes <= FORMS)
     certain = np.zeros((int(seen.sum()), FORMS))
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
     shown = (certain > 0).astype(np.uint32)
-    cells = CellEvidence(certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
+    cells = CellEvidence(certain, certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
     return ChangeDecision(system_of(prior), rules, region).decide(codes, seen, cells, 0.0)

@@ -23,7 +23,7 @@ from ltm_core.fuel.evidence_kernel import accumulate, pooled
 from ltm_core.fuel.evidence_state import ACCUMULATED, EPOCH_S, EVIDENCE_FIELDS, TILE, UNIT, VIEWS
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
 from ltm_core.fuel.label_cover import add_looks, label_cover, woody_looks
-from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
@@ -197,16 +197,19 @@ class EvidenceMap:
         now = (self.newest_ns if at_ns is None else at_ns) / 1e9
         touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
         correlation = self._errors.correlation
-        worth = pooled(
+        worth, log_likelihood = pooled(
             *(state[name][touched] for name in ("shown", "best", "span")),
             now,
             self._decay_s,
             self.rules.look_s,
             correlation.between_frames,
             correlation.between_views,
+            self.rules.frame_cap * UNIT,
+            FLOOR,
         )
         cells = CellEvidence(
             evidence=worth / UNIT,
+            log_likelihood=log_likelihood,
             first=state["first"][touched],
             last=state["last"][touched],
             cameras=(state["camera_hashes"][touched] > 0).sum(axis=-1),

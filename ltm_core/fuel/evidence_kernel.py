@@ -234,28 +234,41 @@ def pooled(
     look_s: float,
     between_frames: float,
     between_views: float,
-) -> Float64Array:
-    """(N, F) evidence that the looks of all views are worth together, as of a time: nested design effects.
+    full: float,
+    least: float,
+) -> tuple[Float64Array, Float64Array]:
+    """(N, F) evidence that the looks of all views are worth together, as of a time, and (N, F) the log likelihood of
+    each form, up to a constant, that they have together: nested design effects.
 
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
-    frame adds to it, and its first and last second.
+    frame adds to it, and its first and last second. `full`: that most of a frame that sees a cell perfectly. What a
+    frame shows are probabilities under equal odds of all forms: as likelihoods those of views multiply, where as
+    evidence they are averaged. `least`: of what is shown, the least share that any form is taken to have.
     """
     n, views, epochs, forms = shown.shape
-    out = np.zeros((n, forms))
-    share = np.empty(forms)
+    out, told = np.zeros((n, forms)), np.zeros((n, forms))
+    share, lasting = np.empty(forms), np.empty(forms)
     for i in range(n):
         total, largest = 0.0, 0.0
         for v in range(views):
-            share[:] = 0.0
-            whole, peak, looks, begin, end = 0.0, 0.0, 0.0, np.inf, 0.0
+            share[:], lasting[:] = 0.0, 0.0
+            whole, kept, peak, looks, begin, end = 0.0, 0.0, 0.0, 0.0, np.inf, 0.0
             for e in range(epochs):
                 if best[i, v, e] == 0:
                     continue
                 opened, closed = float(span[i, v, e, 0]), float(span[i, v, e, 1])
                 age = max(now - closed, 0.0)
+                here, faded = 0.0, 0.0
                 for f in range(forms):
-                    whole += shown[i, v, e, f]
-                    share[f] += shown[i, v, e, f] * np.exp(-age / decay_s[f])
+                    left = shown[i, v, e, f] * np.exp(-age / decay_s[f])
+                    here += shown[i, v, e, f]
+                    faded += left
+                    share[f] += left
+                for f in range(forms):
+                    # Forms fade at paces of their own, yet what was likelier when it was seen is no likelier since.
+                    lasting[f] += shown[i, v, e, f] * faded / here
+                whole += here
+                kept += faded
                 peak = max(peak, float(best[i, v, e]))
                 looks += 1 + (closed - opened) / look_s
                 begin, end = min(begin, opened), max(end, closed)
@@ -264,10 +277,14 @@ def pooled(
             # No more looks than frames of full worth, nor than the light has had time to change between.
             looks = max(min(looks, whole / peak, 1 + (end - begin) / look_s), 1.0)
             worth = peak * looks / (1 + (looks - 1) * between_frames)
+            weight = worth / full * kept / whole
             for f in range(forms):
                 out[i, f] += worth * share[f] / whole
+                if kept > 0:
+                    told[i, f] += weight * np.log((1 - forms * least) * lasting[f] / kept + least)
             total += worth
             largest = max(largest, worth)
         if total > 0:
             out[i] /= 1 + (total / largest - 1) * between_views
-    return out
+            told[i] /= 1 + (total / largest - 1) * between_views
+    return out, told

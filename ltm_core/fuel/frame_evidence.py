@@ -49,8 +49,8 @@ def frame_evidence(
     p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
     been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
     cells whose surroundings the frame does not show. Of a network of whose cells' looks nothing is known, p is that of
-    the labels' shares given what the network calls each form, and w is also less than 1 for labels of low confidence
-    and those that two forms explain.
+    the labels' shares given what the network calls each form, flatter for labels of low confidence, and w is also less
+    than 1 for these.
 
     Args:
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
@@ -94,10 +94,6 @@ def frame_evidence(
         )
         amount *= coverage
     amounts = amount[:, None] * probability
-    if not by_look:
-        # Shafer's discount: labels that two forms explain as well say nothing of either.
-        first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
-        amounts *= (first - second)[:, None]
     return FrameEvidence(rows, cols, amounts, shown_forms(amounts, amount, _SUPPORTS), bearing)
 
 
@@ -116,7 +112,10 @@ def _probability(
     Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
     """
     correlation = errors.correlation
-    own = (pixels / (1 + (pixels - 1) * correlation.cell))[:, None] * _log_shares(shares, errors)
+    weight = pixels / (1 + (pixels - 1) * correlation.cell)
+    if votes.confidence is not None:
+        weight *= _odds_weight(votes.confidence.astype(np.float64), rules.sure)
+    own = _log_shares(shares, errors, weight)
     if errors.appearance is not None and votes.visibility is not None:
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
         look = errors.appearance
@@ -141,10 +140,16 @@ def _probability(
     return probability
 
 
-def _log_shares(shares: Float64Array, errors: LabelErrors) -> Float64Array:
-    """(N, FORMS) log likelihood of one pixel's label in the mean of a cell's label shares (N, FORMS)."""
+def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
+    """(N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     result = np.full(shares.shape, -np.inf)
-    result[:, known] = shares @ table[known].T
+    result[:, known] = weight[:, None] * (shares @ table[known].T)
     return result
+
+
+def _odds_weight(confidence: Float64Array, sure: float) -> Float64Array:
+    """(N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
+    chance = np.clip(confidence, 0.5, sure)
+    return np.asarray(np.log(chance / (1 - chance)) / np.log(sure / (1 - sure)))

@@ -47,7 +47,7 @@ class Trial:
     network's errors; None: as its correlations, which are known, say. `network_error`: relative, by which the
     network differs in the field from what is known of it. `prior_wrong`: share of the prior's cells, in patches.
     `near`: one more camera low among the plants, with errors of its own, each third pixel taken for trees. `hours`:
-    when each view is taken.
+    when each view is taken. `telling`: whether labels that are wrong are less confident.
     """
 
     name: str
@@ -57,6 +57,7 @@ class Trial:
     network_error: float = 0.15
     prior_wrong: float = 0.05
     near: bool = False
+    telling: bool = True
     has_prior: bool = True
     hours: tuple[float, ...] = (0.0, 1.0)
 
@@ -73,6 +74,7 @@ TRIALS = (
     Trial("pose 1 deg", pose_deg=1.0),
     Trial("pose 1 deg, refined", pose_deg=1.0, refined=True),
     Trial("stands mislabelled", clumping=SYSTEMATIC),
+    Trial("stands mislabelled as surely", clumping=SYSTEMATIC, telling=False),
     Trial("slopes mislabelled", clumping=SLOPES),
     Trial("errors as measured", clumping=None),
     Trial("a near camera dominates", near=True),
@@ -135,6 +137,7 @@ class _Network:
 
     def __init__(self, world: World, trial: Trial, errors: LabelErrors, rng: np.random.Generator) -> None:
         self._world, self._clumping, self._rng = world, trial.clumped(errors), rng
+        self._telling = trial.telling
         table = _in_the_field(errors, trial.network_error, rng)
         # The commonest answer first, so that errors share their places.
         self._order = np.argsort(-table, axis=1, kind="stable")
@@ -166,7 +169,8 @@ class _Network:
         shown = np.take_along_axis(self._order[true], np.minimum(rank, last)[..., None], axis=-1)[..., 0]
         if camera == _NEAR:
             shown = np.where(clumps > 0.43, LifeForm.TREE - 1, shown)
-        confidence = np.clip(0.95 - 0.5 * chance + 0.05 * own, 0.3, 1.0)
+        told = chance if self._telling else ndtr(rng.standard_normal(true.shape, np.float32))
+        confidence = np.clip(0.95 - 0.5 * told + 0.05 * own, 0.3, 1.0)
         return np.where(seen, shown + 1, 0).astype(np.uint8), (confidence * 255).astype(np.uint8)
 
     def _stand(self, camera: str) -> Float32Array:

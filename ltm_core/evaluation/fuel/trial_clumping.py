@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.types import Float64Array
 
-_CONTEXT_M = 90.0
+_CONTEXT_M = 60.0
 """Standard deviation of the Gaussian by which the evidence weighs the cells about a cell, metres."""
 
 

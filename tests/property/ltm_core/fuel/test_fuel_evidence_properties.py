@@ -12,9 +12,9 @@ from scenes.any_votes import ASSUMED, BEGIN, CELLS, GRID, LABELS, counted, frame
 from scenes.examples import examples
 
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS
+from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import NODATA, forms_of
+from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 
@@ -156,7 +156,7 @@ def test_counts_of_a_forged_frame_do_not_overflow() -> None:
     counts[:, 3] = 0
     huge = CellVotes(GRID, rows, cols, counts, np.zeros(len(CELLS), np.float32), BEGIN * 10**9, "north")
     layers = counted(huge).layers()
-    assert (layers.evidence <= FusionRules().frame_cap).all()
+    assert (layers.evidence <= FusionRules().frame_cap + FORMS / (2 * UNIT)).all()  # of each form rounded
     full = state(counted(huge))
     full["shown"][...] = 2**32 - 1
     fuel_map = counted()

@@ -90,7 +90,7 @@ def test_a_change_of_few_cells_is_not_mapped() -> None:
     four = [(0, 0), (1, 1), (2, 2), (3, 3)]
     five = [(0, 5), (1, 6), (2, 7), (3, 8), (4, 8)]
     mixed = [(7, 0), (7, 1), (7, 2)], [(7, 3), (7, 4), (7, 5)]
-    grid_map = EvidenceMap(wide, prior, LABELS, FusionRules(context=0.0, min_cells=5), TRUSTED)
+    grid_map = EvidenceMap(wide, prior, LABELS, FusionRules(context=0.0, min_cells=5, support=0.0), TRUSTED)
     for source in ("north", "south"):
         for label, cells in ((Label.TREE, four + five + mixed[0]), (Label.GRASS, mixed[1])):
             for second in (NOW, NOW + HOUR):
@@ -162,7 +162,7 @@ def test_each_form_has_its_own_time_constant(label: Label) -> None:
 
 def test_burned_labels_live_for_a_time() -> None:
     labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
-    rules, errors = FusionRules(min_cells=1), LabelErrors(np.eye(7), INDEPENDENT)
+    rules, errors = FusionRules(min_cells=1, support=0.0), LabelErrors(np.eye(7), INDEPENDENT)
     grid_map = EvidenceMap(GRID, PRIOR, labels, rules, errors)
     frame = votes(Label.TREE, cells=[(0, 0)])
     counts = np.zeros((1, 8), np.uint32)
@@ -214,7 +214,7 @@ def test_systematic_errors_of_one_view_never_change_a_cell() -> None:
     errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.78, stand=0.33, view=0.78, network=0.34))
     shrub_or_tree = [0, 0, 12, 28, 0, 0, 0]
     frames = [votes(shrub_or_tree, NOW + k * HOUR, visibility=visibility(6)) for k in range(30)]
-    assert not fuel_map(*frames, errors=errors).layers().changed[0, 0]
+    assert not fuel_map(*frames, errors=errors, support=FusionRules().support).layers().changed[0, 0]
     assert fuel_map(*frames).layers().changed[0, 0]
 
 

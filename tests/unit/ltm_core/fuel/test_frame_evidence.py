@@ -33,7 +33,7 @@ def test_one_frame_says_at_most_its_cap() -> None:
     np.testing.assert_allclose(layers.evidence, FRAME_CAP, rtol=1e-3)
     assert not layers.changed.any()
     few = fuel_map(votes(Label.TREE, pixels=2)).layers().evidence
-    assert (few < 2).all()  # discounted by how well another form explains two labels
+    assert (few < 2.01).all()
     assert (few > 1.8).all()
 
 
@@ -58,8 +58,16 @@ def test_labels_are_corrected_by_the_networks_errors() -> None:
 
 
 def test_low_confidence_weighs_less() -> None:
-    sure, unsure = (fuel_map(votes(Label.TREE, confidence=c)).layers().evidence[0, 0] for c in (0.9, 0.35))
-    assert (sure, unsure) == (pytest.approx(FRAME_CAP), pytest.approx(FRAME_CAP / 2))
+    """By the log odds that they are right: labels at even odds tell no form from another, however many pixels."""
+    sure, enough, unsure, even = (
+        evidence_of(votes(Label.TREE, confidence=c, cells=[(0, 0)]), 0, 0) for c in (0.9, 0.7, 0.6, 0.5)
+    )
+    np.testing.assert_allclose(sure, enough, rtol=1e-5)
+    likelier = [e[LifeForm.TREE - 1] / e[LifeForm.SHRUB - 1] for e in (enough, unsure)]
+    odds = np.log(0.6 / 0.4) / np.log(0.7 / 0.3)
+    assert 1 < likelier[1] == pytest.approx(likelier[0] ** odds, rel=0.02)
+    np.testing.assert_allclose(even[:6], even[0])
+    assert even.sum() < enough.sum()
 
 
 def test_coarse_pixels_weigh_less() -> None:

@@ -176,7 +176,7 @@ def test_without_a_prior_the_told_cells_alone_are_known() -> None:
 
 
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:
-    evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=1)
+    evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=1, support=0.0)
     for day in range(6):
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.TREE, NOW - 10**7 + day * 20 * 86400, camera))

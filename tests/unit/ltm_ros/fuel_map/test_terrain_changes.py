@@ -292,8 +292,8 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     np.testing.assert_array_equal(node.life_form, np.where(mask, LifeForm.BURNED, LifeForm.TREE))
     (tile,) = node.outlet.on(FUEL_MAP_UPDATE)
     shown = np.array(tile.data).reshape(tile.info.height, tile.info.width)
-    assert shown.shape == (5 + 7 + 7, 20 + 2 * 7)  # with the cells whose changes it may have a say in
-    np.testing.assert_array_equal(shown == LifeForm.BURNED, mask[:19, 33:67][::-1])
+    assert shown.shape == (5 + 7 + 10, 20 + 2 * 10)  # with the cells whose changes it may have a say in
+    np.testing.assert_array_equal(shown == LifeForm.BURNED, mask[:22, 30:70][::-1])
     node.kill()
     again = kept(now=BEGIN_NS)
     np.testing.assert_array_equal(again.life_form == LifeForm.BURNED, mask)

@@ -1,0 +1,61 @@
+"""Which of the cells that look changed are reported: those of regions that are sure enough together."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.types import BoolArray, Float64Array, UInt8Array
+
+_UNIT: Final = 256
+"""Log odds are summed in whole numbers of 1 / _UNIT: of a part of the map they are then the whole map's, to the bit."""
+_ABOUT: Final = np.ones((3, 3), np.uint8)
+"""A cell and those beside it, by sides and corners."""
+
+
+def supported_changes(
+    wanted: UInt8Array, log_odds: Float64Array, company: UInt8Array | None, rules: FusionRules
+) -> BoolArray:
+    """(H, W): the cells of `wanted` whose change is to be reported.
+
+    A view errs alike over some cells, but seldom with much certainty over a whole region, and plants change by
+    regions. So a cell that looks changed counts where sure cells of the same change about it have log odds of
+    `rules.support` or more together, and so do those that hang together with it within `rules.grow_cells`: a sure
+    region is reported as far as it goes, an unsure one not at all (hysteresis: Canny, IEEE PAMI 8, 1986).
+
+    `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
+    likelier than any other. `company`: life forms of cells that have changed for other reasons than looks, 0 none:
+    `rules.min_cells` of them are support enough.
+    """
+    kept = np.zeros(wanted.shape, np.bool_)
+    for form in np.unique(wanted[wanted > 0]):
+        members, sums = wanted == form, np.zeros(wanted.shape, np.float32)
+        sure = members & (log_odds >= np.log(rules.sure_odds))
+        sums[sure] = np.rint(log_odds[sure] * _UNIT)
+        if company is not None:
+            members = members | (company == form)
+            sums[company == form] = np.ceil(rules.support * _UNIT / rules.min_cells)
+        side = 2 * rules.support_cells + 1
+        total = cv2.boxFilter(sums, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        region = members & (total >= np.floor(rules.support * _UNIT))
+        for _ in range(rules.grow_cells):
+            region = members & (cv2.dilate(region.astype(np.uint8), _ABOUT) > 0)
+        kept |= region & _large(members, rules.min_cells)
+    return kept
+
+
+def reach_of(rules: FusionRules) -> int:
+    """Cells out to which others have a say in whether the change of a cell is reported."""
+    support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
+    return max(support, rules.min_cells - 1)
+
+
+def _large(members: BoolArray, least: int) -> BoolArray:
+    """(H, W): cells of connected regions (by sides and corners) of `least` cells or more."""
+    _, regions = cv2.connectedComponents(members.astype(np.uint8), connectivity=8)
+    large = np.bincount(regions.ravel()) >= least
+    large[0] = False
+    return np.asarray(large[regions])

@@ -1,0 +1,122 @@
+"""Which cells that look changed are reported: those that sure ones about them support."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scenes.evidence_scene import ASSUMED, HOUR, INDEPENDENT, LABELS, NOW, TRUSTED, visibility, votes
+
+from ltm_core.fuel.change_regions import reach_of, supported_changes
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.grid import GridGeometry
+from ltm_core.vision.labels import Label
+
+SHRUB = 145
+RULES = FusionRules()
+
+
+def reported(odds: np.ndarray, company: np.ndarray | None = None) -> np.ndarray:
+    """Of cells that look like trees where their log odds are above 0."""
+    wanted = np.where(odds > 0, np.uint8(LifeForm.TREE), np.uint8(0))
+    return supported_changes(wanted, odds, company, RULES)
+
+
+def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
+    """What a view mislabels again and again lies in such regions: large, and none of it sure."""
+    odds = np.zeros((20, 20))
+    odds[5:11, 5:11] = np.log(RULES.sure_odds) - 0.1
+    assert not reported(odds).any()
+    odds[7:9, 7:9] = RULES.support / 4 + 0.05
+    assert np.array_equal(reported(odds), odds > 0)
+
+
+def test_a_sure_region_is_reported_so_far_and_not_farther() -> None:
+    odds = np.zeros((7, 40))
+    odds[3, 2:36] = 1.0
+    odds[2:5, 2:5] = 4.0
+    ends = np.flatnonzero(reported(odds)[3])
+    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells + RULES.grow_cells)
+
+
+def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> None:
+    odds, company = np.zeros((12, 12)), np.zeros((12, 12), np.uint8)
+    odds[4, 4:8] = 1.0
+    company[5, 4:7] = LifeForm.TREE
+    assert not reported(odds).any()
+    assert reported(odds, company=company)[4, 4:8].all()
+    company[5, 4:7] = LifeForm.GRASS
+    assert not reported(odds, company=company).any()
+
+
+def windows(shape: tuple[int, int], reach: int) -> Iterator[tuple[slice, slice, slice, slice]]:
+    """Parts of a map, and these with all that has a say in them."""
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        row, col = rng.integers(0, shape[0] - 3), rng.integers(0, shape[1] - 3)
+        top, left = max(row - reach, 0), max(col - reach, 0)
+        yield (
+            slice(row, row + 3),
+            slice(col, col + 3),
+            slice(top, row + 3 + reach),
+            slice(left, col + 3 + reach),
+        )
+
+
+def test_seen_through_any_window_it_is_the_same() -> None:
+    rng = np.random.default_rng(4)
+    shape = 60, 50
+    odds = np.where(rng.random(shape) < 0.55, rng.gamma(1.5, 0.9, shape), 0.0)
+    wanted = np.where(odds > 0, rng.choice(np.array([1, 3], np.uint8), shape, p=[0.2, 0.8]), np.uint8(0))
+    whole = supported_changes(wanted, odds, None, RULES)
+    assert 0.2 < whole[wanted > 0].mean() < 0.9
+    for rows, cols, around_rows, around_cols in windows(shape, reach_of(RULES)):
+        around = around_rows, around_cols
+        part = supported_changes(wanted[around], odds[around], None, RULES)
+        inside = part[
+            rows.start - around_rows.start : rows.stop - around_rows.start,
+            cols.start - around_cols.start : cols.stop - around_cols.start,
+        ]
+        np.testing.assert_array_equal(inside, whole[rows, cols])
+
+
+WIDE = GridGeometry(15.0, 315.0, 30.0, 12, 12)
+PATCH = [(row, col) for row in range(4, 8) for col in range(4, 8)]
+
+
+def patch_of(*frames: tuple[float, float], shown: list[int], errors: LabelErrors) -> np.ndarray:
+    """(4, 4) whether the map has changed a patch that frames, each of a bearing and an hour, see."""
+    grid_map = EvidenceMap(WIDE, FuelPrior(np.full(WIDE.shape, SHRUB, np.int16), WIDE), LABELS, FusionRules(), errors)
+    for bearing, hour in frames:
+        seen = visibility(len(PATCH), bearing=bearing)
+        grid_map.add(
+            votes(shown, NOW + hour * HOUR, f"to {bearing}", cells=PATCH, visibility=seen, grid=WIDE)  # type: ignore[arg-type]
+        )
+    whole = grid_map.layers()
+    for row, col in np.ndindex(6, 6):
+        part = grid_map.layers((2 * row, 2 * col, 2, 2))
+        np.testing.assert_array_equal(part.code, whole.code[2 * row : 2 * row + 2, 2 * col : 2 * col + 2])
+    return np.asarray(whole.changed[4:8, 4:8])
+
+
+def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not() -> None:
+    """Errors of a view repeat, those of two sides mostly do not: what they say multiplies."""
+    shown = [0] * len(LABELS)
+    shown[Label.TREE], shown[Label.SHRUB] = 33, 7
+    systematic = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=1.0, stand=1.0, view=1.0, network=0.1))
+    again = patch_of(*((0.0, 2.0 * k) for k in range(6)), shown=shown, errors=systematic)
+    both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)
+    assert not again.any()
+    assert both.all()
+
+
+@pytest.mark.parametrize("label", [Label.TREE, Label.GRASS])
+def test_what_is_plain_to_see_is_reported_from_one_side(label: Label) -> None:
+    shown = [0] * len(LABELS)
+    shown[label] = 40
+    assert patch_of((0.0, 0.0), (0.0, 2.0), shown=shown, errors=LabelErrors(TRUSTED.shares, INDEPENDENT)).all()
