@@ -93,7 +93,7 @@ def terrain_horizon(
     _sweep(
         tuple(_read_only(level.elevation) for level in levels),
         geometry,
-        np.asarray(position, np.float64),
+        np.array(position, np.float64),
         bend,
         start,
         step,

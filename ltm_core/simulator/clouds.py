@@ -67,7 +67,7 @@ class Clouds:
         self._slab = np.array([datum + config.base, config.depth])
         self._veil_height = datum + max(_VEIL_HEIGHT, 2 * config.base)
         self._sun = sun_direction(sun)
-        self._eye = np.asarray(eye, np.float64)
+        self._eye = np.array(eye, np.float64)
         self._seed = (seed + 801) & 0x7FFFFFF
         # The threshold that leaves the share `cover` above it, and how far the field rises over it, from a wide sample
         x, y = (a.ravel() * config.size * 0.37 for a in np.meshgrid(np.arange(90.0), np.arange(90.0)))

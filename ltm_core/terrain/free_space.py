@@ -103,8 +103,7 @@ def see_through(
         count, begin = _find(cells, places, begin, surface, corner, rules.looked_for, place, room)
         some = room.where(slice(0, count))
         through = _seen_through(some, camera, pose, pixels, rules.gate)
-        if through.any():
-            seen += _apply(cells, some.where(through), seconds, bit, rules)
+        seen += _apply(cells, some.where(through), seconds, bit, rules)
     return seen
 
 

@@ -147,7 +147,8 @@ class Observer:
         step = -(-full_labels.camera.width // self._columns) if full_labels is not None else 1
         ids = np.empty((0, 0), np.uint8)
         if full_labels is not None:
-            ids = np.ascontiguousarray(full_labels.ids[::step, ::step])
+            ids = np.ascontiguousarray(full_labels.ids[::step, ::step]).view()
+            ids.flags.writeable = False  # as a message's are: one compiled kernel serves both
         if len(self._sums.cells) < 2 * expected_pixels.size + ids.size:
             self._sums = FrameSums.empty(2 * expected_pixels.size + ids.size, self._tiles)
         clear(self._sums)

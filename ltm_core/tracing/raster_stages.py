@@ -87,7 +87,7 @@ def stages(
 
     def stage(k: int, part: int) -> tuple[int, RasterStage]:
         geometry = dem.levels[k].geometry
-        resolution = geometry.resolution
+        resolution = float(geometry.resolution)  # kernels are compiled for such
         own = windows[k]
         finer = own
         if k > 0:

@@ -18,7 +18,12 @@ from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.topodepth import fuse
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.topodepth import FusionSettings, fuse
+from ltm_core.fuel.cell_appearance_model import SEEN
+from ltm_core.fuel.evidence_merge import PartialEvidence
+from ltm_core.fuel.life_form import FORMS
+from ltm_core.fuel.look_kernel import tell_by_look
 from ltm_core.locating.locator import Locator
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
@@ -31,9 +36,11 @@ from ltm_core.simulator.scenario import CloudConfig
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.march import march
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.training.fusion_samples import frame_samples
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.vision.upsample import upsampled_winner
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes
@@ -43,6 +50,7 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
 from scenes import located, mountain_view
 from scenes.depth_scene import depth_scene
+from scenes.evidence_scene import HOUR, NOW, fuel_map, votes
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain, standing
 from scenes.small_scenario import small_scenario
@@ -111,6 +119,32 @@ def _fusion_of_a_photo(_: str) -> None:
     fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
 
 
+def _labels(_: str) -> None:
+    """A network's classes in a picture, and how a frame's cells are told by their looks."""
+    upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
+    none, own = np.zeros(0, np.int64), np.zeros((0, FORMS))
+    look = np.array([0.1, 0.5]), np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_)
+    tell_by_look(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
+
+
+def _parts_of_an_archive(_: str) -> None:
+    """Counted apart and merged."""
+    part, other = (
+        PartialEvidence({name: np.array([second * 10**9])}, {(0, 0): fuel_map(seen).tile_state((0, 0))})
+        for name, second in (("north", NOW), ("south", NOW + HOUR))
+        for seen in [votes(Label.GRASS, second, name)]
+    )
+    part.merged(other)
+
+
+def _samples(_: str) -> None:
+    """That fusion is fitted to."""
+    scene, step = depth_scene(), 2
+    true = scene.truth[::step, ::step].astype(np.float32)
+    frame = scene.traced, scene.network(), scene.photo, scene.labels, true, None
+    frame_samples(*frame, LabelSet.load(), FusionSettings(), FusionConfig())
+
+
 NODES: dict[str, Callable[[str], None]] = {"terrain": _terrain, "fusion": _fusion, "fuel": _fuel}
 """Each compiled by one process, from a site file; the largest first."""
 ALL = NODES | {
@@ -119,6 +153,9 @@ ALL = NODES | {
     "places": _places,
     "rays": _rays,
     "fusion of a photo": _fusion_of_a_photo,
+    "labels": _labels,
+    "parts of an archive": _parts_of_an_archive,
+    "samples": _samples,
 }
 
 

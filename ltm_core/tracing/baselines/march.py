@@ -58,7 +58,7 @@ def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0)
 
     Raises PoseError for an origin or step that cannot be marched from.
     """
-    start = np.asarray(origin, np.float64)
+    start = np.array(origin, np.float64)
     if start.shape != (3,) or not np.isfinite(start).all() or not step > 0:
         raise PoseError(
             f"cannot march from {start.tolist()} at steps of {step} m: needs finite x, y, z and a step above 0"

@@ -54,7 +54,7 @@ def assert_same(found: PartialEvidence, expected: PartialEvidence) -> None:
     assert {c: s.tolist() for c, s in found.stamps.items()} == {c: s.tolist() for c, s in expected.stamps.items()}
 
 
-@examples(20, in_fuzz=80)
+@examples(40, in_fuzz=80)
 @given(distinct_frames(), st.data())
 def test_any_tree_over_any_chunks_gives_the_map_of_all_frames(of: list[CellVotes], data: st.DataObject) -> None:
     """Which is that it is commutative and associative, and that nothing is lost or doubled on the way."""

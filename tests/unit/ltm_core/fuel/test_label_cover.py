@@ -125,7 +125,7 @@ def test_looks_add_up_whatever_their_order() -> None:
     shape, n = (5, 8, 4), 60
     frames = []
     for epoch in (2, 3, 3, 5):
-        cells = np.unravel_index(rng.choice(40, n // 4, replace=False), shape[:2])
+        cells = np.divmod(rng.choice(40, n // 4, replace=False), shape[1])
         sums = rng.integers(0, 2**31, (n // 4, 3)).astype(np.uint32)
         looks = WoodyLooks(cells[0], cells[1], sums, np.zeros(n // 4))
         frames.append((looks, rng.integers(0, 4, n // 4), 100 * epoch, epoch))

@@ -18,7 +18,7 @@ HEIGHT, WIDTH = 17, 26
 
 def cells(rng: np.random.Generator, share: float) -> tuple[np.ndarray, np.ndarray]:
     """Some of a grid's cells, in row-major order."""
-    rows, cols = np.nonzero(rng.random((HEIGHT, WIDTH)) < share)
+    rows, cols = np.divmod(np.flatnonzero(rng.random((HEIGHT, WIDTH)) < share), WIDTH)
     return rows, cols
 
 
