@@ -20,7 +20,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-real demo-update demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-real demo-update demo-fire fire test test-units test-graphs test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -59,8 +59,15 @@ UNITS := -n 3 --dist worksteal
 # By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
 GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
 
+# Both halves at a time: a graph waits much of its time, and the units, which wait for nobody, take what it leaves. Each
+# tells what it has to say when it has ended.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-units test-graphs
+
+test-units: $(VENV)/.installed-dev
+	nice -n 10 $(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20
+
+test-graphs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
