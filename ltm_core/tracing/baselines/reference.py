@@ -87,8 +87,8 @@ class _Raster:
 
     def __init__(self, dem: Dem, filled: Float32Array, outer: BoolArray, origin: Float64Array) -> None:
         self.nodes, self.resolution = dem.elevation.astype(np.float64), dem.geometry.resolution
-        self.hole = np.isnan(_corners(dem.elevation)).any(axis=0)
-        self.outer = _corners(outer).any(axis=0)
+        self.hole = np.asarray(np.isnan(_corners(dem.elevation)).any(axis=0), np.bool_)
+        self.outer = np.asarray(_corners(outer).any(axis=0), np.bool_)
         self.ceiling = _corners(filled).max(axis=0)
         self.oy, self.ox = (float(v) for v in dem.geometry.to_grid(origin[0], origin[1]))
 
