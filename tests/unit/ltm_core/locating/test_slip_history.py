@@ -74,13 +74,15 @@ def test_a_direction_that_showed_no_turn_is_believed_when_it_shows_one() -> None
     straight = picture_likelihood(picture(0.0))[MIDDLE]
     both = turned_ratios([], fixed(0.0, 2.0))[1]
     most = (0.9 * straight * at(here, 2.0) + 0.1) / (0.9 * straight * here[MIDDLE] + 0.1)
-    unknown = turned_ratios([], fixed(None, 2.0))[1]
-    assert at(unknown, 2.0) < math.log((0.9 * at(here, 2.0) + 0.1) / (0.9 * here[MIDDLE] + 0.1)) + 1e-9
+    # The same, but for what was seen before: that was another direction.
+    elsewhere = [picture(0.0, 10 * k, 90.0) for k in range(4)]
+    unknown = turned_ratios([], [*elsewhere, *fixed(None, 2.0)])[1]
     # As if it were known when it slipped, but for the chance that it did in ten seconds of a day.
     assert math.log(most) - 5.0 < at(both, 2.0) < math.log(most)
-    assert at(both, 2.0) > at(unknown, 2.0)
+    assert at(both, 2.0) > at(unknown, 2.0) + 1.0
     right = {name: fixed(0.0, 0.0) for name in "bc"}
-    assert judged([], 0.75, pictures={"a": fixed(0.0, 2.0), **right}).wrong == "a"
+    hour = [replace(seen, stamp_ns=seen.stamp_ns + (HOUR if k >= 4 else 0)) for k, seen in enumerate(fixed(0.0, 2.0))]
+    assert judged([], 0.75, pictures={"a": hour, **right}).wrong == "a"
     assert judged([], 0.75, pictures={name: fixed(0.0, 0.0) for name in "abc"}).wrong is None
 
 
