@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ltm_core.locating.picture_memory import remembered
 from ltm_core.locating.slip_history import turned_ratios
 from ltm_core.locating.slips import LOST, slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
@@ -20,7 +21,7 @@ _ONE_PLACE = math.radians(1.0)
 
 
 MOST_PICTURES = 12
-"""Of a camera that count, the newest: for a head, its last few presets."""
+"""Of a camera that count, the newest: for a head, its last few presets. As many older ones are remembered besides."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class TurnWatch:
         memory_ns: fires seen longer ago do not count: a mount that has been put right is right again.
         most: fires that count, the newest.
         lost: cameras that look elsewhere, as their nodes `pose` say.
-        most_pictures: of a camera that count, the newest.
+        most_pictures: of a camera, the newest that count (`remembered`).
     """
 
     sure: float
@@ -138,7 +139,7 @@ class TurnWatch:
 
     def look(self, camera: str, seen: SkylineTurns) -> None:
         """Take what a clear picture of a camera says; give them in time order."""
-        self._pictures[camera] = [*self._pictures.get(camera, ()), seen][-self.most_pictures :]
+        self._pictures[camera] = remembered([*self._pictures.get(camera, ()), seen], self.most_pictures)
 
     def forget(self, camera: str) -> bool:
         """Begin anew with a camera whose poses are others now: of fires that it has marked, what was said of the others

@@ -15,6 +15,7 @@ from ltm_core.evaluation.locating.smoke_trials import PoseErrors, sighting
 from ltm_core.evaluation.locating.turned_trials import marks_evidence, seen_by_all
 from ltm_core.evaluation.locating.watched_eyes import EVERY_NS, SECOND_NS, WatchedEye
 from ltm_core.locating.locator import Locator
+from ltm_core.locating.picture_memory import remembered
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import LEVEL_SHARE
 from ltm_core.locating.turn_evidence import TurnEvidence
@@ -99,13 +100,15 @@ class WatchedCase:
         return [] if self.fire is None else [self.fire]
 
     def _turns(self, after: int, gap: float) -> dict[str, list[SkylineTurns]]:
-        """Of the newest pictures, as many as the node `locate` keeps."""
-        said = {}
+        """Of the pictures those that the node `locate` remembers."""
+        said: dict[str, list[SkylineTurns]] = {}
         for name, eye in self.eyes.items():
             before, every = len(eye.shown[self.sides[name], 0].turns), eye.shown[self.sides[name], after].turns
             later = round(gap * SECOND_NS) - EVERY_NS
             since = [replace(seen, stamp_ns=seen.stamp_ns + later) for seen in every[before:]]
-            said[name] = [*every[:before], *since][-MOST_PICTURES:]
+            said[name] = []
+            for seen in [*every[:before], *since]:
+                said[name] = remembered([*said[name], seen], MOST_PICTURES)
         return said
 
     def lost(self, after: int) -> list[str]:

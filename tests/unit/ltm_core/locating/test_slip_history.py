@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from ltm_core.locating.slip_history import picture_logs, turned_ratios
+from ltm_core.locating.picture_memory import remembered
+from ltm_core.locating.slip_history import misled_share, picture_likelihood, turned_ratios
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.locating.turn_watch import TurnWatch, judged
 from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
@@ -41,13 +43,93 @@ def at(logs: Float64Array, turn_deg: float) -> float:
 
 def test_a_picture_says_only_so_much() -> None:
     """It may be misled, in one direction of ten; of turns beyond what was asked it says nothing."""
-    logs = picture_logs(picture(2.0))
-    assert TURNS[int(logs.argmax())] == pytest.approx(2.0 * DEG, abs=STEP)
-    assert logs.min() == pytest.approx(math.log(0.1), abs=0.01)
-    assert at(logs, 12.0) == pytest.approx(0.0, abs=0.01)
-    assert 2.0 < logs.max() < 4.0
+    likely = picture_likelihood(picture(2.0))
+    assert TURNS[int(likely.argmax())] == pytest.approx(2.0 * DEG, abs=STEP)
+    assert likely.min() == pytest.approx(0.01, abs=0.001)
+    assert at(likely, 12.0) == pytest.approx(1.0, abs=0.01)
+    assert 10.0 < likely.max() < 50.0
     flat = replace(picture(0.0), logs=np.zeros(len(SKYLINE_TURNS)))
-    assert picture_logs(flat) == pytest.approx(np.zeros(len(TURNS)))
+    assert picture_likelihood(flat) == pytest.approx(np.ones(len(TURNS)))
+    always = turned_ratios([], [picture(2.0)])[0]
+    expected = np.log((0.9 * likely + 0.1) / (0.9 * likely[MIDDLE] + 0.1))
+    np.testing.assert_allclose(always, expected, atol=1e-9)
+    assert at(always, 12.0) < math.log(10.0)
+
+
+def test_a_direction_is_believed_by_what_it_has_shown_before() -> None:
+    """Bayes' rule: of pictures that fitted no turn e^a times better than any other angle."""
+    shares = misled_share(np.array([0.0, math.log(20.0), math.log(0.01)]))
+    assert shares == pytest.approx([0.1, 0.1 / (0.1 + 0.9 * 20), 0.1 / (0.1 + 0.9 * 0.01)])
+
+
+def fixed(before_deg: float | None, after_deg: float, count: int = 4) -> list[SkylineTurns]:
+    """Of a fixed camera, every ten seconds: before a slip, if at all, and after it."""
+    before = [] if before_deg is None else [picture(before_deg, 10 * k) for k in range(count)]
+    return [*before, *(picture(after_deg, 10 * k) for k in range(count, 3 * count))]
+
+
+def test_a_direction_that_showed_no_turn_is_believed_when_it_shows_one() -> None:
+    """What both hypotheses share, that the direction may mislead at all times, cancels out but for its probability."""
+    here = picture_likelihood(picture(2.0))
+    straight = picture_likelihood(picture(0.0))[MIDDLE]
+    both = turned_ratios([], fixed(0.0, 2.0))[1]
+    most = (0.9 * straight * at(here, 2.0) + 0.1) / (0.9 * straight * here[MIDDLE] + 0.1)
+    # The same, but for what was seen before: that was another direction.
+    elsewhere = [picture(0.0, 10 * k, 90.0) for k in range(4)]
+    unknown = turned_ratios([], [*elsewhere, *fixed(None, 2.0)])[1]
+    # As if it were known when it slipped, but for the chance that it did in ten seconds of a day.
+    assert math.log(most) - 5.0 < at(both, 2.0) < math.log(most)
+    assert at(both, 2.0) > at(unknown, 2.0) + 1.0
+    right = {name: fixed(0.0, 0.0) for name in "bc"}
+    hour = [replace(seen, stamp_ns=seen.stamp_ns + (HOUR if k >= 4 else 0)) for k, seen in enumerate(fixed(0.0, 2.0))]
+    assert judged([], 0.75, pictures={"a": hour, **right}).wrong == "a"
+    assert judged([], 0.75, pictures={name: fixed(0.0, 0.0) for name in "abc"}).wrong is None
+
+
+def test_a_direction_that_misled_before_is_not_believed() -> None:
+    """It showed a turn of three degrees while the others showed none: what it shows now is no evidence."""
+    before = [picture(3.0, 10 * k) for k in range(4)]
+    ever = turned_ratios([], [*before, *(picture(0.0, 5 + 10 * k, 90.0) for k in range(4)), picture(2.0, 50)])[1]
+    believed = turned_ratios([], [*(picture(0.0, 10 * k) for k in range(4)), picture(2.0, 50)])[1]
+    assert at(ever, 2.0) < 0.0 < at(believed, 2.0)
+
+
+def test_many_pictures_of_one_direction_say_no_more_of_it_than_one() -> None:
+    one, many = [picture(0.0, 90)], [picture(0.0, 90 - k / 1000) for k in range(9)]
+    later = [picture(2.0, 100)]
+    alone, all_of_them = (at(turned_ratios([], [*reversed(before), *later])[1], 2.0) for before in (one, many))
+    assert all_of_them == pytest.approx(alone, abs=0.1)
+
+
+def test_one_picture_that_passes_names_nobody() -> None:
+    """A cloud lay on the ridge: the same direction shows no turn again."""
+    passing = [picture(2.0 if k == 4 else 0.0, 10 * k) for k in range(8)]
+    assert judged([], 0.75, pictures={"a": passing, "b": fixed(0.0, 0.0), "c": fixed(0.0, 0.0)}).wrong is None
+
+
+def test_of_older_pictures_fewer_are_remembered_but_some_of_each_direction() -> None:
+    """So that a camera which is named stays named, however many pictures it has shown since it slipped."""
+    kept: list[SkylineTurns] = []
+    for number in range(400):
+        kept = remembered([*kept, picture(0.0, 10 * number, 90.0 * (number % 2))], 12)
+    ages = [(3990 * SECOND - seen.stamp_ns) / SECOND for seen in kept]
+    assert len(kept) <= 24
+    assert ages == sorted(ages, reverse=True)
+    assert ages[-12:] == [10.0 * k for k in reversed(range(12))]
+    for azimuth in (0.0, 90.0 * DEG):
+        older = [age for age, seen in zip(ages, kept, strict=True) if seen.azimuth == azimuth and age >= 120.0]
+        assert len(older) > 3
+        assert older[0] > 3900.0
+        assert all(one >= 2 * other for one, other in pairwise(older))
+
+
+def test_a_fixed_camera_stays_named() -> None:
+    watch = TurnWatch(0.75)
+    for number in range(60):
+        for name in "abc":
+            watch.look(name, picture(2.0 if name == "a" and number >= 10 else 0.0, 10 * number))
+        assert number >= 10 or watch.verdict.wrong is None
+        assert number < 40 or watch.verdict.wrong == "a"
 
 
 def test_marks_alone_are_as_they_were() -> None:
@@ -75,9 +157,7 @@ def test_a_picture_from_before_the_turn_protects_the_less_the_older_it_is(age: f
     since = at(turned_ratios([(round(age * SECOND), marks(2.0))], [picture(0.0, age)])[1], 2.0)
     assert least < before - alone < 0
     # The newest one was taken with the marks: nothing can have happened in between.
-    assert since - alone == pytest.approx(
-        at(picture_logs(picture(0.0)), 2.0) - picture_logs(picture(0.0)).max(), abs=0.1
-    )
+    assert since - alone == pytest.approx(at(turned_ratios([], [picture(0.0)])[0], 2.0), abs=0.1)
 
 
 def test_fires_of_the_morning_do_not_protect_a_camera_that_slipped_at_noon() -> None:
@@ -136,7 +216,7 @@ def test_pictures_are_forgotten_and_bounded() -> None:
     watch = TurnWatch(0.75, memory_ns=100 * SECOND, most_pictures=3)
     for number in range(9):
         watch.look("a", picture(2.0, number, 120.0 * number))
-    assert watch.verdict.pictures == 3
+    assert watch.verdict.pictures == 6
     watch.expire(107 * SECOND)
     assert watch.verdict.pictures == 2
     watch.expire(300 * SECOND)
