@@ -211,8 +211,8 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
         bystander.send(changes, classes_to_msg(kinds, terrain, stamp))
         tile = bystander.wait_for_stamp(UPDATE, stamp)
         shown = np.array(tile.data).reshape(tile.info.height, tile.info.width) == LifeForm.GRASS
-        assert shown.shape == (4 + 2 * 7, 5 + 2 * 7)  # with the cells whose changes these may have a say in
-        assert shown[7:11, 7:12].all()
+        assert shown.shape == (4 + 2 * 10, 5 + 2 * 10)  # with the cells whose changes these may have a say in
+        assert shown[10:14, 10:15].all()
         assert shown.sum() == stand.sum()
 
         runner.kill("fuel_map")

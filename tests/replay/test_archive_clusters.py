@@ -60,6 +60,7 @@ def test_results_on_s3_are_those_on_disk(small_site: SmallSite, bucket: str, exp
         reprocessed(options)
 
 
+@pytest.mark.slow  # half a minute of waiting between tries
 def test_a_store_that_has_too_many_requests_gets_the_same_results(
     small_site: SmallSite, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,7 +75,7 @@ def test_a_store_that_has_too_many_requests_gets_the_same_results(
         return True
 
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "5")
-    with empty_bucket("archive", refuses) as address:
+    with empty_bucket("busy", refuses) as address:
         options = ArchiveOptions((small_site.bag,), small_site.path, f"{address}/year", frames_per_task=1)
         summary = reprocessed(options)
         again = reprocessed(options)
@@ -93,7 +94,7 @@ def test_a_store_that_keeps_refusing_is_named_and_the_run_goes_on_later(
     def refuses(request: str) -> bool:
         return bool(closed) and request.startswith("PUT") and "/votes/" in request
 
-    with empty_bucket("archive", refuses) as address:
+    with empty_bucket("refusing", refuses) as address:
         options = ArchiveOptions((small_site.bag,), small_site.path, f"{address}/year", frames_per_task=3)
         closed.append(True)
         with pytest.raises(ArchiveError, match=r"12 of 12 frames failed \(12 task\)"):

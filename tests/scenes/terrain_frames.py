@@ -40,10 +40,16 @@ def write_terrain_site(folder: Path, recording: bool = True, **content: Any) -> 
 
 
 def write_fusing_site(folder: Path, recording: bool = True, **content: Any) -> SmallSite:
-    """One whose depth network reads inverse depth off the photo's green channel, and whose surface is the DEM."""
+    """One whose depth network reads inverse depth off the photo's green channel, and whose surface is the DEM. Such
+    photos are no landscapes, so nobody judges whether the sun stood high enough for them."""
     write_depth_network(folder)
     fusing = {"depth_model": "depth.yaml", "surface": {"path": "dem.tif"}}
-    return write_terrain_site(folder, recording, **fusing, **content)
+    small = write_terrain_site(folder, recording, **fusing, **content)
+    whole = yaml.safe_load(small.path.read_text())
+    for camera in whole["cameras"].values():
+        camera["judge_pictures"] = False
+    small.path.write_text(yaml.safe_dump(whole))
+    return SmallSite(small.folder)
 
 
 def sunk(small: SmallSite) -> Dem:
