@@ -295,11 +295,13 @@ class TestArchives:
     """Zips that are broken or made to harm."""
 
     def test_names_that_climb_out_write_nothing_and_are_no_frames(self, tmp_path: Path, site: Site) -> None:
-        path = recorded(tmp_path)
+        folder = tmp_path / "two" / "below"  # where climbing out of it ends is this test's own, too
+        folder.mkdir(parents=True)
+        path = recorded(folder)
         evil = changed(path, {"../../Camera/1720143015000.jpg": _jpeg(), "/Camera/..jpg": b"x", "Camera/a.jpg": b"x"})
-        before = sorted(p for p in tmp_path.parent.rglob("*") if "bag" not in p.parts)
-        report = import_photos([evil], tmp_path / "bag", site=site, assumed=LENS)
-        assert sorted(p for p in tmp_path.parent.rglob("*") if "bag" not in p.parts) == before
+        before = sorted(p for p in tmp_path.rglob("*") if "bag" not in p.parts)
+        report = import_photos([evil], folder / "bag", site=site, assumed=LENS)
+        assert sorted(p for p in tmp_path.rglob("*") if "bag" not in p.parts) == before
         assert report.cameras == {"phone": 4}  # read from the archive by its name there, and never unpacked
 
     def test_a_bomb_is_read_no_further_than_its_bound(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
