@@ -55,6 +55,10 @@ class JoinedFrame:
 class FrameJoin:
     """An image is complete when its pose and a calibration are there; of calibrations, the newest up to its stamp.
 
+    Many poses and calibrations are remembered, and those of a camera that stands still are all the same: such are one
+    object. Otherwise each of its frames would put some twenty small blocks among those of pictures, to be freed a
+    thousand frames later, and the holes that they leave keep the heap's pages.
+
     Args:
         complete: takes each joined frame.
         health: counts duplicates, covariances that say nothing, and frames that never got a part (`no_pose`,
@@ -82,6 +86,8 @@ class FrameJoin:
             assumed = site.assumed_pose_error
             self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
         self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
+        self._last_pose: tuple[Pose, Float64Array | None] | None = None
+        self._last_calibration: Camera | None = None
         self._sensors, self._frame = camera.sensors, site.frame
         self._dem = site.open_dem() if camera.sensors is not None else None
         self.assumed = site.assumed_pose_error.covariance()
@@ -139,7 +145,10 @@ class FrameJoin:
             )
 
     def on_camera_info(self, message: Any) -> None:
-        self._join.add("calibration", stamp_of(message), msg_to_camera(message))
+        camera = msg_to_camera(message)
+        if camera != self._last_calibration:
+            self._last_calibration = camera
+        self._join.add("calibration", stamp_of(message), self._last_calibration)
 
     def on_pose(self, message: Any) -> None:
         pose = msg_to_pose(message, "map")
@@ -147,7 +156,9 @@ class FrameJoin:
         if covariance is None and np.any(message.pose.covariance):
             self._health.note("unknown_covariance")
             covariance = msg_to_covariance(message, self.assumed)
-        self._join.add("pose", stamp_of(message), (pose, covariance))
+        if self._last_pose is None or pose != self._last_pose[0] or not _equal(covariance, self._last_pose[1]):
+            self._last_pose = pose, covariance
+        self._join.add("pose", stamp_of(message), self._last_pose)
 
     def on_fix(self, message: Any) -> None:
         self._join.add("fix", stamp_of(message), msg_to_fix(message))
@@ -177,3 +188,7 @@ class FrameJoin:
         cause = "no_calibration" if name == "calibration" else "no_pose"
         missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
         self._health.drop(cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish one with its stamp")
+
+
+def _equal(one: Float64Array | None, other: Float64Array | None) -> bool:
+    return one is other if one is None or other is None else np.array_equal(one, other)

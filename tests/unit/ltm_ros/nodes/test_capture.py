@@ -385,6 +385,32 @@ def grown() -> Iterator[Callable[[], int]]:
     tracemalloc.stop()
 
 
+def test_equal_poses_and_calibrations_are_held_once(capture_of: CaptureOf, grown: Callable[[], int]) -> None:
+    """A thousand are remembered, and those of a camera that stands still are all the same."""
+    capture, _, health = capture_of()
+
+    def held_by(first: int, at_x: Callable[[int], float]) -> int:
+        before = tracemalloc.get_traced_memory()[0]
+        for number in range(first, first + 200):
+            capture.on_camera_info(info(number * S, 10.0 + at_x(number)))
+            capture.subscriptions[POSE](pose(number * S, at_x(number)))
+        return tracemalloc.get_traced_memory()[0] - before
+
+    moving = held_by(100, lambda number: number / 10)
+    still = held_by(300, lambda _: 1.0)
+    assert 0 < still < 0.4 * moving
+    assert health.dropped == {}
+
+
+def test_a_pose_that_differs_in_its_covariance_alone_is_another(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of()
+    for stamp, sigma in ((S, 2.0), (2 * S, 2.0), (3 * S, 5.0)):
+        capture.on_camera_info(info(stamp))
+        capture.subscriptions[POSE](pose_to_msg(at(1.0), stamp, "map", np.diag([1.0, 2, 3, 4, 5, sigma])))
+        capture.on_image(image(stamp))
+    assert [sent.pose.covariance[35] for sent in outlet.on(POSED_POSE)] == [2.0, 2.0, 5.0]
+
+
 def refuse_to_decode(monkeypatch: pytest.MonkeyPatch) -> None:
     def decode(*_: object) -> Any:
         raise AssertionError("decoded")
