@@ -14,6 +14,7 @@ from ltm_core.errors import LtmError
 from ltm_core.site_sections import Limits
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.recent_stamps import RecentStamps
 
 WAITING_BYTES = Limits().waiting_bytes
 REMEMBERED = 1000
@@ -109,7 +110,7 @@ class StampJoin:
         self._capacity_bytes, self._camera = capacity_bytes, camera
         self._give_up = self._count_unjoined if give_up is None else give_up
         self._waiting: OrderedDict[int, _Frame] = OrderedDict()
-        self._done: OrderedDict[int, None] = OrderedDict()
+        self._done = RecentStamps(REMEMBERED)
         self._memory: dict[str, OrderedDict[int, Any]] = {
             name: OrderedDict() for name, part in self._parts.items() if not part.begins
         }
@@ -194,9 +195,7 @@ class StampJoin:
         if not frame.whole or not (at_once or patience == 0.0 or frame.lacking_optional > patience):
             return
         del self._waiting[stamp]
-        self._done[stamp] = None
-        if len(self._done) > REMEMBERED:
-            self._done.popitem(last=False)
+        self._done.add(stamp)
         for name, memory in self._memory.items():
             if self._parts[name].match is Match.EXACT:
                 memory.pop(stamp, None)
