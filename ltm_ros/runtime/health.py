@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 
 import numpy as np
 
 from ltm_core.errors import LtmError
 from ltm_core.site import SITE_NAMES
+from ltm_core.types import Float64Array
 
 WINDOW = 200
 """Messages over which latencies are summarised."""
@@ -30,10 +31,10 @@ class Health:
         self._dropped: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
-        self._ages: deque[float] = deque(maxlen=WINDOW)
-        self._work: deque[float] = deque(maxlen=WINDOW)
+        self._ages = _Window()
+        self._work = _Window()
         self._cpu_s: float | None = None
-        self._published_at: deque[float] = deque(maxlen=WINDOW)
+        self._published_at = _Window()
         self._reasons: dict[str, str] = {}
         self._last_error = ""
         self._last_trouble = -float("inf")
@@ -113,10 +114,10 @@ class Health:
             values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
             values |= {f"reason.{cause}": why for cause, why in sorted(self._reasons.items())}
             values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
-            values["rate_hz"] = f"{_rate(self._published_at):.2f}"
-            for name, times in (("latency", self._ages), ("work", self._work)):
-                if times:
-                    p50, p95 = np.percentile(np.array(times) * 1000, (50, 95))
+            values["rate_hz"] = f"{_rate(self._published_at.values()):.2f}"
+            for name, window in (("latency", self._ages), ("work", self._work)):
+                if len(times := window.values()):
+                    p50, p95 = np.percentile(times * 1000, (50, 95))
                     values |= {f"{name}_p50_ms": f"{p50:.1f}", f"{name}_p95_ms": f"{p95:.1f}"}
             if self._cpu_s is not None:
                 values["cpu_s"] = f"{self._cpu_s:.3f}"
@@ -140,6 +141,22 @@ def _frames(messages: Counter[str]) -> int:
     return sum(fullest.values())
 
 
-def _rate(moments: deque[float]) -> float:
-    recent = [t for t in moments if time.monotonic() - t < 10.0]
-    return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else 0.0
+def _rate(moments: Float64Array) -> float:
+    recent = moments[moments > time.monotonic() - 10.0]
+    return float((len(recent) - 1) / np.ptp(recent)) if len(recent) > 1 and np.ptp(recent) > 0 else 0.0
+
+
+class _Window:
+    """The last `WINDOW` numbers, in one block of memory: as objects they would come and go among all others."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(WINDOW)
+        self._count = 0
+
+    def append(self, value: float) -> None:
+        self._values[self._count % WINDOW] = value
+        self._count += 1
+
+    def values(self) -> Float64Array:
+        """In no order."""
+        return self._values[: self._count].copy()
