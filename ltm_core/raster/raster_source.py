@@ -15,6 +15,9 @@ MOST_CELLS = 1 << 30
 """Of a raster that is read whole: 32 km a side at 1 m."""
 _UNSUSPECTED = 16 << 20
 """Cells up to which a raster may be of any contents."""
+MOST_BANDS = 100
+"""Landscape files have ten. Where a file interleaves its bands by cell, one band is not read without all others: of
+4,097 bands a block of 256 x 256 cells is a gigabyte."""
 _MOST_FOR_A_BYTE = 1000
 """Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
 file may state any size, and need not hold the tiles of it."""
@@ -30,9 +33,16 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     _check_is_data(Path(path))
     try:
         with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+            _check_bands(source, path)
             yield source
     except (RasterioError, CPLE_BaseError, CRSError, UnicodeDecodeError) as error:  # the last: a CRS's name, no text
         raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+
+
+def _check_bands(source: Any, path: Path | str) -> None:
+    """Raises RasterError."""
+    if source.count > MOST_BANDS:
+        raise RasterError(f"{path}: has {source.count} bands, at most {MOST_BANDS}; cut out the one that is meant (-b)")
 
 
 def _check_is_data(path: Path) -> None:

@@ -65,7 +65,7 @@ class OnnxModel:
             if intrinsics is None:
                 raise self._wrong(f"input {name!r}", "a camera matrix", "none")
             feed[name] = np.ascontiguousarray(intrinsics, np.float32)[None]
-        (output,) = self._session.run([self._output_name], feed, self._options)
+        (output,) = self._run([self._output_name], feed)
         return np.asarray(output)
 
     def run_with_maps(
@@ -75,12 +75,22 @@ class OnnxModel:
 
         Raises ModelError where the file gives something else by such a name.
         """
-        output, *found = self._session.run([self._output_name, *maps], {self._input_name: tensor}, self._options)
+        output, *found = self._run([self._output_name, *maps], {self._input_name: tensor})
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)
             if values.ndim != 4 or values.dtype != np.float32 or values.shape[1] != channels:
                 raise self._wrong(f"map {name!r}", f"float32 [1, {channels}, h, w]", f"{values.dtype} {values.shape}")
         return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
+
+    def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
+        """Raises ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
+        try:
+            return list(self._session.run(outputs, feed, self._options))
+        except Exception as reason:  # of the runtime's errors, which have no common base
+            raise ModelError(
+                f"model {self.manifest.name!r} ({self.path}): ONNX Runtime {ort.__version__} cannot run it ({reason}); "
+                "give the network that the manifest describes"
+            ) from reason
 
     def _checked_input(self) -> str:
         spec = self.manifest.input

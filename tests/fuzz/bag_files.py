@@ -92,7 +92,7 @@ def _chunk(rng: random.Random, body: bytes) -> bytes:
     packed = body[32 + name_length + 8 :]
     try:
         inner = zstandard.decompress(packed, max_output_size=size) if compression == b"zstd" else packed
-    except zstandard.ZstdError:
+    except (zstandard.ZstdError, MemoryError):  # the size has been spoiled itself
         inner = packed
     way = rng.random()
     if way < 0.6:

@@ -38,6 +38,17 @@ def test_a_raster_that_its_file_cannot_hold_is_not_read(tmp_path: Path) -> None:
         read_fuel_map(sparse(tmp_path / "map.tif", 30_000, "uint8"))
 
 
+def test_a_raster_of_thousands_of_bands_is_not_read(tmp_path: Path) -> None:
+    """To read one of bands that lie cell by cell, all are."""
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", width=9, height=6, count=101, dtype="float32", crs="EPSG:26911",
+        transform=from_origin(480_000.0, 4_150_000.0, 5.0, 5.0), interleave="pixel",
+    ):  # fmt: skip
+        pass
+    with pytest.raises(RasterError, match=r"dem\.tif: has 101 bands, at most 100; cut out the one that is meant"):
+        Dem.open(tmp_path / "dem.tif")
+
+
 @pytest.mark.parametrize("text", ['<GDAL_WMS><Service name="TMS"/></GDAL_WMS>', ' {"type": "FeatureCollection"}'])
 def test_a_text_that_names_other_hosts_is_no_raster(tmp_path: Path, text: str) -> None:
     (tmp_path / "dem.tif").write_text(text)

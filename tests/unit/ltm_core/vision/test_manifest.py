@@ -7,7 +7,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import onnx
 import pytest
+from onnx import helper
 from scenes.networks import changed, write_classifier, write_manifest
 
 from ltm_core.errors import ModelError
@@ -143,3 +146,18 @@ def test_a_network_unlike_its_manifest_is_refused_with_expected_and_found(
 ) -> None:
     with pytest.raises(ModelError, match=message):
         OnnxModel(Manifest.load(changed(manifest_path, **changes)))
+
+
+def test_a_network_that_fails_as_it_runs_is_an_error_of_ours(manifest_path: Path, tmp_path: Path) -> None:
+    """Its pooling window is larger than the picture: the runtime loads it."""
+    network = onnx.load(str(tmp_path / "colors.onnx"))
+    (pool,) = (node for node in network.graph.node if node.op_type == "AveragePool")
+    del pool.attribute[:]
+    pool.attribute.extend([helper.make_attribute("kernel_shape", [64, 2]), helper.make_attribute("strides", [2, 2])])
+    content = network.SerializeToString()
+    (tmp_path / "colors.onnx").write_bytes(content)
+    model = OnnxModel(Manifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
+    with pytest.raises(
+        ModelError, match=r"(?s)colors\.onnx\): ONNX Runtime .* cannot run it .*; give the network that"
+    ):
+        model.run(np.zeros((1, 3, 32, 48), np.float32))
