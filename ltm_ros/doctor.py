@@ -36,6 +36,7 @@ SMALLEST_SITE_NODES = 6
 """Nodes of a site with one camera, and one to watch them."""
 LEAST_MEMORY_GB = 4.0
 INSTALL = "pip install"
+INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
 class Condition(StrEnum):
@@ -58,8 +59,9 @@ class Finding:
     """Command that mends it."""
 
 
-def examine() -> list[Finding]:
-    """Everything, in the order in which a person would mend it."""
+def examine(site: Path | None = None) -> list[Finding]:
+    """Everything, in the order in which a person would mend it. `site`: the tower's file; by default the installed
+    one, where there is one."""
     return [
         *check_python(),
         *check_packages(),
@@ -68,6 +70,7 @@ def examine() -> list[Finding]:
         *check_shared_memory(),
         *check_models(),
         *check_machine(),
+        *check_health_port(site),
     ]
 
 
@@ -301,6 +304,41 @@ def check_machine() -> Iterator[Finding]:
         str(folder) if folder else "no writable folder: kernels are compiled anew at each start",
         "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
     )
+
+
+def check_health_port(path: Path | None = None) -> Iterator[Finding]:
+    """Whether a tower can answer monitoring systems: without that it runs all the same."""
+    from ltm_core.site_io import load_site
+    from ltm_ros.health.ports import bind_error, refusal
+    from ltm_ros.health.web_client import ask
+
+    if path is None and not INSTALLED_SITE.exists():
+        return
+    name, file = "health port", path or INSTALLED_SITE
+    try:
+        site = load_site(file)
+    except LtmError as error:
+        yield Finding("machine", name, Condition.WARNING, str(error), f"ltm check {file}")
+        return
+    health = site.health
+    if health is None or health.port == 0:
+        return
+    error = bind_error(health.address, health.port)
+    if error is None:
+        yield Finding("machine", name, Condition.OK, f"{health.address}:{health.port} is free: no tower runs")
+        return
+    try:
+        said = ask(health, "/status.json")
+        other = "" if said["site"] == site.name else f"the tower of {said['site']} has it"
+    except LtmError as why:
+        other = str(why)
+    except (TypeError, KeyError):
+        other = "what answers there is no tower"
+    if other:
+        remedy = f"{refusal(health.address, health.port, error)} of {file}; the tower runs without, and tries again"
+        yield Finding("machine", name, Condition.WARNING, other, remedy)
+    else:
+        yield Finding("machine", name, Condition.OK, f"{site.name} answers on {health.address}:{health.port}")
 
 
 def _memory_gb() -> float:
