@@ -22,13 +22,17 @@ class KnownPoses:
 
     def add(self, stamp: int, pose: Pose, covariance: Float64Array) -> None:
         self._poses[stamp] = (pose, covariance)
+        self._poses.move_to_end(stamp)
         while len(self._poses) > MOST:
             self._poses.popitem(last=False)
 
     @property
     def newest(self) -> tuple[Pose, Float64Array, int]:
-        """With its stamp. Raises ValueError: none is known."""
-        stamp = max(self._poses)
+        """The one told last, with its stamp. After a clock was set back earlier ones have later stamps, and a head
+        looks elsewhere by now. Raises LookupError: none is known."""
+        if not self._poses:
+            raise LookupError("no pose is known")
+        stamp = next(reversed(self._poses))
         return *self._poses[stamp], stamp
 
     def at(self, stamp: int, age_ns: int) -> tuple[Pose, Float64Array] | None:

@@ -130,7 +130,15 @@ class Locate(Handler[LocateConfig]):
         self._publish_tracks(0)
 
     def on_camera_info(self, name: str, message: Any) -> None:
-        self._cameras[name] = msg_to_camera(message)
+        camera, most = msg_to_camera(message), self._site.limits.pixels
+        if camera.width * camera.height > most:
+            self.health.drop(
+                "too_large",
+                f"calibration of {camera.width} x {camera.height} pixels of {name}, at most {most} are taken; raise "
+                "pixels under `limits:` in the site file",
+            )
+            return
+        self._cameras[name] = camera
 
     def on_pose(self, name: str, message: Any) -> None:
         covariance = msg_to_covariance(message, self._assumed)
@@ -172,10 +180,12 @@ class Locate(Handler[LocateConfig]):
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
-        stamp = stamp_of(message)
-        if stamp and self._stamps.refuses(f"a region of {name}", stamp):
+        stated = stamp_of(message)
+        if stated and self._stamps.refuses(f"a region of {name}", stated):
             return
-        pose, covariance, stamp = self._pose_at(name, stamp)
+        pose, covariance, stamp = self._pose_at(name, stated)
+        if not stated and self._stamps.refuses(f"the pose for a region of {name} without a stamp", stamp):
+            return
         camera = self._cameras.get(name)
         if camera is None:
             raise MessageError(f"a region of {name}, of which no calibration has come yet: {POSED_CAMERA_INFO.name}")
