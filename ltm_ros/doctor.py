@@ -11,14 +11,14 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import asdict
 from pathlib import Path
 
 from packaging.requirements import Requirement
 
 import ltm_core
 from ltm_core.errors import LtmError
+from ltm_ros.doctor_finding import Condition, Finding
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
 
@@ -39,26 +39,6 @@ INSTALL = "pip install"
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
-class Condition(StrEnum):
-    OK = "ok"
-    OPTIONAL = "optional"
-    """Absent, and only some commands need it."""
-    WARNING = "warning"
-    """Works, but not well."""
-    MISSING = "missing"
-    """The system does not work without it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    area: str
-    name: str
-    state: Condition
-    detail: str
-    remedy: str = ""
-    """Command that mends it."""
-
-
 def examine(site: Path | None = None) -> list[Finding]:
     """Everything, in the order in which a person would mend it. `site`: the tower's file; by default the installed
     one, where there is one."""
@@ -70,7 +50,7 @@ def examine(site: Path | None = None) -> list[Finding]:
         *check_shared_memory(),
         *check_models(),
         *check_machine(),
-        *check_health_port(site),
+        *check_tower(site),
     ]
 
 
@@ -306,39 +286,12 @@ def check_machine() -> Iterator[Finding]:
     )
 
 
-def check_health_port(path: Path | None = None) -> Iterator[Finding]:
-    """Whether a tower can answer monitoring systems: without that it runs all the same."""
-    from ltm_core.site_io import load_site
-    from ltm_ros.health.ports import bind_error, refusal
-    from ltm_ros.health.web_client import ask
+def check_tower(site: Path | None) -> Iterator[Finding]:
+    """Of the site's file, else of the installed one, where there is one."""
+    if site is not None or INSTALLED_SITE.exists():
+        from ltm_ros.health.port_check import check_health_port  # reads site files: packages may be missing
 
-    if path is None and not INSTALLED_SITE.exists():
-        return
-    name, file = "health port", path or INSTALLED_SITE
-    try:
-        site = load_site(file)
-    except LtmError as error:
-        yield Finding("machine", name, Condition.WARNING, str(error), f"ltm check {file}")
-        return
-    health = site.health
-    if health is None or health.port == 0:
-        return
-    error = bind_error(health.address, health.port)
-    if error is None:
-        yield Finding("machine", name, Condition.OK, f"{health.address}:{health.port} is free: no tower runs")
-        return
-    try:
-        said = ask(health, "/status.json")
-        other = "" if said["site"] == site.name else f"the tower of {said['site']} has it"
-    except LtmError as why:
-        other = str(why)
-    except (TypeError, KeyError):
-        other = "what answers there is no tower"
-    if other:
-        remedy = f"{refusal(health.address, health.port, error)} of {file}; the tower runs without, and tries again"
-        yield Finding("machine", name, Condition.WARNING, other, remedy)
-    else:
-        yield Finding("machine", name, Condition.OK, f"{site.name} answers on {health.address}:{health.port}")
+        yield from check_health_port(site or INSTALLED_SITE)
 
 
 def _memory_gb() -> float:

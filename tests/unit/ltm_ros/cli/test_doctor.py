@@ -6,23 +6,17 @@ import importlib.metadata
 import importlib.util
 import json
 import subprocess
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
-import yaml
 from packaging.requirements import Requirement
-from scenes.free_port import free_port
-from scenes.small_site import NAME, write_small_site
 from typer.testing import CliRunner
 
-from ltm_core.site_sections import HealthConfig
 from ltm_ros import doctor
 from ltm_ros.cli.doctor import doctor as command
 from ltm_ros.doctor import Condition, Finding
-from ltm_ros.health.web_server import Answer, WebServer
 from ltm_ros.launching import shared_memory
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
@@ -160,51 +154,14 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(other.state is Condition.OPTIONAL for other in others)
 
 
-@pytest.fixture
-def port_site(tmp_path: Path) -> tuple[Path, HealthConfig]:
-    """A site file whose port of health is free when the test begins."""
-    site, port = write_small_site(tmp_path, recording=False).path, free_port()
-    site.write_text(site.read_text() + yaml.safe_dump({"health": {"port": port}}))
-    return site, HealthConfig(port=port)
-
-
-def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> None:
-    (port,) = doctor.check_health_port(port_site[0])
-    assert (port.state, port.detail) == (Condition.OK, f"127.0.0.1:{port_site[1].port} is free: no tower runs")
-
-
-@pytest.mark.parametrize(
-    ("answer", "said"),
-    [
-        ({"site": NAME}, ""),
-        ({"site": "elsewhere"}, "the tower of elsewhere has it"),
-        ({"status": "up"}, "what answers there is no tower"),
-        (["up"], "what answers there is no tower"),
-        (None, "no tower answers"),
-    ],
-)
-def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer: Any, said: str) -> None:
-    site, config = port_site
-    page = Answer(b"<html>") if answer is None else Answer.json(answer)
-    with closing(WebServer(config, {"/status.json": lambda: page})):
-        (port,) = doctor.check_health_port(site)
-    assert said in port.detail
-    if not said:
-        assert (port.state, port.remedy) == (Condition.OK, "")
-        return
-    assert port.state is Condition.WARNING
-    assert f"127.0.0.1:{config.port} cannot be listened on (Address already in use): end what uses it" in port.remedy
-    assert f"of {site}; the tower runs without, and tries again" in port.remedy
-
-
-def test_no_tower_has_no_port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(doctor, "INSTALLED_SITE", tmp_path / "site.yaml")
-    assert list(doctor.check_health_port()) == []
-    assert list(doctor.check_health_port(write_small_site(tmp_path, recording=False).path)) == []
-    monkeypatch.setattr(doctor, "INSTALLED_SITE", tmp_path / "broken.yaml")
-    (tmp_path / "broken.yaml").write_text("nonsense: 1")
-    (broken,) = doctor.check_health_port()
-    assert (broken.state, broken.remedy) == (Condition.WARNING, f"ltm check {tmp_path / 'broken.yaml'}")
+def test_the_installed_tower_is_looked_at_where_there_is_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    installed, other = tmp_path / "site.yaml", tmp_path / "other.yaml"
+    monkeypatch.setattr(doctor, "INSTALLED_SITE", installed)
+    assert list(doctor.check_tower(None)) == []
+    for path in (installed, other):
+        path.write_text("nonsense: 1")
+    assert [one.remedy for one in doctor.check_tower(None)] == [f"ltm check {installed}"]
+    assert [one.remedy for one in doctor.check_tower(other)] == [f"ltm check {other}"]
 
 
 @pytest.mark.parametrize(("state", "status"), [(Condition.MISSING, 1), (Condition.WARNING, 0), (Condition.OPTIONAL, 0)])
