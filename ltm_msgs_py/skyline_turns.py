@@ -30,12 +30,15 @@ class ToldTurns:
     turns: SkylineTurns
 
 
+_Angle = Annotated[float, Field(ge=-360, le=360)]
+
+
 class _Wire(StrictModel):
     camera: str = Field(min_length=1, max_length=200)
     stamp_ns: int = Field(ge=0, lt=2**63)
-    azimuth_deg: float = Field(ge=-360, le=360)
+    azimuth_deg: _Angle
     hfov_deg: float = Field(gt=0, lt=180)
-    rotation_deg: tuple[float, float, float]
+    rotation_deg: tuple[_Angle, _Angle, _Angle]
     step_deg: float
     log_likelihood: list[Annotated[float, Field(ge=-_MOST, le=_MOST)]] = Field(
         min_length=len(SKYLINE_TURNS), max_length=len(SKYLINE_TURNS)

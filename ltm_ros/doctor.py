@@ -11,14 +11,14 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import asdict
 from pathlib import Path
 
 from packaging.requirements import Requirement
 
 import ltm_core
 from ltm_core.errors import LtmError
+from ltm_ros.doctor_finding import Condition, Finding
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
 
@@ -36,30 +36,12 @@ SMALLEST_SITE_NODES = 6
 """Nodes of a site with one camera, and one to watch them."""
 LEAST_MEMORY_GB = 4.0
 INSTALL = "pip install"
+INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
-class Condition(StrEnum):
-    OK = "ok"
-    OPTIONAL = "optional"
-    """Absent, and only some commands need it."""
-    WARNING = "warning"
-    """Works, but not well."""
-    MISSING = "missing"
-    """The system does not work without it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    area: str
-    name: str
-    state: Condition
-    detail: str
-    remedy: str = ""
-    """Command that mends it."""
-
-
-def examine() -> list[Finding]:
-    """Everything, in the order in which a person would mend it."""
+def examine(site: Path | None = None) -> list[Finding]:
+    """Everything, in the order in which a person would mend it. `site`: the tower's file; by default the installed
+    one, where there is one."""
     return [
         *check_python(),
         *check_packages(),
@@ -68,6 +50,7 @@ def examine() -> list[Finding]:
         *check_shared_memory(),
         *check_models(),
         *check_machine(),
+        *check_tower(site),
     ]
 
 
@@ -301,6 +284,14 @@ def check_machine() -> Iterator[Finding]:
         str(folder) if folder else "no writable folder: kernels are compiled anew at each start",
         "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
     )
+
+
+def check_tower(site: Path | None) -> Iterator[Finding]:
+    """Of the site's file, else of the installed one, where there is one."""
+    if site is not None or INSTALLED_SITE.exists():
+        from ltm_ros.health.port_check import check_health_port  # reads site files: packages may be missing
+
+        yield from check_health_port(site or INSTALLED_SITE)
 
 
 def _memory_gb() -> float:

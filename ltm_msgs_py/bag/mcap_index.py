@@ -28,6 +28,8 @@ from zstandard import ZstdError
 from ltm_core.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
+LATEST_NS = 2**63 - 1
+"""MCAP's own times go twice as far, ROS's and those of all that is made of a recording do not."""
 _OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
 _RECORD_HEAD = struct.Struct("<BQ")
 _TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
@@ -152,7 +154,8 @@ class McapIndex:
         self.schemas, self.channels = {r.id: r for r in records if isinstance(r, Schema)}, channels
         self.counts = dict(statistics.channel_message_counts)
         if statistics.message_count:
-            self.start_ns, self.end_ns = statistics.message_start_time, statistics.message_end_time
+            self.start_ns = min(statistics.message_start_time, LATEST_NS)
+            self.end_ns = min(statistics.message_end_time, LATEST_NS)
         self._entries = [_Entry(c.message_start_time, c.chunk_start_offset, c.message_end_time, True) for c in chunks]
         return True
 
@@ -211,6 +214,7 @@ class McapIndex:
         known = [m for m in messages if m.channel_id in self.channels]
         if len(known) < len(messages):
             self.damage.append(f"{self.path}: at byte {offset}, {len(messages) - len(known)} messages have no channel")
+        known = self._of_our_time(known, offset)
         if not known:
             return
         for message in known:
@@ -225,20 +229,37 @@ class McapIndex:
         try:
             if entry.is_chunk:
                 records = _records(_read_chunk(stream, entry.offset))
-                return [r for r in records if isinstance(r, Message) and r.channel_id in self.channels]
+                known = [r for r in records if isinstance(r, Message) and r.channel_id in self.channels]
+                return self._of_our_time(known, entry.offset)
             stream.seek(entry.offset)
             _, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-            return [Message.read(ReadDataStream(BytesIO(stream.read(length))), length)]
+            return self._of_our_time([Message.read(ReadDataStream(BytesIO(stream.read(length))), length)], entry.offset)
         except _BROKEN as error:
             self._note(entry.offset, error)
             return []
 
+    def _of_our_time(self, messages: list[Message], offset: int) -> list[Message]:
+        """Those that were received and sent at some time; the others are noted."""
+        kept = [message for message in messages if max(message.log_time, message.publish_time) <= LATEST_NS]
+        if len(kept) < len(messages):
+            latest = max(max(message.log_time, message.publish_time) for message in messages)
+            self._damaged(
+                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages are of times up to {latest} ns, "
+                f"later than {LATEST_NS} ns, and left out"
+            )
+        return kept
+
     def _note(self, offset: int, error: BaseException) -> None:
         note = f"{self.path}: the record at byte {offset} is broken and left out ({type(error).__name__}: {error})"
-        if note not in self.damage:
-            self.damage.append(note)
-            if _refused(error):
-                self.unread.append(note)
+        if self._damaged(note) and _refused(error):
+            self.unread.append(note)
+
+    def _damaged(self, note: str) -> bool:
+        """Whether that is new: what is read again is found broken again."""
+        if note in self.damage:
+            return False
+        self.damage.append(note)
+        return True
 
 
 def _refused(error: BaseException) -> bool:

@@ -14,6 +14,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from ltm_core.errors import RecordingError
 from ltm_core.output_io import require_folder
 from ltm_msgs_py.bag.mcap_file import McapFile
+from ltm_msgs_py.bag.mcap_index import LATEST_NS
 from ltm_msgs_py.bag.metadata import (
     FileRecord,
     TopicRecord,
@@ -26,7 +27,6 @@ from ltm_msgs_py.bag.schemas import schema_text, type_hash, type_name_of
 
 Compression = Literal["zstd"] | None
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, None: CompressionType.NONE}
-_LATEST_NS = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class BagWriter:
                 f"{len(cdr)} bytes for {topic} are no CDR message: its 4-byte encapsulation header is missing"
             )
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
-        if not (0 <= log_time_ns <= _LATEST_NS and 0 <= sent_ns <= _LATEST_NS):
+        if not (0 <= log_time_ns <= LATEST_NS and 0 <= sent_ns <= LATEST_NS):
             raise RecordingError(
                 f"times of a message on {topic} must be nanoseconds since 1970, "
                 f"got log {log_time_ns}, publish {sent_ns}"

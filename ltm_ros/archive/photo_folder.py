@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from ltm_core.errors import ArchiveError, ConfigError, ImageError, LtmError
+from ltm_core.picture_io import LARGEST_FILE
 from ltm_core.site import Site
 from ltm_core.utc_time import stamp_of_moment
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
@@ -75,6 +76,8 @@ def _messages(
 ) -> Iterator[PlacedMessage]:
     from rclpy.serialization import serialize_message  # workers that read no folder shall not wait for it
 
+    if photo.size_bytes > LARGEST_FILE:
+        raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; a photo has {LARGEST_FILE >> 20} MiB at most")
     with files.at_hand(photo.name) as path:
         data = path.read_bytes()
     read = photo_of(data, Path(photo.name))  # which errors name, not its place in the cache

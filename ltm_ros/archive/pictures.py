@@ -57,6 +57,8 @@ class PictureReader:
 
     def _photo(self, frame: ArchiveFrame) -> CompressedPicture | None:
         with self._files.at_hand(frame.file) as path:
+            if path.stat().st_size != frame.size_bytes:  # before it is read: what is there now may be of any size
+                return None
             picture = photo_picture(path.read_bytes(), frame.stamp_ns)
         return picture if picture_digest(picture) == frame.content else None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,13 +10,18 @@ import typer
 from ltm_ros.cli.findings import findings_table
 
 
-def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False) -> None:
+def doctor(
+    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    site: Annotated[
+        Path | None, typer.Option(help="Site file of a tower, for its port; default: /etc/ltm/site.yaml, if there.")
+    ] = None,
+) -> None:
     """Look at the installation. Exit code 1 when something required is missing."""
     from rich.console import Console
 
     from ltm_ros.doctor import Condition, as_json, examine, healthy, summed_up
 
-    findings = examine()
+    findings = examine(site)
     if json:
         typer.echo(as_json(findings))
         raise typer.Exit(0 if healthy(findings) else 1)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
     from ltm_core.locating.answer import Answer
-    from ltm_core.locating.place import PlaceView
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
 
@@ -69,6 +65,7 @@ def locate(
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files
     from ltm_ros.cli.locate_cameras import of_poses, of_site
+    from ltm_ros.cli.locate_marks import hidden_by, marked
 
     reverse = place is not None or lonlat is not None or points is not None
     marks = [*(pixel or []), *(box or []), *(polygon or [])]
@@ -102,8 +99,8 @@ def locate(
     names = camera or (list(scene.cameras) if len(scene.cameras) == 1 else [])
     if len(names) != len(marks):
         raise ConfigError(f"{len(marks)} marks need as many --camera, in their order; got {', '.join(names) or 'none'}")
-    masks = _masks(scene, mask or [])
-    sightings = [_sighting(scene, name, text, config, smoke, masks) for name, text in zip(names, marks, strict=True)]
+    masks = hidden_by(scene, mask or [])
+    sightings = [marked(scene, name, text, config, smoke, masks) for name, text in zip(names, marks, strict=True)]
     said = _answer(scene, config, sightings, smoke)
     if as_json:
         import json
@@ -112,7 +109,9 @@ def locate(
 
         print(json.dumps(as_data(said, scene.frame), indent=2))
     else:
-        _tell(said, scene, console)
+        from ltm_ros.cli.locate_tables import show_answer
+
+        show_answer(said, scene.frame, console)
     if out is not None:
         written = _write(out, said, scene, names)
         if not as_json:
@@ -120,139 +119,13 @@ def locate(
                 console.print(f"  {path}", highlight=False)
 
 
-def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
-    """Numbers with commas. Raises ConfigError: others, or not as many as the option takes."""
-    import math
-
-    from ltm_core.errors import ConfigError
-
-    try:
-        values = [float(part) for part in text.replace(";", ",").replace(" ", ",").split(",") if part]
-    except ValueError as error:
-        raise ConfigError(f"{option} must be numbers with commas, got {text!r}") from error
-    if not all(math.isfinite(value) for value in values) or (counts and len(values) not in counts) or not values:
-        wanted = f"{' or '.join(map(str, counts))} " if counts else ""
-        raise ConfigError(f"{option} wants {wanted}finite numbers with commas, got {text!r}")
-    return values
-
-
-def _masks(scene: LocatingScene, given: list[str]) -> dict[str, Any]:
-    """Of each camera, what its site file hides, and what is given besides."""
-    from ltm_core.errors import ConfigError
-    from ltm_core.locating.locating_io import read_mask
-
-    found = {name: camera.hidden for name, camera in scene.cameras.items()}
-    for text in given:
-        name, equals, path = text.partition("=")
-        if not equals:
-            raise ConfigError(f"--mask {text!r}: name its camera: --mask north=mast.png")
-        more, hidden = read_mask(Path(path), scene.camera(name).camera), found[name]
-        found[name] = more if hidden is None else more | hidden
-    return found
-
-
-def _sighting(scene: LocatingScene, name: str, text: str, config: Any, smoke: bool, masks: dict[str, Any]) -> Sighting:
-    import numpy as np
-
-    from ltm_core.errors import ConfigError
-    from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
-    from ltm_core.locating.sighting import Sighting
-
-    camera = scene.camera(name)
-    values = numbers(text, "a mark")
-    mask = masks.get(name)
-    if len(values) == 2:
-        mark = marked_pixel(camera.camera, values, config.pixel_sigma, mask)
-    elif len(values) == 4:
-        mark = marked_box(camera.camera, values, config.pixel_sigma, config.box_sigma, smoke, mask)
-    elif len(values) % 2 == 0:
-        outline = np.array(values).reshape(-1, 2)
-        mark = marked_polygon(camera.camera, outline, config.pixel_sigma, config.box_sigma, smoke, mask)
-    else:
-        raise ConfigError(f"a mark is u,v, or u_min,v_min,u_max,v_max, or three or more points u,v; got {text!r}")
-    return Sighting(name, camera.camera, camera.pose, camera.covariance, mark)
-
-
-def _answer(scene: LocatingScene, config: Any, sightings: list[Sighting], smoke: bool) -> Answer:
+def _answer(scene: LocatingScene, config: LocatingConfig, sightings: list[Sighting], smoke: bool) -> Answer:
     from ltm_core.locating.answer import answer
     from ltm_core.locating.locator import Locator
 
     location = Locator(scene.dem, scene.bend, config).locate(sightings, smoke)
     posed = [camera.posed for camera in scene.cameras.values()]
     return answer(location, scene.sight, scene.frame, posed, scene.prior, smoke)
-
-
-def _tell(said: Answer, scene: LocatingScene, console: Console) -> None:
-    from rich.table import Table
-
-    from ltm_core.locating.answer import SHARES
-
-    name, posterior = said.name, said.location.posterior
-    table = Table(title="smoke, its foot" if said.smoke else "on the ground", show_header=False)
-    table.add_row(f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}")
-    x, y = posterior.likeliest
-    table.add_row("likeliest place", f"{x + scene.frame.x_origin:.1f}, {y + scene.frame.y_origin:.1f}")
-    table.add_row("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}")
-    table.add_row("MGRS", name.mgrs or "none at this latitude")
-    if name.elevation is not None:
-        table.add_row("elevation", f"{name.elevation:.0f} m, sigma {said.elevation_sigma:.0f} m")
-    for share, ellipse in zip(SHARES, said.ellipses, strict=True):
-        table.add_row(
-            f"ellipse, {share:.0%}",
-            f"{ellipse.major:,.0f} m by {ellipse.minor:,.0f} m (half axes), long axis {ellipse.azimuth_deg:.0f}°",
-        )
-    modes = posterior.modes
-    if len(modes) > 1:
-        parts = (
-            f"{mode.share:.0%} at {mode.centre[0] + scene.frame.x_origin:.0f}, "
-            f"{mode.centre[1] + scene.frame.y_origin:.0f}"
-            for mode in modes[:4]
-        )
-        table.add_row(f"{len(modes)} separate areas", "\n".join(parts))
-    if said.smoke and said.location.lift > 1:
-        table.add_row("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)")
-    if said.fuel is not None:
-        table.add_row("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})")
-    console.print(table)
-    agreement = said.location.agreement
-    if agreement is not None and agreement.wrong is not None:
-        verdict = agreement.verdict
-        turn, sigma = math.degrees(verdict.turn), math.degrees(verdict.sigma)
-        left_out = agreement.suspicion[agreement.wrong]
-        console.print(
-            f"[yellow]The cameras disagree: {agreement.wrong} seems to be turned "
-            f"({verdict.suspicion[agreement.wrong]:.0%}), its stated azimuth is {abs(turn):.1f} degrees (sigma "
-            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. It is left out of the place by {left_out:.0%}; "
-            "check its pose.",
-            highlight=False,
-        )
-    elif agreement is not None and not agreement.agree:
-        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
-        console.print(
-            f"[yellow]The cameras disagree, and which one is wrong cannot be told: {shares}.", highlight=False
-        )
-    console.print(views_table(said.views))
-
-
-def views_table(views: tuple[PlaceView, ...] | list[PlaceView]) -> Table:
-    """What each camera has of a place."""
-    from rich.table import Table
-
-    table = Table("camera", "distance", "bearing", "pitch", "look", "pixel", "state", title="seen from the cameras")
-    for view in views:
-        state = view.state.name.lower()
-        if view.hidden_by is not None:
-            state += f": seen from {view.lift:.0f} m above it"
-        table.add_row(
-            view.camera,
-            f"{view.distance / 1000:.2f} km",
-            f"{view.azimuth_deg:.2f}°",
-            f"{view.pitch_deg:+.2f}°",
-            f"{view.hfov_deg:.0f}° wide",
-            "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}",
-            state,
-        )
-    return table
 
 
 def _write(out: Path, said: Answer, scene: LocatingScene, marked: list[str]) -> list[Path]:

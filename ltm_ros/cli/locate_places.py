@@ -12,7 +12,8 @@ from ltm_core.errors import ConfigError, RegionError
 from ltm_core.locating.answer import fuel_at, place_name, view_data
 from ltm_core.locating.place import place_views
 from ltm_core.types import Float64Array
-from ltm_ros.cli.locate import numbers, views_table
+from ltm_ros.cli.locate_tables import views_table
+from ltm_ros.cli.number_lists import numbers
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_sections import HealthConfig
+from ltm_ros.health.ports import refusal
 from ltm_ros.runtime.service_credentials import service_credential
 
 TIMEOUT_S = 10.0
@@ -69,10 +70,14 @@ def read_token(path: Path) -> str:
     return token
 
 
+class PortError(ConfigError):
+    """A port cannot be listened on now; later it may be."""
+
+
 class WebServer:
     """Serves `routes` (by path) from threads of its own, from the moment it is made; `taking`: where JSON may be sent.
 
-    Raises ConfigError where the address is taken or a certificate cannot be read.
+    Raises PortError where the address is taken, ConfigError where a certificate or the token cannot be read.
     """
 
     def __init__(
@@ -86,9 +91,7 @@ class WebServer:
         try:
             self._server = _BoundedServer((config.address, config.port), handler, config)
         except OSError as error:
-            raise ConfigError(
-                f"health: {config.address}:{config.port} cannot be listened on ({error.strerror}): name another port"
-            ) from error
+            raise PortError(refusal(config.address, config.port, error)) from error
         scheme = "https" if config.certificate else "http"
         host = f"[{config.address}]" if ":" in config.address else config.address
         self.url = f"{scheme}://{host}:{self._server.server_address[1]}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +22,8 @@ from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.site import Site
 from ltm_core.site_check import SiteCheck, check_site
 from ltm_core.site_io import load_site
+from ltm_core.site_sections import HealthConfig
+from ltm_ros.health.ports import bind_error, refusal
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.launching.supervisor import EX_CONFIG
@@ -181,7 +182,7 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             if isinstance(port, int) and port:
                 yield _port(name, port)
     if wanted.health is not None and site.health is not None and site.health.port:
-        yield _port("health", site.health.port, site.health.address)
+        yield _health_port(site.health)
 
 
 def _sources(site: Site, wanted: Wanted) -> Iterator[Finding]:
@@ -210,13 +211,18 @@ def _folder(what: str, folder: Path) -> Finding:
     return Finding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
 
 
-def _port(name: str, port: int, address: str = _LOOPBACK) -> Finding:
-    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((address, port))
-        except OSError as error:
-            said = f"port {port} on {address} is taken ({error.strerror}): name another under `"
-            key = "health: {port: ...}" if name == "health" else f"nodes: {{viewer: {{{name}: ...}}}}"
-            return Finding(MACHINE, name, Verdict.WRONG, f"{said}{key}`, or end what uses it")
-    return Finding(MACHINE, name, Verdict.OK, f"{port} on {address} is free")
+def _port(name: str, port: int) -> Finding:
+    error = bind_error(_LOOPBACK, port)
+    if error is None:
+        return Finding(MACHINE, name, Verdict.OK, f"{port} on {_LOOPBACK} is free")
+    said = f"port {port} on {_LOOPBACK} is taken ({error.strerror}): name another under `"
+    return Finding(MACHINE, name, Verdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end what uses it")
+
+
+def _health_port(config: HealthConfig) -> Finding:
+    """No more than a doubt: the tower runs without answering monitoring systems, and tries again."""
+    error = bind_error(config.address, config.port)
+    if error is None:
+        return Finding(MACHINE, "health", Verdict.OK, f"{config.port} on {config.address} is free")
+    said = refusal(config.address, config.port, error)
+    return Finding(MACHINE, "health", Verdict.DOUBTFUL, f"{said}; the tower runs, and tries again")

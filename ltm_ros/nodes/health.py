@@ -20,8 +20,9 @@ from ltm_ros.health import machine
 from ltm_ros.health.last_pictures import LastPictures
 from ltm_ros.health.marks import Marks
 from ltm_ros.health.metrics import METRICS_KIND, exposition
+from ltm_ros.health.patient_server import PatientServer
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
-from ltm_ros.health.web_server import Answer, Route, WebServer
+from ltm_ros.health.web_server import Answer, Route
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
@@ -74,8 +75,8 @@ class HealthNode(Node):  # type: ignore[misc]
         if site.locating is not None:
             self._marks = Marks(self, site.name, cameras, self._pictures.shown, self._health)
         taking = {} if self._marks is None else {"/mark": self._marks.take}
-        self._server = WebServer(site.health, routes, taking)
-        self.get_logger().info(f"health at {self._server.url}")
+        log = self.get_logger()
+        self._server = PatientServer(site.health, routes, taking, self._health, log.info, log.warning)
 
     def close(self) -> int:
         self._server.close()

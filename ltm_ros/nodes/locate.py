@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,14 +13,13 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
-from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, MessageError
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.grid import GridGeometry
 from ltm_core.locating.answer import Answer, answer, as_geojson, turned_data
+from ltm_core.locating.compiled_kernels import compile_kernels
+from ltm_core.locating.known_poses import KnownPoses
 from ltm_core.locating.locator import Location, Locator
-from ltm_core.locating.place import place_views
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
@@ -57,9 +55,6 @@ from ltm_ros.runtime.topics import (
     POSED_POSE,
     camera_topic,
 )
-
-_POSES = 200
-"""Poses of a camera that are remembered."""
 
 
 class LocateConfig(NodeConfig):
@@ -109,9 +104,7 @@ class Locate(Handler[LocateConfig]):
         """By which stated poses are corrected."""
         self._told: tuple[str | None, tuple[str, ...]] = (None, ())
         """The camera that was named last, and by what."""
-        self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
-            name: OrderedDict() for name in site.cameras
-        }
+        self._poses = {name: KnownPoses() for name in site.cameras}
         per_camera = (LOCATE_ESTIMATE, LOCATE_GEOJSON)
         self.publications = (
             *(self._of(name, topic) for name in site.cameras for topic in per_camera),
@@ -133,19 +126,24 @@ class Locate(Handler[LocateConfig]):
         return found
 
     def start(self) -> None:
-        _compile_kernels()
+        compile_kernels()
         self._publish_tracks(0)
 
     def on_camera_info(self, name: str, message: Any) -> None:
-        self._cameras[name] = msg_to_camera(message)
+        camera, most = msg_to_camera(message), self._site.limits.pixels
+        if camera.width * camera.height > most:
+            self.health.drop(
+                "too_large",
+                f"calibration of {camera.width} x {camera.height} pixels of {name}, at most {most} are taken; raise "
+                "pixels under `limits:` in the site file",
+            )
+            return
+        self._cameras[name] = camera
 
     def on_pose(self, name: str, message: Any) -> None:
         covariance = msg_to_covariance(message, self._assumed)
         assert covariance is not None  # nosec B101 # tells the type checker what holds
-        poses = self._poses[name]
-        poses[stamp_of(message)] = (msg_to_pose(message, "map"), covariance)
-        while len(poses) > _POSES:
-            poses.popitem(last=False)
+        self._poses[name].add(stamp_of(message), msg_to_pose(message, "map"), covariance)
 
     def on_correction(self, name: str, message: Any) -> None:
         """Which cameras' pictures say that they look elsewhere. With one whose mount has been fitted anew it begins
@@ -182,10 +180,12 @@ class Locate(Handler[LocateConfig]):
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
-        stamp = stamp_of(message)
-        if stamp and self._stamps.refuses(f"a region of {name}", stamp):
+        stated = stamp_of(message)
+        if stated and self._stamps.refuses(f"a region of {name}", stated):
             return
-        pose, covariance, stamp = self._pose_at(name, stamp)
+        pose, covariance, stamp = self._pose_at(name, stated)
+        if not stated and self._stamps.refuses(f"the pose for a region of {name} without a stamp", stamp):
+            return
         camera = self._cameras.get(name)
         if camera is None:
             raise MessageError(f"a region of {name}, of which no calibration has come yet: {POSED_CAMERA_INFO.name}")
@@ -219,19 +219,18 @@ class Locate(Handler[LocateConfig]):
         if not poses:
             raise MessageError(f"a region of {name}, of which no pose has come yet: {POSED_POSE.name}")
         if stamp == 0:
-            newest = max(poses)
-            return *poses[newest], newest
-        earlier = [known for known in poses if known <= stamp]
-        if not earlier or stamp - max(earlier) > self.config.pose_age * 1e9:
+            return poses.newest
+        known = poses.at(stamp, round(self.config.pose_age * 1e9))
+        if known is None:
             raise MessageError(
                 f"a region of {name} of stamp {stamp} ns: no pose is known of then, or of {self.config.pose_age:g} s "
                 "before; send the stamp of the picture in which it was marked"
             )
-        return *poses[max(earlier)], stamp
+        return *known, stamp
 
     def _said(self, location: Location) -> Answer:
         cameras = [
-            PosedCamera(name, self._cameras[name], poses[max(poses)][0])
+            PosedCamera(name, self._cameras[name], poses.newest[0])
             for name, poses in self._poses.items()
             if poses and name in self._cameras
         ]
@@ -282,19 +281,6 @@ def _place_msg(said: Answer, stamp: int) -> Any:
     place = np.array([x, y, 0.0 if height is None else height])
     variance = said.elevation_sigma**2 if height is not None else 1e9
     return place_to_msg(place, posterior.covariance, variance, stamp)
-
-
-def _compile_kernels() -> None:
-    """Now, or load them from numba's cache: the first region shall not wait for it."""
-    plain = Dem(np.zeros((60, 80), np.float32), GridGeometry(0.0, 600.0, 10.0, 80, 60))
-    camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((400.0, 50.0, 40.0), 0.0, -10.0)
-    mark = marked_pixel(camera, (32.0, 24.0), 1.0)
-    covariance = np.diag([0.1] * 3 + [1e-5] * 3)
-    beside = Pose.from_angles((200.0, 50.0, 40.0), 40.0, -10.0)
-    one, other = (Sighting(name, camera, at, covariance, mark) for name, at in (("one", pose), ("other", beside)))
-    for smoke in (False, True):
-        Locator(plain, 0.0).locate([one, other], smoke)  # of two cameras, each may be turned
-    place_views(PointVisibility(plain), [PosedCamera("one", camera, pose)], np.array([400.0, 300.0, 0.0]))
 
 
 NODE = NodeType("locate", LocateConfig, Locate)

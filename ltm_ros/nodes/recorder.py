@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import os
-import queue
 import re
-import sys
-import threading
-import time
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
@@ -23,10 +17,10 @@ from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits
+from ltm_ros.recordings.recording_thread import RecordingThread
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
@@ -34,12 +28,6 @@ from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 from ltm_ros.runtime.traffic import TRAFFIC
-
-QUEUE_BYTES = 256 << 20
-"""Bytes that may wait for the disk before messages are dropped and counted. DDS holds as much besides where messages
-are large, and all of it shall stay below a gigabyte."""
-CLOSE_S = 5.0
-"""For which a recorder that is told to stop goes on writing what waits."""
 
 
 class RecorderConfig(NodeConfig):
@@ -59,7 +47,7 @@ class RecorderConfig(NodeConfig):
 
 
 class Recorder(Node):  # type: ignore[misc]
-    """Subscribes raw, so a message costs no decoding; a thread of its own, the only writer, waits for the disk."""
+    """Subscribes raw, so a message costs no decoding; a thread of its own waits for the disk."""
 
     def __init__(self) -> None:
         super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
@@ -68,32 +56,21 @@ class Recorder(Node):  # type: ignore[misc]
         self.health = Health()
         self._patterns = _patterns(config)
         self._taken: set[str] = set()
-        self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
-        self._waiting = 0
-        self._stop_at = math.inf
-        self._lock = threading.Lock()
         path = Path(config.bag)
         limits = RecordingLimits.of(
             path, config.max_bytes, config.min_free_bytes, config.file_bytes, config.file_seconds
         )
-        self._recording = BoundedRecording(
-            path, self.get_fully_qualified_name(), limits, self.health, self.get_logger().warning
-        )
+        tell = self.get_logger().warning
+        recording = BoundedRecording(path, self.get_fully_qualified_name(), limits, self.health, tell)
+        self._disk = RecordingThread(recording, self.health, partial(tell, throttle_duration_sec=5.0))
         # Handed to the operating system every second, so that it survives a kill.
-        self.create_timer(
-            1.0, lambda: self._queue.put(self._recording.flush), clock=DiagnosticsPublisher.steady_clock()
-        )
+        self.create_timer(1.0, self._disk.flush, clock=DiagnosticsPublisher.steady_clock())
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self.health})
-        self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
-        self._thread.start()
 
     def close(self) -> int:
-        """Write what waits, for `CLOSE_S` at most, and finish the bag; the process's exit status."""
-        self._stop_at = time.monotonic() + CLOSE_S
-        self._queue.put(None)
-        self._thread.join()
-        whole = self._recording.close()
+        """Write what waits, for a while at most, and finish the bag; the process's exit status."""
+        whole = self._disk.close()
         self._diagnostics.publish()
         return 0 if whole else EX_IOERR
 
@@ -113,7 +90,7 @@ class Recorder(Node):  # type: ignore[misc]
             except LtmError as error:
                 self.health.drop(cause_of(error), f"{topic}: {error}")
                 continue
-            self._queue.put(partial(self._recording.add_topic, topic, types[0], latched))
+            self._disk.add_topic(topic, types[0], latched)
             qos = QoSProfile(
                 depth=10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -136,37 +113,7 @@ class Recorder(Node):  # type: ignore[misc]
 
     def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
         self.health.received(topic)
-        with self._lock:
-            if self._waiting + len(cdr) > QUEUE_BYTES:
-                self.health.drop("overload", f"{QUEUE_BYTES >> 20} MB wait for the disk; record fewer topics")
-                return
-            self._waiting += len(cdr)
-        self._queue.put(partial(self._store, topic, type_name, cdr, self.get_clock().now().nanoseconds))
-
-    def _write(self) -> None:
-        activity = HEARTBEAT.activity("recorder disk")
-        while (work := self._queue.get()) is not None:
-            try:
-                with activity.turn("write"):
-                    work()
-            except LtmError as error:
-                self.health.drop(cause_of(error), str(error))
-                self.get_logger().warning(str(error), throttle_duration_sec=5.0)
-            except BaseException:
-                # A bug: a recorder that does not record shall not seem to; the graph starts another.
-                sys.excepthook(*sys.exc_info())
-                os._exit(1)
-
-    def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
-        try:
-            if time.monotonic() > self._stop_at:
-                self.health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for what waited at the end")
-                return
-            self._recording.write(topic, type_name, cdr, log_time_ns)
-        finally:
-            with self._lock:
-                self._waiting -= len(cdr)
-                self.health.gauge("queue_bytes", self._waiting)
+        self._disk.take(topic, type_name, cdr, self.get_clock().now().nanoseconds)
 
 
 def _patterns(config: RecorderConfig) -> list[str]:

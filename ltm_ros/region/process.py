@@ -12,8 +12,9 @@ from ltm_core.disk_io import make_folder
 from ltm_core.uplink.config import RegionConfig
 from ltm_ros.health import machine
 from ltm_ros.health.metrics import METRICS_KIND, exposition
+from ltm_ros.health.patient_server import PatientServer
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch
-from ltm_ros.health.web_server import Answer, WebServer
+from ltm_ros.health.web_server import Answer
 from ltm_ros.launching.runner import print_line
 from ltm_ros.region.service import RegionService
 from ltm_ros.runtime.health import Health
@@ -56,16 +57,19 @@ class RegionWatch:
         self._name = f"/{site.name}/region"
         self._watch = TowerWatch(site.name, [self._name], site.health.frame_age if site.health else 0.0)
         self._lock = threading.Lock()
-        self._server: WebServer | None = None
+        self._server: PatientServer | None = None
         if site.health is not None:
-            self._server = WebServer(
+            self._server = PatientServer(
                 site.health,
                 {
                     "/metrics": lambda: Answer(exposition(self.status()), METRICS_KIND),
                     "/status.json": lambda: Answer.json(self.status().as_dict()),
                 },
+                {},
+                health,
+                _say,
+                _say,
             )
-            print_line(f"-- health: {self._server.url}")
 
     def status(self) -> TowerStatus:
         """Now."""
@@ -100,3 +104,7 @@ class RegionWatch:
     def close(self) -> None:
         if self._server is not None:
             self._server.close()
+
+
+def _say(line: str) -> None:
+    print_line(f"-- {line}")

@@ -35,9 +35,20 @@ pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
 CAMERAS = ("tower", "mast")
 WORKERS = ("depth", "segmentation", "topodepth", "fuel_votes")
-FINISH_WITHIN_S = 15.0
+PATIENT_S, SOON_S, HUNG_AFTER_S = 3600.0, 40.0, 15.0
+"""`finish_within`. That what is let in is finished is promised of nodes that are no slower with a frame: where it is
+all that is asked, no machine is too slow for it, but a node that never finishes is waited for by the test in vain."""
+SITE = pytest.param(("site", SOON_S), id="site")
+NODE = pytest.param(("node", PATIENT_S), id="node", marks=pytest.mark.slow)
+NODE_THAT_HANGS = pytest.param(("node", HUNG_AFTER_S), id="node", marks=pytest.mark.slow)
+DONE_S = 600.0
+"""For all that was let in to be done; whoever waits for it in vain waits as long."""
 FRAMES, RATE_HZ = 90, 30.0
 """Of each camera: several times what two cores can fuse."""
+BURST = 5
+"""Frames at once: more than a door lets in, and their messages all fit before it."""
+MESSAGES = {"tower": 3, "mast": 1}
+"""Of a frame; the site file has what else is known of the mast's."""
 
 
 class Cameras:
@@ -48,11 +59,6 @@ class Cameras:
         tower, mast = small.frames(1)
         self._pose, self._jpeg, self._photo = tower.pose, encode_rgb(small.photo(tower), quality=95), small.photo(mast)
         self.sent: dict[str, list[int]] = {camera: [] for camera in CAMERAS}
-
-    @property
-    def one_process(self) -> bool:
-        """Whether all nodes of the cameras share one."""
-        return "cameras" in self.runner.processes
 
     def offer(self) -> None:
         """A frame of each camera, of now."""
@@ -69,12 +75,14 @@ class Cameras:
             self.sent[camera].append(stamp)
 
     @contextmanager
-    def streaming(self, rate_hz: float) -> Iterator[None]:
+    def streaming(self, rate_hz: float, burst: int = 1) -> Iterator[None]:
+        """`burst`: frames at once; the rate stays."""
         stopping = threading.Event()
 
         def stream() -> None:
-            while not stopping.wait(1.0 / rate_hz):
-                self.offer()
+            while not stopping.wait(burst / rate_hz):
+                for _ in range(burst):
+                    self.offer()
 
         thread = threading.Thread(target=stream)
         thread.start()
@@ -87,14 +95,26 @@ class Cameras:
     def count(self, camera: str, node: str, *keys: str) -> int:
         return sum(self.bystander.count(f"/{NAME}/{camera}/{node}", key) for key in keys)
 
+    def taken(self) -> bool:
+        """Every message has come to the doors and been looked at, or is counted as one that did not fit."""
+        return all(
+            self.count(camera, "capture", "received", "dropped.lost") == MESSAGES[camera] * len(sent)
+            and self.count(camera, "capture", "queue") == 0
+            for camera, sent in self.sent.items()
+        )
+
     def settled(self) -> bool:
         """Every frame that was sent has been finished or counted, and the nodes' diagnostics tell of it."""
         for camera, sent in self.sent.items():
             admitted = self.count(camera, "capture", "frames_out")
-            done = self.count(camera, "capture", "finished", "dropped.shed", "dropped.lost", "dropped.overload")
-            if done != len(sent) or any(self.count(camera, node, "frames_out") != admitted for node in WORKERS):
+            gone = len(sent) - self.count(camera, "capture", "finished", "dropped.shed", "noted.unfinished")
+            # What does not fit before the door is counted by messages: a frame may have lost one or all of them.
+            others = self.count(camera, "capture", "dropped") - self.count(camera, "capture", "dropped.shed")
+            if not 0 <= gone <= others or self.count(camera, "capture", "in_flight", "waiting"):
                 return False
-        return True
+            if any(self.count(camera, node, "frames_out") != admitted for node in WORKERS):
+                return False
+        return self.taken()
 
     def newest(self, camera: str, worker: str) -> int:
         """Stamp of the newest frame that a worker has finished."""
@@ -110,13 +130,17 @@ class Cameras:
         )
 
 
-@pytest.fixture(scope="module", params=["site", pytest.param("node", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module")
 def cameras(
     request: pytest.FixtureRequest, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Cameras]:
+    processes, finish_within = request.param
     folder = tmp_path_factory.mktemp("overload")
-    small = write_fusing_site(folder, recording=False, processes=request.param)
-    whole = describe(small.site, small.path, parameters={"capture": {"finish_within": FINISH_WITHIN_S}})
+    small = write_fusing_site(folder, recording=False, processes=processes)
+    waits = {"label_wait": finish_within / 3, "max_wait": max(60.0, finish_within)}
+    whole = describe(
+        small.site, small.path, parameters={"capture": {"finish_within": finish_within}, "topodepth": waits}
+    )
     labels = ["terrain", *(f"{camera}/{node}" for camera in CAMERAS for node in ("capture", *WORKERS))]
     runner = Runner(
         Graph(NAME, tuple(map(whole.node, labels))),
@@ -137,20 +161,27 @@ def cameras(
         yield Cameras(small, runner, bystander)
 
 
+@pytest.mark.parametrize("cameras", [SITE, NODE], indirect=True)
 def test_what_is_let_in_is_finished_everywhere(cameras: Cameras) -> None:
-    with cameras.streaming(RATE_HZ):
+    with cameras.streaming(RATE_HZ, BURST):  # more than can be done, also where the sender itself hardly gets on
         wait_for(
             lambda: (
                 len(cameras.sent["mast"]) >= FRAMES
                 and all(cameras.count(camera, "capture", "finished") > 5 for camera in CAMERAS)
+                and all(cameras.count(camera, "capture", "dropped.shed") > 0 for camera in CAMERAS)
             ),
-            "the frames to be sent, and some of each camera to be done: none starves",
+            "the frames to be sent, an overload, and some of each camera to be done all the same: none starves",
             lambda: cameras.bystander.summaries,
+            patience_s=DONE_S,
         )
-    wait_for(cameras.settled, "every frame to be finished or counted", lambda: cameras.bystander.summaries)
+    wait_for(cameras.taken, "all messages to be looked at", lambda: cameras.bystander.summaries, patience_s=DONE_S)
+    for _ in range(BURST):
+        cameras.offer()
+    wait_for(
+        cameras.settled, "every frame to be finished or counted", lambda: cameras.bystander.summaries, patience_s=DONE_S
+    )
     summaries = cameras.bystander.summaries
     for camera, sent in cameras.sent.items():
-        assert cameras.count(camera, "capture", "dropped.shed") > 0, "no overload"
         finished = cameras.count(camera, "capture", "finished")
         assert finished == cameras.count(camera, "capture", "frames_out") > 5
         assert cameras.count(camera, "capture", "in_flight", "waiting", "noted.unfinished") == 0
@@ -169,10 +200,9 @@ def test_what_is_let_in_is_finished_everywhere(cameras: Cameras) -> None:
     )
 
 
+@pytest.mark.parametrize("cameras", [SITE], indirect=True)
 def test_a_killed_process_is_back_with_all_its_cameras(cameras: Cameras) -> None:
     """All that came while it was away is lost, and what comes then is not."""
-    if not cameras.one_process:
-        pytest.skip("each node has a process of its own")
     process = cameras.runner.processes["cameras"]
     with cameras.streaming(RATE_HZ / 3):
         assert cameras.runner.kill("cameras")
@@ -183,9 +213,8 @@ def test_a_killed_process_is_back_with_all_its_cameras(cameras: Cameras) -> None
                 cameras.wait_for_newer(camera, node, later)
 
 
+@pytest.mark.parametrize("cameras", [NODE_THAT_HANGS], indirect=True)
 def test_a_killed_and_a_hung_node_hold_their_camera_up_for_so_long(cameras: Cameras) -> None:
-    if cameras.one_process:
-        pytest.skip("no node has a process of its own")
     runner = cameras.runner
     with cameras.streaming(RATE_HZ / 3):
         for worker in ("segmentation", "topodepth"):
@@ -202,7 +231,7 @@ def test_a_killed_and_a_hung_node_hold_their_camera_up_for_so_long(cameras: Came
         runner.kill("tower/topodepth", signal.SIGSTOP)
         try:
             stopped = time.time_ns()
-            cameras.wait_for_newer("tower", "fuel_votes", stopped + round(FINISH_WITHIN_S * 1e9))
+            cameras.wait_for_newer("tower", "fuel_votes", stopped + round(HUNG_AFTER_S * 1e9))
             wait_for(lambda: cameras.count("tower", "capture", "noted.unfinished") > unfinished, "word of lost frames")
         finally:
             runner.kill("tower/topodepth", signal.SIGCONT)

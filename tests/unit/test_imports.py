@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -150,6 +151,31 @@ print(*sys.modules, sep="\\n")
     heavy = ("numba", "scipy.spatial", "scipy.special", "scipy.ndimage", "scipy.interpolate", "rasterio", "onnxruntime")
     absent = {f"first.{name}" for name in heavy}
     assert not {name for name in loaded if within(name, absent)}
+
+
+def without_type_checking(tree: ast.Module) -> ast.Module:
+    """What runs: names for the type checker only are never imported."""
+
+    class Cut(ast.NodeTransformer):
+        def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:  # ast's name
+            return node.orelse if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
+
+    return ast.fix_missing_locations(Cut().visit(tree))
+
+
+def test_no_modules_import_each_other() -> None:
+    """Nor in a circle: imports inside functions, which hide one, count too."""
+    files = {name: path for top in ("ltm_core", "ltm_msgs_py", "ltm_ros") for name, path in modules(top).items()}
+    graph: dict[str, set[str]] = {}
+    for module, path in files.items():
+        source = ast.unparse(without_type_checking(ast.parse(path.read_text(encoding="utf-8"))))
+        names = set(imported(source, module.rpartition(".")[0])) & set(files)
+        # `from a.b import c` needs of a.b, where c is a module, no more than that it is a package.
+        graph[module] = {name for name in names if not any(other.startswith(f"{name}.") for other in names)}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
 
 
 def test_every_way_to_import_is_seen() -> None:

@@ -35,6 +35,7 @@ def test_there_and_back() -> None:
         ({"log_likelihood": [0.0] * 100}, "log_likelihood"),
         ({"log_likelihood": [1e9] * 101}, "log_likelihood"),
         ({"hfov_deg": 0.0}, "hfov_deg"),
+        ({"rotation_deg": [0.0, 1e300, 0.0]}, "rotation_deg"),  # of which a sine is no number
         ({"stamp_ns": -1}, "stamp_ns"),
         ({"camera": "south"}, "of camera 'south'"),
         ({"step_deg": 0.2}, "steps of 0.2 deg"),

@@ -354,3 +354,25 @@ def test_a_chunk_that_unfolds_to_gigabytes_is_left_out(
     tracemalloc.stop()
     assert any(re.search(complaint, note) for note in reader.damage), reader.damage
     assert peak < 200 << 20
+
+
+@pytest.mark.parametrize("chunking", [True, False], ids=["chunks", "no chunks"])
+@pytest.mark.parametrize(("log_time", "sent"), [(2**64 - 1, 30), (2**63, 30), (30, 2**63)])
+def test_messages_of_no_time_are_left_out(tmp_path: Path, chunking: bool, log_time: int, sent: int) -> None:
+    """MCAP's times go to the year 2554; one beyond ROS's ended a whole archive's run."""
+    path = tmp_path / "late.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunking)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/msg/String").encode())
+        channel = writer.register_channel("/text", "cdr", schema)
+        for time, published in ((10, 10), (log_time, sent), (20, 2**63 - 1)):
+            writer.add_message(channel, time, bytes(serialize_message(String(data="x"))), published)
+        writer.finish()
+    reader = BagReader(path)
+    assert [message.log_time_ns for message in reader.messages()] == [10, 20]
+    assert [message.log_time_ns for message in reader.messages()] == [10, 20]
+    (note,) = reader.damage
+    assert f"1 messages are of times up to {max(log_time, sent)} ns, later than {2**63 - 1} ns, and left out" in note
+    assert reader.end_ns is not None
+    assert reader.end_ns <= 2**63 - 1

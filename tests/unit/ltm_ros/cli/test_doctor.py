@@ -154,13 +154,23 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(other.state is Condition.OPTIONAL for other in others)
 
 
+def test_the_installed_tower_is_looked_at_where_there_is_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    installed, other = tmp_path / "site.yaml", tmp_path / "other.yaml"
+    monkeypatch.setattr(doctor, "INSTALLED_SITE", installed)
+    assert list(doctor.check_tower(None)) == []
+    for path in (installed, other):
+        path.write_text("nonsense: 1")
+    assert [one.remedy for one in doctor.check_tower(None)] == [f"ltm check {installed}"]
+    assert [one.remedy for one in doctor.check_tower(other)] == [f"ltm check {other}"]
+
+
 @pytest.mark.parametrize(("state", "status"), [(Condition.MISSING, 1), (Condition.WARNING, 0), (Condition.OPTIONAL, 0)])
 def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: Condition, status: int) -> None:
     findings = [
         Finding("machine", "cores", Condition.OK, "2"),
         Finding("ros", "rclpy", state, "[x] not found", "mend it"),
     ]
-    monkeypatch.setattr(doctor, "examine", lambda: findings)
+    monkeypatch.setattr(doctor, "examine", lambda _: findings)
     app = typer.Typer()
     app.command()(command)
     table = CliRunner().invoke(app)

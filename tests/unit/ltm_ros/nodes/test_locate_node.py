@@ -346,6 +346,37 @@ def test_a_stamp_of_tomorrow_is_refused(tmp_path: Path) -> None:
     assert running.kept.on(LOCATE_FUSED) == []
 
 
+def test_a_region_without_a_stamp_after_the_clock_was_set_back(tmp_path: Path) -> None:
+    """It is of the pose that was told last; one of the time before would be of the future, and end every track."""
+    running = Running(tmp_path)
+    seen, later = seen_by("north"), STAMP + 3 * 3600 * SECOND
+    other = seen_by("east")
+    running.pose(other)
+    running.send("east", LOCATE_REGION, region(other, STAMP))
+    running.pose(seen, later)
+    running.send("north", LOCATE_REGION, region(seen, 0))
+    assert running.health.dropped == {"future": 1}
+    running.pose(seen, STAMP + SECOND)
+    running.send("north", LOCATE_REGION, region(seen, 0))
+    assert running.health.dropped == {"future": 1}
+    (point,) = places(running)
+    assert (point["seen_by"], point["last_ns"]) == (["east", "north"], STAMP + SECOND)
+
+
+def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> None:
+    """Its mask would be made in that size: four gigabytes."""
+    mask = [{"class": "caption", "polygon": [[0, 0], [80, 0], [80, 30], [0, 30]]}]
+    running = Running(tmp_path, cameras={name: {"mask": mask} for name in TOWERS}, limits={"pixels": 3_000_000})
+    seen = seen_by("north")
+    running.pose(seen)
+    huge = camera_to_msg(replace(CAMERA, width=65_535, height=65_535), STAMP, "north_optical")
+    running.send("north", POSED_CAMERA_INFO, huge)
+    assert running.health.dropped == {"too_large": 1}
+    assert "65535 x 65535 pixels of north, at most 3000000 are taken" in running.health.last_error
+    running.send("north", LOCATE_REGION, region(seen, STAMP))
+    assert len(places(running)) == 1
+
+
 def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
     from ltm_core.site_io import load_site
 
