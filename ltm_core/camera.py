@@ -12,7 +12,8 @@ from ltm_core.errors import CameraError
 from ltm_core.kernel_launch import ONE_LAUNCH
 from ltm_core.types import Float32Array, Float64Array
 
-_MOST_PIXELS = 65_535  # a side: as many as a JPEG can have
+MOST_A_SIDE = 65_535
+"""Pixels: as many as a JPEG can have."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Camera:
             raise CameraError(f"camera intrinsics must be finite, got {values}")
         if max(map(abs, self.distortion)) > 1e15:  # beyond it the model's own terms overflow
             raise CameraError(f"distortion {self.distortion} is no lens's; it is (k1, k2, p1, p2, k3) of plumb_bob")
-        if not (1 <= self.width <= _MOST_PIXELS and 1 <= self.height <= _MOST_PIXELS):
-            raise CameraError(f"camera images have 1 to {_MOST_PIXELS} pixels a side, got {self.width} x {self.height}")
+        if not (1 <= self.width <= MOST_A_SIDE and 1 <= self.height <= MOST_A_SIDE):
+            raise CameraError(f"camera images have 1 to {MOST_A_SIDE} pixels a side, got {self.width} x {self.height}")
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"focal lengths must be positive pixels, got fx={self.fx}, fy={self.fy}")
 

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pyproj import Transformer
 from pyproj.exceptions import CRSError
 
-from ltm_core.camera import Camera
+from ltm_core.camera import MOST_A_SIDE, Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
@@ -95,8 +95,8 @@ class PartialCalibration(StrictModel):
 class CalibrationConfig(PartialCalibration):
     """A whole calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
 
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: int = Field(gt=0, le=MOST_A_SIDE)
+    height: int = Field(gt=0, le=MOST_A_SIDE)
 
     @model_validator(mode="after")
     def _one_focal_length(self) -> Self:

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ltm_core.errors import ImageError
+from ltm_core.errors import ConfigError, ImageError
 from ltm_core.site import Site
 from ltm_core.sun import sun_elevation
 from ltm_core.types import BoolArray, UInt8Array
@@ -94,6 +94,11 @@ class SceneFilter:
         longitude, latitude = (float(np.radians(angle)) for angle in site.frame.to_lonlat(0.0, 0.0))
         place = longitude, latitude
         size = None if calibration is None else (calibration.width, calibration.height)
+        if size is not None and size[0] * size[1] > site.limits.pixels:
+            raise ConfigError(
+                f"{where}.calibration: pictures of {size[0]} x {size[1]} pixels are larger than `limits: {{pixels: "
+                f"{site.limits.pixels}}}` allow; mend the calibration, or raise the limit"
+            )
         views = None
         if config.view_masks:
             made = {v: _maker(v.mask, f"{where}.view_masks.{v.name}")[0] for v in config.view_masks}

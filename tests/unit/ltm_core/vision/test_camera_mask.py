@@ -74,6 +74,20 @@ def test_polygons_of_a_camera_without_calibration_are_drawn_in_the_size_of_its_p
         assert hidden.sum() == 50
 
 
+def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
+    """Of a calibration that nobody would see the memory for."""
+    path = site_with(tmp_path, [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}])
+    content = yaml.safe_load(path.read_text())
+    content["cameras"]["mast"]["calibration"] |= {"width": 60_000, "height": 50_000}
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigError, match=r"cameras\.mast\.calibration: pictures of 60000 x 50000 .* raise the limit"):
+        SceneFilter.of(load_site(path), "mast")
+    content["cameras"]["mast"]["calibration"]["height"] = 10**29
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigError, match=r"calibration\.height: Input should be less than or equal to 65535"):
+        load_site(path)
+
+
 def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
     scene = SceneFilter.of(write_small_site(tmp_path, recording=False).site, "tower")
     assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None
