@@ -41,13 +41,14 @@ def read_landscape(path: Path) -> Landscape:
             )
         _check_units(source, path)
         check_size(source, path, source.height, source.width)
-        bands = source.read(list(range(1, len(LANDSCAPE_BANDS) + 1))).astype(np.int64)
-        own = source.nodata
         geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
-    unknown = np.isin(bands, _NODATA_VALUES) | (np.abs(bands) > 32767)
-    if own is not None:
-        unknown |= bands == own
-    bands = np.where(unknown, NODATA, bands).astype(np.int16)
+        bands = np.empty((len(LANDSCAPE_BANDS), source.height, source.width), np.int16)
+        for number, band in enumerate(bands, start=1):  # one after the other: whole numbers need room
+            values = source.read(number).astype(np.int64)
+            unknown = np.isin(values, _NODATA_VALUES) | (np.abs(values) > 32767)
+            if source.nodata is not None:
+                unknown |= values == source.nodata
+            band[:] = np.where(unknown, NODATA, values)
     return Landscape(bands, geometry, system_of_codes(bands[LANDSCAPE_BANDS.index("fuel")]))
 
 

@@ -87,6 +87,8 @@ def _spoil_bag(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
 
 
 def _chunk(rng: random.Random, body: bytes) -> bytes:
+    if len(body) < 32:  # its length has been spoiled itself
+        return spoil_bytes(rng, body, [body])
     start, end, size, _crc, name_length = struct.unpack_from("<QQQII", body)
     compression = body[32 : 32 + name_length]
     packed = body[32 + name_length + 8 :]

@@ -86,5 +86,9 @@ def serve(connection: Connection, name: str, folder: Path) -> None:
             order: int | Path = connection.recv()
         except EOFError:
             return
-        data = order.read_bytes() if isinstance(order, Path) else target.case(order, seeds)
+        try:
+            data = order.read_bytes() if isinstance(order, Path) else target.case(order, seeds)
+        except Exception:
+            connection.send(Answer("this case could not be made:\n" + traceback.format_exc()))
+            continue
         connection.send(_measured(folder, target.read, file, data))
