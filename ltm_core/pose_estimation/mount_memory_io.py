@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -21,10 +22,15 @@ from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.site import Site
 from ltm_core.strict_model import StrictModel
 from ltm_core.text_io import read_text
+from ltm_core.types import Float64Array
 
 _LAYOUT = 1
 _LARGEST = 64 << 10
+_ROUNDING = 1e-6
+"""Of a covariance's greatest eigenvalue: by which it may be none."""
 _Three = tuple[float, float, float]
+_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
+"""Radians."""
 
 
 class _Memory(StrictModel):
@@ -33,9 +39,9 @@ class _Memory(StrictModel):
     """What it holds for (`mount_terms`)."""
     state: MountState
     reason: str = Field(max_length=2000)
-    rotation: _Three
+    rotation: tuple[_Angle, _Angle, _Angle]
     angles: tuple[_Three, _Three, _Three] | None
-    tilt_zero: float = 0.0
+    tilt_zero: _Angle = 0.0
     tilt_covariance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -98,6 +104,17 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
+    if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
+        raise StoreError(f"{path}: its angles and tilt_covariance are no covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
     watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True
+
+
+def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
+    """Nobody's slip would ever be seen against sigmas that are no numbers."""
+    joint = np.empty((4, 4))
+    joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
+    values = np.linalg.eigvalsh((joint + joint.T) / 2)
+    slack = _ROUNDING * values[-1]
+    return bool(values[0] >= -slack and np.abs(joint - joint.T).max() <= slack)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
+from ltm_core.errors import StoreError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.mount_memory_io import memory_file, recall_memory, write_memory
@@ -101,3 +102,24 @@ def test_a_restart_keeps_it_and_reads_files_from_before_it(tmp_path: Path) -> No
     assert again.correction.tilt_zero == 0.0
     assert not again.correction.tilt_covariance.any()
     np.testing.assert_array_equal(again.correction.rotation, LEAN)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"rotation": [1e300, 0.0, 0.0]},
+        {"angles": [[-1e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 1e-6]]},
+        {"angles": [[1e-6, 1e-6, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 1e-6]]},
+        {"tilt_covariance": [1e-3, 0.0, 0.0, 1e-6]},
+        {"tilt_zero": 1e9},
+    ],
+)
+def test_a_damaged_file_is_not_taken(tmp_path: Path, damage: dict[str, object]) -> None:
+    kept, path = MountWatch(terrain(), CONFIG), memory_file(tmp_path, "mast")
+    kept.recall(MountState.HELD, PoseCorrection(LEAN, np.eye(3) * 1e-6), "4 pictures agree")
+    write_memory(path, kept, "terms")
+    path.write_text(json.dumps(json.loads(path.read_text()) | damage))
+    again = MountWatch(terrain(), CONFIG)
+    with pytest.raises(StoreError, match=r"mount_mast\.json: .*; remove it"):
+        recall_memory(path, again, "terms")
+    assert again.state is MountState.STATED
