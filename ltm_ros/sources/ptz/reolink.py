@@ -43,11 +43,10 @@ class ReolinkHead:
 
     def read(self) -> Reading:
         channel = self._config.channel
-        said = self._ask("GetPtzCurPos", {"PtzCurPos": {"channel": channel}}).get("PtzCurPos") or {}
+        said = _part(self._ask("GetPtzCurPos", {"PtzCurPos": {"channel": channel}}), "PtzCurPos")
         at = time.monotonic()
-        zoom = ((self._ask("GetZoomFocus", {"channel": channel}).get("ZoomFocus") or {}).get("zoom") or {}).get(
-            "pos", 0
-        )
+        focus = _part(self._ask("GetZoomFocus", {"channel": channel}), "ZoomFocus")
+        zoom = _part(focus, "zoom").get("pos", 0)
         pan, tilt = (number(str(said.get(key)), key) for key in ("Ppos", "Tpos"))
         return Reading(
             pan / self._config.pan_steps_per_deg,
@@ -90,7 +89,7 @@ class ReolinkHead:
         password = self._login.password.reveal() if self._login.password is not None else ""
         user = {"User": {"userName": self._login.user or "", "password": password}}
         code, value = self._send("Login", user, "")
-        token = value.get("Token") or {}
+        token = _part(value, "Token")
         if code or not token.get("name"):
             raise UnauthorisedError(f"the camera refuses the user {self._login.user} (code {code}): mend the password")
         self._token = str(token["name"])
@@ -112,3 +111,11 @@ class ReolinkHead:
         if not isinstance(value, dict):
             raise SourceError(f"the camera answers {command} in no form that is known")
         return code, value
+
+
+def _part(answer: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """What an answer holds by that name, nothing where it has none. Raises SourceError where it is no such thing."""
+    part = answer.get(key) or {}
+    if not isinstance(part, dict):
+        raise SourceError(f"the camera answers {key} in no form that is known ({str(part)[:80]!r})")
+    return part

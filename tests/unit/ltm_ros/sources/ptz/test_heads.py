@@ -183,6 +183,8 @@ BOMB = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><x>&b;</x
         (b"pan=NaN\r\ntilt=1\r\nzoom=1", 200),
         (BOMB, 200),
         (b'[{"cmd":"x","code":0,"value":[1]}]', 200),
+        (b'[{"cmd":"x","code":0,"value":{"Token":[{"name":"north"}]}}]', 200),
+        (b'[{"cmd":"x","code":0,"value":{"Token":{"name":"a"},"PtzCurPos":{"Ppos":1,"Tpos":2},"ZoomFocus":[3]}}]', 200),
         (b"[" * 5000, 200),
         (b"no", 404),
         (b"no", 500),
