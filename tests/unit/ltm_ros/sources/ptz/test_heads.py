@@ -189,7 +189,7 @@ BOMB = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><x>&b;</x
         (b"no", 404),
         (b"no", 500),
     ],
-    ids=["page", "empty", "bytes", "nan", "bomb", "list", "deep", "404", "500"],
+    ids=["page", "empty", "bytes", "nan", "bomb", "list", "token", "zoom", "deep", "404", "500"],
 )
 def test_what_is_no_answer_is_told_as_such(turning: Turning, kind: str, body: bytes, status: int) -> None:
     _, camera = turning
