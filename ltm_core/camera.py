@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -92,6 +92,10 @@ class Camera:
             (self.cy + 0.5) * down - 0.5,
             self.distortion,
         )
+
+    def zoomed(self, factor: float) -> Camera:
+        """The camera with `factor` times the focal length."""
+        return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 
     def rays(self) -> Float64Array:
         """Unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.

@@ -17,18 +17,25 @@ _ABOUT: Final = np.ones((3, 3), np.uint8)
 
 
 def supported_changes(
-    wanted: UInt8Array, log_odds: Float64Array, company: UInt8Array | None, rules: FusionRules
+    wanted: UInt8Array,
+    log_odds: Float64Array,
+    company: UInt8Array | None,
+    rules: FusionRules,
+    leaning: UInt8Array | None = None,
 ) -> BoolArray:
     """(H, W): the cells of `wanted` whose change is to be reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region, and plants change by
     regions. So a cell that looks changed counts where sure cells of the same change about it have log odds of
     `rules.support` or more together, and so do those that hang together with it within `rules.grow_cells`: a sure
-    region is reported as far as it goes, an unsure one not at all (hysteresis: Canny, IEEE PAMI 8, 1986).
+    region is reported as far as it goes, an unsure one not at all (hysteresis: Canny, IEEE PAMI 8, 1986). A cell that
+    only leans to what most of those about it have become is reported with them: stands that the network mislabels are
+    holes in what has changed.
 
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
     likelier than any other. `company`: life forms of cells that have changed for other reasons than looks, 0 none:
-    `rules.min_cells` of them are support enough.
+    `rules.min_cells` of them are support enough. `leaning`: life forms that cells look like rather than any other, be
+    it ever so little, 0 none.
     """
     kept = np.zeros(wanted.shape, np.bool_)
     for form in np.unique(wanted[wanted > 0]):
@@ -43,14 +50,25 @@ def supported_changes(
         region = members & (total >= np.floor(rules.support * _UNIT))
         for _ in range(rules.grow_cells):
             region = members & (cv2.dilate(region.astype(np.uint8), _ABOUT) > 0)
-        kept |= region & _large(members, rules.min_cells)
+        region &= _large(members, rules.min_cells)
+        if leaning is not None:
+            region = _filled(region, leaning == form, rules)
+        kept |= region
     return kept
+
+
+def _filled(region: BoolArray, leaning: BoolArray, rules: FusionRules) -> BoolArray:
+    """(H, W): with cells of `leaning` that have so many of `region` about them."""
+    for _ in range(rules.fill_rounds):
+        about = cv2.boxFilter(region.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        region = region | (leaning & (about >= rules.fill_cells))
+    return region
 
 
 def reach_of(rules: FusionRules) -> int:
     """Cells out to which others have a say in whether the change of a cell is reported."""
     support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
-    return max(support, rules.min_cells - 1)
+    return max(support, rules.min_cells - 1) + rules.fill_rounds
 
 
 def _large(members: BoolArray, least: int) -> BoolArray:

@@ -70,7 +70,7 @@ class _Judged:
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
     for. `fresh`, `regrown`: burned, and not or already grown over. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
     index of the strongest other form. `log_odds` (N,): by how much looks make that likelier than any other form.
-    `wants`: to change into it.
+    `wants`: to change into it. `leans`: would with others about it.
     """
 
     codes: Int16Array
@@ -84,6 +84,7 @@ class _Judged:
     log_odds: Float64Array
     p_max: Float64Array
     wants: BoolArray
+    leans: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +147,12 @@ class ChangeDecision:
         )
         if touched.any():
             judged = self._judge(codes[touched], cells, now_s)
-            wanted, log_odds = np.zeros(codes.shape, np.uint8), np.zeros(codes.shape)
+            wanted, leaning = np.zeros(codes.shape, np.uint8), np.zeros(codes.shape, np.uint8)
+            log_odds = np.zeros(codes.shape)
             wanted[touched] = np.where(judged.wants, judged.challenger + 1, 0)
+            leaning[touched] = np.where(judged.leans, judged.challenger + 1, 0)
             log_odds[touched] = judged.log_odds
-            changes = supported_changes(wanted, log_odds, company, self._rules)[touched]
+            changes = supported_changes(wanted, log_odds, company, self._rules, leaning)[touched]
             decided = self._settle(judged, changes, cells, now_s)
             layers.code[touched] = decided.code
             layers.life_form[touched] = decided.form + 1
@@ -184,11 +187,16 @@ class ChangeDecision:
         others = cells.log_likelihood.copy()
         others[here] = -np.inf
         log_odds = cells.log_likelihood[here] - others.max(axis=1)
-        enough = (cells.evidence[here] >= rules.min_evidence) & (log_odds >= np.log(rules.odds))
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
-        wants = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
+        shown = cells.evidence[here] >= rules.min_evidence
+        lasts = apart | (cells.cameras[here] > 1)
+        # How lasting it is, those about it show.
+        leans = has_prior & ~masked & (cells.evidence[here] >= rules.fill_evidence) & (log_odds >= 0)
+        wants = has_prior & ~masked & shown & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
         fresh = burned & ~regrown
-        return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, log_odds, p_max, wants)
+        return _Judged(
+            codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, log_odds, p_max, wants, leans
+        )
 
     def _settle(self, judged: _Judged, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
         """What cells become, those of `changes` (N,) their challenger."""

@@ -67,6 +67,14 @@ class FusionRules(StrictModel):
     """To each side, how far about a cell sure ones support it: of 30 m cells, a square of 270 m."""
     grow_cells: int = Field(6, ge=0, le=32)
     """Steps by which a region that is supported is reported beyond, over cells that hang together with it."""
+    fill_cells: int = Field(5, ge=4, le=8)
+    """Of the eight cells about one, how many must be reported before it is reported with them, though its own looks are
+    less sure than a change asks for, if only they make that form likelier than any other. Three are a straight edge's.
+    """
+    fill_evidence: float = Field(1.0, gt=0)
+    """For that form;"""
+    fill_rounds: int = Field(2, ge=0, le=8)
+    """how often that is done; 0: never."""
     min_cells: int = Field(3, ge=1, le=100)
     """Minimum mapping unit: a connected region that changes into one life form counts from so many cells on (of 30 m:
     0.27 ha)."""

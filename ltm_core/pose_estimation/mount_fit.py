@@ -1,8 +1,9 @@
 """One correction for several pictures of one mount: presets of a pan-tilt-zoom head, or days of a fixed camera.
 
 A picture's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
-mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place.
-Single pictures propose corrections; that which explains all pictures best is refined over all of them at once.
+mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
+where it is free, a factor of the focal length. Single pictures propose corrections; that which explains all pictures
+best is refined over all of them at once.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
@@ -21,7 +23,7 @@ from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseC
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
 from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
 from ltm_core.types import Float64Array
@@ -31,8 +33,9 @@ _SURE = 3.0
 """Sigmas by which a tilt zero must be shown."""
 _PROPOSALS = 3
 """Hypotheses of each picture that are tried on all."""
-_STARTS, _APART = 6, math.radians(0.25)
-"""Corrections that are refined, at least so far apart in azimuth: far ranges are like saws, with a best fit a tooth."""
+_STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
+"""Corrections that are refined, at least so far apart in azimuth (far ranges are like saws, with a best fit a tooth) or
+in the logarithm of the focal length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,7 @@ class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
     else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by what is stated.
+    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held.
     """
 
     rotation: Float64Array
@@ -52,6 +56,8 @@ class MountFit:
     reason: str
     gap: float
     cost: float
+    focal: float = 1.0
+    focal_sigma: float = 0.0
 
     def pose_covariance(self, picture: int) -> Float64Array:
         """(6, 6) of a picture's pose, as in `pose_covariance`."""
@@ -67,17 +73,23 @@ class _Picture:
     search: PictureSearch
     ridges: ContourDirections
 
+    def camera(self, log_focal: float) -> Camera:
+        """With a focal length by so much another, in the logarithm."""
+        return self.search.evidence.camera.zoomed(math.exp(log_focal))
+
 
 def fit_mount(
     priors: Sequence[PosePrior],
     searches: Sequence[PictureSearch],
     config: PicturePoseConfig = PicturePoseConfig(),
     tilt_zero_sigma_deg: float = TILT_ZERO_SIGMA_DEG,
+    focal_sigma: float = 0.0,
 ) -> MountFit:
     """Fit one correction to the pictures of `searches`, each searched from its own of `priors`.
 
     The sigmas of the first prior are those of the mount; of its azimuth about the vertical, of pitch and roll about the
-    level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. Raises PoseError without pictures.
+    level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. `focal_sigma`: of the focal length, relative,
+    which was free in the searches, too; 0 holds it. Raises PoseError without pictures.
     """
     if not priors or len(priors) != len(searches):
         raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
@@ -85,11 +97,11 @@ def fit_mount(
         _Picture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)
     ]
-    sigma = _sigmas(priors[0], tilt_zero_sigma_deg)
+    sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
     starts = _proposals(pictures)
     if not starts:
         return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
-    costs = np.array([_cost(pictures, np.array([0.0, 0.0, 0.0, *w, 0.0]), sigma, config) for w in starts])
+    costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
     order = np.argsort(costs)
     fits = []
     for k in _apart([starts[j] for j in order]):
@@ -113,9 +125,9 @@ def fit_mount(
     mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, agreement, v)
     shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
     covariance = fits[0][2] + spread
-    found = tuple(_posed(p.prior.pose, w, tilt, shift) for p in pictures)
+    found = tuple(_posed(p.prior.pose, mean) for p in pictures)
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
-    support, veiled = _seen(pictures, found, config)
+    support, veiled = _seen(pictures, mean, config)
     away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
@@ -128,7 +140,9 @@ def fit_mount(
     elif away.max() > v.contradiction:
         word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
-    return MountFit(w, tilt, shift, covariance, poses, found, word, reason, gap, _cost(pictures, mean, sigma, config))
+    cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
+    of_mount = covariance[:7, :7]
+    return MountFit(w, tilt, shift, of_mount, poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off)
 
 
 def fit_head(
@@ -163,43 +177,51 @@ def fit_head(
 
 def _stated(pictures: list[_Picture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
     poses = tuple(p.prior.pose for p in pictures)
-    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma**2), poses, poses, word, reason, 0.0, math.inf)
+    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma[:7] ** 2), poses, poses, word, reason, 0.0, math.inf)
 
 
-def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float) -> Float64Array:
-    """(7,): x, y, z; rotations about them; tilt zero."""
+def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) -> Float64Array:
+    """(8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
     level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
     turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
-    return np.concatenate([prior.sigmas[:3], turns])
+    return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
 
 
-def _posed(pose: Pose, w: Float64Array, tilt: float, shift: Float64Array) -> Pose:
-    up = matrix_of_vector([tilt, 0.0, 0.0])
-    return turned(Pose(pose.position, pose.rotation @ up), w, shift)
+def _posed(pose: Pose, state: Float64Array) -> Pose:
+    """With a state (8,), as in `_cost`."""
+    up = matrix_of_vector([state[6], 0.0, 0.0])
+    return turned(Pose(pose.position, pose.rotation @ up), state[3:6], state[:3])
 
 
 def _proposals(pictures: list[_Picture]) -> list[Float64Array]:
-    found = [np.zeros(3)]
+    """States (8,), as in `_cost`."""
+    found = [np.zeros(8)]
     for picture in pictures:
         for hypothesis in picture.search.hypotheses[:_PROPOSALS]:
-            turn = hypothesis.refined.pose.rotation @ picture.prior.pose.rotation.T
-            found.append(vector_of_matrix(turn))
+            refined = hypothesis.refined
+            turn = vector_of_matrix(refined.pose.rotation @ picture.prior.pose.rotation.T)
+            focal = math.log(refined.camera.fx / picture.search.evidence.camera.fx)
+            found.append(np.array([0.0, 0.0, 0.0, *turn, 0.0, focal]))
     return found if len(found) > 1 else []
 
 
-def _apart(turns: list[Float64Array]) -> list[int]:
-    """Of corrections from the best down, the first few that differ in azimuth."""
+def _apart(states: list[Float64Array]) -> list[int]:
+    """Of corrections from the best down, the first few that differ in azimuth or focal length."""
     kept: list[int] = []
-    for k, turn in enumerate(turns):
+    for k, state in enumerate(states):
         if len(kept) == _STARTS:
             break
-        if all(abs(nearest_vector(turn, turns[j])[2] - turns[j][2]) > _APART for j in kept):
+        if all(
+            abs(nearest_vector(state[3:6], states[j][3:6])[2] - states[j][5]) > _APART
+            or abs(state[7] - states[j][7]) > _FOCAL_APART
+            for j in kept
+        ):
             kept.append(k)
     return kept
 
 
 def _deviation(state: Float64Array) -> Float64Array:
-    """(7,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the vertical
+    """(8,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the vertical
     about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
     """
     tipped = matrix_of_vector(state[3:6])[:, 2]
@@ -207,25 +229,27 @@ def _deviation(state: Float64Array) -> Float64Array:
 
 
 def _cost(pictures: list[_Picture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
-    """Of a state (7,): shift, rotation, tilt zero."""
+    """Of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
     away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
-        pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
+        pose, camera = _posed(p.prior.pose, state), p.camera(float(state[7]))
         evidence, horizon = p.search.evidence, p.search.horizon
-        cost = skyline_cost(pose, evidence.camera, evidence, horizon, config)[0]
-        z = ridge_strength(pose, p.ridges, horizon.step, evidence.camera, evidence.edges)
+        cost = skyline_cost(pose, camera, evidence, horizon, config)[0]
+        z = ridge_strength(pose, p.ridges, horizon.step, camera, evidence.edges)
         cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
         total += cost / _alike(p, pictures)
     return total
 
 
-def _seen(pictures: list[_Picture], poses: Sequence[Pose], config: PicturePoseConfig) -> tuple[float, float]:
+def _seen(pictures: list[_Picture], state: Float64Array, config: PicturePoseConfig) -> tuple[float, float]:
     """Of pictures that have a skyline: the share of it that lies on the terrain's, that which plants may hide; each the
     median."""
     shares = [
-        skyline_cost(pose, p.search.evidence.camera, p.search.evidence, p.search.horizon, config)[1:]
-        for p, pose in zip(pictures, poses, strict=True)
+        skyline_cost(
+            _posed(p.prior.pose, state), p.camera(float(state[7])), p.search.evidence, p.search.horizon, config
+        )[1:]
+        for p in pictures
         if p.search.evidence.skyline is not None
     ]
     support, veiled = np.median(np.array(shares), axis=0) if shares else (1.0, 0.0)
@@ -242,28 +266,29 @@ def _gap_asked(pictures: list[_Picture], veiled: float, config: VerdictConfig) -
 
 
 def _refined(
-    pictures: list[_Picture], w: Float64Array, sigma: Float64Array, config: PicturePoseConfig
+    pictures: list[_Picture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """The state (7,) as in `_cost` and its covariance."""
-    state = np.concatenate([np.zeros(3), w, [0.0]])
+    """The state (8,) as in `_cost` and its covariance."""
     free = np.flatnonzero(sigma > 0)
-    covariance = np.zeros((7, 7))
+    state = np.where(sigma > 0, start, 0.0)
+    state[3:6] = start[3:6]
+    covariance = np.zeros((8, 8))
     for k, (search, wide) in enumerate((*ROUNDS, ROUNDS[-1])):
         last = k == len(ROUNDS)
-        normal, gradient = np.zeros((7, 7)), np.zeros(7)
+        normal, gradient = np.zeros((8, 8)), np.zeros(8)
         for p in pictures:
-            pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
-            camera = p.search.evidence.camera
+            pose, camera = _posed(p.prior.pose, state), p.camera(float(state[7]))
             around = p.ridges.in_view(pose, camera, config.contours.most_points)
             n, g = picture_system(
                 pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
             )
-            shared = np.zeros((6, 7))
-            shared[:, :6] = np.eye(6)
-            shared[3:, 6] = pose.rotation[:, 0]
+            shared = np.zeros((7, 8))
+            shared[:6, :6] = np.eye(6)
+            shared[3:6, 6] = pose.rotation[:, 0]
+            shared[6, 7] = 1.0
             alone = 1.0 / _alike(p, pictures)
-            normal += alone * (shared.T @ n[:6, :6] @ shared)
-            gradient += alone * (shared.T @ g[:6])
+            normal += alone * (shared.T @ n @ shared)
+            gradient += alone * (shared.T @ g)
         inverse = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
         normal += np.diag(inverse)
         gradient += inverse * _deviation(state)
@@ -271,8 +296,9 @@ def _refined(
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
         else:
-            step = np.zeros(7)
+            step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
+            step[7] = min(max(step[7], -MOST_FOCAL_STEP), MOST_FOCAL_STEP)
             turn = matrix_of_vector(-step[3:6]) @ matrix_of_vector(state[3:6])
             state -= step
             # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.

@@ -240,7 +240,7 @@ class _Adjustment:
         for k, camera in enumerate(self._cameras):
             factor = math.exp(whole[7 + k])
             mine = self._zoom_of == k
-            zoomed = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+            zoomed = camera.zoomed(factor)
             residuals[mine] = self._points.pixels[mine] - zoomed.project(seen[mine])
         return np.nan_to_num(residuals, nan=2.0 * self._lens.width)
 

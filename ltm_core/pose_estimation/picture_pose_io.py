@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +110,7 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
         return PoseResult(prior.pose, camera, prior.covariance, False)
     found = search.hypotheses[0].refined
     factor = found.camera.fx / search.evidence.camera.fx
-    lens = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    lens = camera.zoomed(factor)
     return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
 
 

@@ -120,7 +120,7 @@ def _search_skyline(
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
     for factor in focal_candidates(focal_sigma):
-        camera = replace(evidence.camera, fx=evidence.camera.fx * factor, fy=evidence.camera.fy * factor)
+        camera = evidence.camera.zoomed(factor)
         costs = search_azimuths(
             skyline,
             camera,

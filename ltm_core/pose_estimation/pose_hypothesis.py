@@ -46,7 +46,7 @@ def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: V
     merged = replace(
         refined,
         pose=turned(refined.pose, mean[3:6], mean[:3]),
-        camera=replace(refined.camera, fx=refined.camera.fx * factor, fy=refined.camera.fy * factor),
+        camera=refined.camera.zoomed(factor),
         covariance=refined.covariance + spread,
     )
     return [replace(best, refined=merged, about=refined.pose), *hypotheses[1:]]

@@ -7,7 +7,7 @@ the logarithm of the focal length. The prior pose takes part with its sigmas. We
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from ltm_core.types import Float64Array
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
+MOST_FOCAL_STEP = 0.05
+"""Of the focal length's logarithm, in one round."""
 _TELLING = 0.02
 """Radians: columns of a larger sigma do not support a pose."""
 
@@ -64,10 +66,10 @@ def refine(
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
         step[3:6] *= min(1.0, math.radians(3.0) / max(float(np.linalg.norm(step[3:6])), 1e-12))
-        step[6] = min(max(step[6], -0.05), 0.05)
+        step[6] = min(max(step[6], -MOST_FOCAL_STEP), MOST_FOCAL_STEP)
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
-        camera = replace(camera, fx=camera.fx * math.exp(step[6]), fy=camera.fy * math.exp(step[6]))
+        camera = camera.zoomed(math.exp(step[6]))
     normal, gradient = picture_system(
         pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True
     )

@@ -115,7 +115,7 @@ def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter,
     for name in free:
         if name == "focal":
             factor = float(np.exp(np.clip(rest.pop(0), -5, 5)))
-            camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+            camera = camera.zoomed(factor)
         elif name == "k1":
             camera = replace(camera, distortion=(camera.distortion[0] + float(rest.pop(0)), *camera.distortion[1:]))
         else:

@@ -9,7 +9,6 @@ spite of gross errors, after the idea of RANSAC (Fischler and Bolles 1981).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import cv2
@@ -54,7 +53,7 @@ def coarse_poses(
 
     candidates: list[tuple[float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS if focal_free else (1.0,):
-        scaled = replace(camera, fx=camera.fx * float(factor), fy=camera.fy * float(factor))
+        scaled = camera.zoomed(float(factor))
         rays = pixel_rays(scaled, points.pixels)
         rotations = _bases(sights[first], sights[second]) @ np.swapaxes(_bases(rays[first], rays[second]), 1, 2)
         costs = _costs(scaled, rotations, sights, points.pixels, limit)
@@ -82,7 +81,7 @@ def _poses_from_triples(
     triples = _triples(points, float(np.hypot(camera.width, camera.height)))
     candidates: list[tuple[float, float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS[::2] if focal_free else (1.0,):
-        scaled = replace(camera, fx=camera.fx * float(factor), fy=camera.fy * float(factor))
+        scaled = camera.zoomed(float(factor))
         rays = pixel_rays(scaled, points.pixels)
         poses = [pose for triple in triples for pose in _three_point_poses(points.places[triple], rays[triple])]
         if not poses:

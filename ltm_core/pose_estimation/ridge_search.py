@@ -78,7 +78,7 @@ def search_ridges(
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(focal_sigma):
-        lens = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+        lens = camera.zoomed(factor)
         scores = contour_scores(rotations_of(grid), few, lens, coarse)
         scores = scores - _prior_cost(grid, prior)
         first = grid[np.argsort(-scores)[: 16 * _KEPT]]

@@ -81,7 +81,7 @@ def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOpti
     segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)
     scene = SceneFilter() if options.mask is None else SceneFilter.of_png(options.mask, "--mask")
     found = [_find(file, guess, dem, segmenter, scene, options, config) for file, guess in guesses.items()]
-    return _as_one_mount(found, config) if options.mount else found
+    return _as_one_mount(found, config, options) if options.mount else found
 
 
 def _find(
@@ -122,16 +122,18 @@ def _find(
     return FoundPhoto(file.name, guess, setup, photo, search, result, verdict.word, verdict.reason, spent)
 
 
-def _as_one_mount(found: list[FoundPhoto], config: Any) -> list[FoundPhoto]:
+def _as_one_mount(found: list[FoundPhoto], config: Any, options: PhotoOptions) -> list[FoundPhoto]:
     from ltm_core.pose_estimation.mount_fit import fit_mount
     from ltm_core.pose_estimation.picture_pose_io import PoseResult
 
-    fit = fit_mount([f.setup.prior for f in found], [f.search for f in found], config)
+    focal = FOCAL_SIGMA if "focal" in options.free else 0.0
+    fit = fit_mount([f.setup.prior for f in found], [f.search for f in found], config, focal_sigma=focal)
     accepted = fit.word == "accepted"
     results = []
     for k, f in enumerate(found):
         covariance = fit.pose_covariance(k) if accepted else f.setup.prior.covariance
-        result = PoseResult(fit.poses[k], f.setup.camera, covariance, accepted)
+        camera = f.setup.camera.zoomed(fit.focal) if accepted else f.setup.camera
+        result = PoseResult(fit.poses[k], camera, covariance, accepted)
         results.append(replace(f, result=result, word=fit.word, reason=fit.reason))
     return results
 

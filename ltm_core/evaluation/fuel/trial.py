@@ -104,7 +104,10 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
     covariance = np.diag([0.0, 0.0, 0.0, sigma**2, sigma**2, sigma**2]) if sigma else None
     lasting = rng.normal(0, each / np.sqrt(2), (len(views), 3))
     network = _Network(world, trial, errors, rng)
-    pictures = TrialPictures(world, tracer.bend, np.random.default_rng([seed, 78])) if trial.refined else None
+    pictures = None
+    if trial.refined:
+        places = list(dict.fromkeys(position for _, position, _, _ in views))
+        pictures = TrialPictures(world, tracer.bend, np.random.default_rng([seed, 78]), places)
     for hour in trial.hours:
         for view, (name, position, azimuth, pitch) in enumerate(views):
             passing = rng.normal(0, each / np.sqrt(2), 3)

@@ -7,6 +7,7 @@ higher than it says, by plants whose heights differ from cell to cell. The searc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import cv2
@@ -44,19 +45,26 @@ _GRAIN = 3.0
 _DEM_ERROR, _DEM_ERROR_CELLS = 0.7, 3.0
 """Metres, standard deviation, and the cells over which it is alike."""
 _CLEARING = 40.0
-"""Metres about a mast without plants."""
+"""Metres about a camera without plants: a low one among trees would stand in one."""
 
 
 class TrialPictures:
-    """Draws what a camera at a true pose sees of `world`, and finds its pose in that."""
+    """Draws what a camera at a true pose sees of `world`, and finds its pose in that. `cameras`: their places, about
+    which nothing stands."""
 
-    def __init__(self, world: World, bend: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        world: World,
+        bend: float,
+        rng: np.random.Generator,
+        cameras: Sequence[tuple[float, float, float]],
+    ) -> None:
         self._fine, self._rng, self._config = world.fine, rng, PicturePoseConfig()
         self._terrain = Terrain(world.dem, bend, NOTHING_BEYOND)
         cell = world.geometry.resolution / SUBCELLS
         rows, cols = world.fine.shape
         self._cells = GridGeometry(world.geometry.x_min, world.geometry.y_max, cell, cols, rows)
-        self._surface = self._with_plants(world)
+        self._surface = self._with_plants(world, cameras)
         self._tracer = TerrainTracer(self._surface, possible=NOTHING_BEYOND)
 
     def refined(self, believed: Pose, true: Pose, sigma_deg: float, land: UInt8Array) -> tuple[Pose, Float64Array]:
@@ -71,7 +79,7 @@ class TrialPictures:
         found = result_of(search, prior, CAMERA)
         return found.pose, found.covariance
 
-    def _with_plants(self, world: World) -> Dem:
+    def _with_plants(self, world: World, cameras: Sequence[tuple[float, float, float]]) -> Dem:
         """The DEM with its error and what stands on it, on its own cells."""
         dem = world.dem
         error = ndimage.gaussian_filter(self._rng.standard_normal(dem.elevation.shape), _DEM_ERROR_CELLS)
@@ -79,8 +87,8 @@ class TrialPictures:
         row, col = self._cells.cell_of(x, y)
         inside = self._cells.contains(row, col)
         forms = np.where(inside, self._fine[np.where(inside, row, 0), np.where(inside, col, 0)], LifeForm.BARE)
-        for tower in world.towers:
-            forms[np.hypot(x - tower[0], y - tower[1]) < _CLEARING] = LifeForm.BARE
+        for camera in cameras:
+            forms[np.hypot(x - camera[0], y - camera[1]) < _CLEARING] = LifeForm.BARE
         height = self._rng.standard_normal(forms.shape)
         for form, (mean, sigma) in _PLANTS.items():
             height = np.where(forms == form, np.maximum(mean + sigma * height, 0.0), height)

@@ -121,7 +121,7 @@ def run_real_trials(
         best = search.hypotheses[0].refined if search.hypotheses else None
         pose = start if best is None else best.pose
         factor = 1.0 if best is None else best.camera.fx / evidence.camera.fx
-        lens = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+        lens = camera.zoomed(factor)
         error = np.degrees(angles_between(true, pose))
         ground = _ground_errors(real.points, pose, lens, tracer)
         trials.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,12 +20,15 @@ _ENCODER_DEG = 0.03
 
 @dataclass(frozen=True)
 class MountTrial:
-    """Of one head: `verdict`, and of each picture the errors (3) of azimuth, pitch and roll, degrees, and in sigmas."""
+    """Of one head: `verdict`, and of each picture the errors (3) of azimuth, pitch and roll, degrees, and in sigmas;
+    `focal`: the focal length found over the true one.
+    """
 
     head: str
     verdict: str
     errors: tuple[tuple[float, ...], ...]
     z: tuple[tuple[float, ...], ...]
+    focal: float = 1.0
 
 
 def run_mount_trial(
@@ -34,9 +37,11 @@ def run_mount_trial(
     terrain: Terrain,
     config: PicturePoseConfig,
     rng: np.random.Generator,
+    focal_factor: float = 1.0,
+    focal_sigma: float = 0.0,
 ) -> MountTrial:
     """Lean and turn the mount of a head (1.5 deg of yaw, 0.5 of lean), move its tilt zero (0.3) and its encoder (0.03)
-    for every picture, and fit the mount from all of them."""
+    for every picture, and fit the mount from all of them; with a focal length that is off by a factor, it too."""
     lean = np.radians(rng.normal(size=3) * (0.5, 0.5, 1.5))
     tilt = np.radians(TILT_ZERO_SIGMA_DEG * rng.normal())
     priors, searches = [], []
@@ -47,8 +52,11 @@ def run_mount_trial(
         told = turned(turned(Pose(true.position, true.rotation @ up), lean), noise)
         prior = PosePrior(told, 1.5, 0.5, 0.5)
         priors.append(prior)
-        searches.append(find_pose(prepared.evidence, terrain, widened(prior, TILT_ZERO_SIGMA_DEG), config))
-    fit = fit_mount(priors, searches, config)
+        evidence = prepared.evidence
+        if focal_factor != 1.0:
+            evidence = replace(evidence, camera=evidence.camera.zoomed(focal_factor))
+        searches.append(find_pose(evidence, terrain, widened(prior, TILT_ZERO_SIGMA_DEG), config, focal_sigma))
+    fit = fit_mount(priors, searches, config, focal_sigma=focal_sigma)
     errors, z = [], []
     for k, prepared in enumerate(frames):
         away = np.degrees(angles_between(prepared.frame.pose, fit.found[k]))
@@ -56,4 +64,4 @@ def run_mount_trial(
         sigma = np.degrees(np.sqrt(np.diag(slopes @ fit.pose_covariance(k)[3:, 3:] @ slopes.T)))
         errors.append(tuple(map(float, away)))
         z.append(tuple(map(float, away / sigma)))
-    return MountTrial(head, fit.word, tuple(errors), tuple(z))
+    return MountTrial(head, fit.word, tuple(errors), tuple(z), focal_factor * fit.focal)

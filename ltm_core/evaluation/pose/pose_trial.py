@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltm_core.camera import Camera
 from ltm_core.evaluation.pose.disturbance import Sensor, disturbed
 from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.pose import Pose
@@ -96,9 +95,7 @@ def run_trial(
     evidence = prepared_frame.evidence.unseen
     prior = disturbed(frame.pose, sensor, terrain.dem, rng)
     if focal_factor != 1.0:
-        c = evidence.camera
-        lens = Camera(c.width, c.height, c.fx * focal_factor, c.fy * focal_factor, c.cx, c.cy)
-        evidence = replace(evidence, camera=lens)
+        evidence = replace(evidence, camera=evidence.camera.zoomed(focal_factor))
     begin = time.process_time()
     search = find_pose(evidence, terrain, prior, config, focal_sigma)
     spent = time.process_time() - begin + prepared_frame.seconds

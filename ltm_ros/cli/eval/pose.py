@@ -162,7 +162,9 @@ def _rendered(
             if mounts:
                 for head, frames in by_head.items():
                     rng = np.random.default_rng([seed, 977, *head.encode(), *folder.name.encode()])
-                    heads.append(run_mount_trial(f"{folder.name}/{head}", frames, terrain, config, rng))
+                    factor = 1.0 + focal * rng.uniform(-1, 1) if focal else 1.0
+                    name = f"{folder.name}/{head}"
+                    heads.append(run_mount_trial(name, frames, terrain, config, rng, factor, 0.5 * focal))
     if not trials:
         raise RecordingError(f"{', '.join(map(str, folders))}: no frame with truth")
     scores = {}
@@ -224,16 +226,17 @@ def _heads(heads: list[MountTrial]) -> Table:
     from ltm_core.evaluation.pose.pose_score import Spread
 
     shown = Table(title="heads whose presets were fitted together: errors of their pictures, degrees")
-    for column in ("heads", "accepted", "azimuth", "pitch", "roll", "1.48 med |z|"):
+    for column in ("heads", "accepted", "azimuth", "pitch", "roll", "1.48 med |z|", "focal length, %"):
         shown.add_column(column, justify="right")
     taken = [head for head in heads if head.verdict == "accepted"]
     if taken:
         errors = np.concatenate([np.array(head.errors) for head in taken])
         z = 1.4826 * np.median(np.abs(np.concatenate([np.array(head.z) for head in taken])), axis=0)
         spreads = (str(Spread.of(errors[:, k])) for k in range(3))
-        shown.add_row(str(len(heads)), str(len(taken)), *spreads, " ".join(f"{v:.2f}" for v in z))
+        focal = str(Spread.of([100 * (head.focal - 1) for head in taken]))
+        shown.add_row(str(len(heads)), str(len(taken)), *spreads, " ".join(f"{v:.2f}" for v in z), focal)
     else:
-        shown.add_row(str(len(heads)), "0", "", "", "", "")
+        shown.add_row(str(len(heads)), "0", "", "", "", "", "")
     return shown
 
 

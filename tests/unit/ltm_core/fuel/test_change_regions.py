@@ -54,6 +54,23 @@ def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> N
     assert not reported(odds, company=company).any()
 
 
+def test_a_hole_in_what_has_changed_is_filled_where_it_leans_to_the_same_and_edges_stay() -> None:
+    wanted, odds = np.zeros((14, 17), np.uint8), np.zeros((14, 17))
+    wanted[3:10, 4:13], odds[3:10, 4:13] = LifeForm.TREE, 4.0
+    hole = [(5, 6), (5, 7), (7, 10)]  # two beside each other, and one
+    for cell in hole:
+        wanted[cell], odds[cell] = 0, 0.1
+    leaning = np.full(wanted.shape, LifeForm.TREE, np.uint8)  # beyond the edges, too
+    leaning[7, 10] = LifeForm.GRASS
+    filled = supported_changes(wanted, odds, None, RULES, leaning)
+    expected = wanted > 0
+    expected[5, 6:8] = True
+    np.testing.assert_array_equal(filled, expected)
+    np.testing.assert_array_equal(supported_changes(wanted, odds, None, RULES), wanted > 0)
+    never = RULES.model_copy(update={"fill_rounds": 0})
+    np.testing.assert_array_equal(supported_changes(wanted, odds, None, never, leaning), wanted > 0)
+
+
 def windows(shape: tuple[int, int], reach: int) -> Iterator[tuple[slice, slice, slice, slice]]:
     """Parts of a map, and these with all that has a say in them."""
     rng = np.random.default_rng(5)
@@ -73,11 +90,13 @@ def test_seen_through_any_window_it_is_the_same() -> None:
     shape = 60, 50
     odds = np.where(rng.random(shape) < 0.55, rng.gamma(1.5, 0.9, shape), 0.0)
     wanted = np.where(odds > 0, rng.choice(np.array([1, 3], np.uint8), shape, p=[0.2, 0.8]), np.uint8(0))
-    whole = supported_changes(wanted, odds, None, RULES)
+    leaning = np.where(wanted > 0, wanted, np.uint8(3) * (rng.random(shape) < 0.5).astype(np.uint8))
+    whole = supported_changes(wanted, odds, None, RULES, leaning)
+    assert (whole & (wanted == 0)).sum() > 50  # filled
     assert 0.2 < whole[wanted > 0].mean() < 0.9
     for rows, cols, around_rows, around_cols in windows(shape, reach_of(RULES)):
         around = around_rows, around_cols
-        part = supported_changes(wanted[around], odds[around], None, RULES)
+        part = supported_changes(wanted[around], odds[around], None, RULES, leaning[around])
         inside = part[
             rows.start - around_rows.start : rows.stop - around_rows.start,
             cols.start - around_cols.start : cols.stop - around_cols.start,
@@ -113,6 +132,31 @@ def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not
     both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)
     assert not again.any()
     assert both.all()
+
+
+def test_a_cell_that_hardly_looks_changed_goes_with_those_about_it_and_not_alone() -> None:
+    """Of a patch of trees one cell is shown as trees by a few pixels more than as shrubs, from one side, once."""
+    shown = [0] * len(LABELS)
+    shown[Label.TREE] = 40
+    middle = [0] * len(LABELS)
+    middle[Label.TREE], middle[Label.SHRUB] = 22, 18
+    errors = LabelErrors(TRUSTED.shares, INDEPENDENT)
+
+    def changed(fill_rounds: int, around: bool) -> np.ndarray:
+        rules = FusionRules(fill_rounds=fill_rounds, context=0.0)
+        grid_map = EvidenceMap(WIDE, FuelPrior(np.full(WIDE.shape, SHRUB, np.int16), WIDE), LABELS, rules, errors)
+        others = [cell for cell in PATCH if cell != (5, 6)]
+        for hour in (0.0, 2.0):
+            for cells, labels in ((others, shown), ([(5, 6)], middle)):
+                if (cells == others and around) or (cells != others and hour == 0.0):
+                    seen = visibility(len(cells), bearing=0.0)
+                    grid_map.add(votes(labels, NOW + hour * HOUR, "a", cells=cells, visibility=seen, grid=WIDE))  # type: ignore[arg-type]
+        return grid_map.layers().changed
+
+    assert changed(2, around=True)[5, 6]
+    assert changed(2, around=True).sum() == len(PATCH)
+    assert not changed(0, around=True)[5, 6]
+    assert not changed(2, around=False).any()
 
 
 @pytest.mark.parametrize("label", [Label.TREE, Label.GRASS])

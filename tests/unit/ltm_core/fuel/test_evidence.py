@@ -90,7 +90,8 @@ def test_a_change_of_few_cells_is_not_mapped() -> None:
     four = [(0, 0), (1, 1), (2, 2), (3, 3)]
     five = [(0, 5), (1, 6), (2, 7), (3, 8), (4, 8)]
     mixed = [(7, 0), (7, 1), (7, 2)], [(7, 3), (7, 4), (7, 5)]
-    grid_map = EvidenceMap(wide, prior, LABELS, FusionRules(context=0.0, min_cells=5, support=0.0), TRUSTED)
+    rules = FusionRules(context=0.0, min_cells=5, support=0.0, fill_rounds=0)
+    grid_map = EvidenceMap(wide, prior, LABELS, rules, TRUSTED)
     for source in ("north", "south"):
         for label, cells in ((Label.TREE, four + five + mixed[0]), (Label.GRASS, mixed[1])):
             for second in (NOW, NOW + HOUR):

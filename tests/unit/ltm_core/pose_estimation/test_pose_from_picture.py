@@ -191,6 +191,25 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
+def test_presets_of_one_head_share_its_focal_length_where_it_is_free() -> None:
+    wrong = CAMERA.zoomed(1.06)
+    priors, searches = [], []
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 205.0, 290.0)]
+    for pose in true:
+        prior = PosePrior(turned(pose, np.radians([0.2, -0.1, 1.1])), 1.5, 0.5, 0.5)
+        priors.append(prior)
+        searches.append(find_pose(picture_evidence(*view(pose), wrong), terrain(), prior, focal_sigma=0.04))
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0, focal_sigma=0.04)
+    assert fit.word == "accepted", fit.reason
+    assert wrong.fx * fit.focal == pytest.approx(CAMERA.fx, rel=0.003)
+    assert 0 < fit.focal_sigma < 0.01
+    assert fit.covariance.shape == (7, 7)
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+    held = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert (held.focal, held.focal_sigma) == (1.0, 0.0)
+
+
 def test_a_mount_that_looks_backwards_is_not_two() -> None:
     """Of two presets the one asks for a turn of just less than half a circle to the right, the other to the left."""
     little = np.radians(0.02)
