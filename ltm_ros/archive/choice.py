@@ -12,7 +12,7 @@ from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import PictureReader, SmallLook
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.sampling import Sample, in_daylight, place_of, repeated, sampled, span_number, spans
+from ltm_ros.archive.sampling import Sample, daylight_ns, in_daylight, place_of, repeated, sampled, span_number, spans
 
 LOOKS = "looks"
 REPEATED = "repeated: the camera had sent the same picture before"
@@ -40,11 +40,13 @@ def chosen(
             if repeats := len(span) - len(new):
                 passed[REPEATED] += repeats
             camera = span[0].camera
-            of = [code_digest(), look_digest(site, camera), sample.described, [frame.identity() for frame in new]]
+            turn = span_number(span[0].stamp_ns, sample, longitude)
+            lit = daylight_ns(turn, sample, site)
+            when = [sample.described, turn, lit]
+            of = [code_digest(), look_digest(site, camera), *when, [frame.identity() for frame in new]]
             name = f"{LOOKS}/{digest(*of)}.json"
             if not results.has(name):
-                turn = span_number(span[0].stamp_ns, sample, longitude)
-                found = sampled(new, sample, looks[camera], turn)
+                found = sampled(new, sample, looks[camera], turn, lit)
                 kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
                 results.write(name, json.dumps(kept).encode())
             known = json.loads(results.read(name))

@@ -74,19 +74,31 @@ def files_below(archive: str) -> list[StoredFile]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """At any depth, by their paths; none where there is no such folder. Raises OSError for one that cannot be read: as
-    `Path.rglob` does not."""
+    """At any depth, by their paths, also behind links, each folder once; none where there is no such folder. A link
+    that leads nowhere, as to a share that is not mounted, is a file that cannot be read, and no reason to leave it out.
+    Raises OSError for a folder that cannot be read: as `Path.rglob` does not."""
 
     def failed(error: OSError) -> None:
         if not (isinstance(error, FileNotFoundError) and error.filename == str(folder)):
             raise error
 
-    found = [Path(place) / name for place, _, names in os.walk(folder, onerror=failed) for name in names]
-    return sorted(path for path in found if path.is_file())
+    found, known = list[Path](), set[str]()
+    for place, below, names in os.walk(folder, onerror=failed, followlinks=True):
+        real = os.path.realpath(place)
+        if real in known:  # a link to a folder above, or to one that is in the archive itself
+            below.clear()
+            continue
+        known.add(real)
+        below.sort()
+        found += [Path(place) / name for name in names]
+    return sorted(path for path in found if path.is_file() or path.is_symlink())
 
 
 def _on_disk(path: Path) -> StoredFile:
-    state = path.stat()
+    try:
+        state = path.stat()
+    except FileNotFoundError:
+        return StoredFile(str(path), 0, "")
     return StoredFile(str(path), state.st_size, str(state.st_mtime_ns))
 
 

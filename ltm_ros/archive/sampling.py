@@ -1,16 +1,18 @@
 """Chooses frames of an archive: looks of one view within a day tell nearly the same, so a few of them tell almost all.
 
-The frames of a camera's day or hour are cut into as many parts as looks are wanted, by daylight alone on days that have
-any, and of each part the first clear picture is taken, from its first or its third quarter outwards, by turns: light
-comes from another side each hour, and two days together have looks of all of them. A picture that the camera had sent
-before, on that day or the last one before it, is no new look. A choice hangs on nothing else outside its own span.
+Whatever looks are left out, the mean of those that are taken shall be that of all. What a view shows changes with the
+light and the weather, so each clear picture stands for the time about it, and looks are taken at even steps along the
+time that clear pictures stand for, by daylight alone on days that have any: foggy hours have none, and no other hour
+speaks for them. Where the first step begins alternates from span to span, so that some days together have looks of all
+hours. A picture that the camera had sent before, on that day or the last one before it, is no new look. A choice hangs
+on nothing else outside its own span.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,16 +20,20 @@ import numpy as np
 from ltm_core.errors import ArchiveError
 from ltm_core.site import Site
 from ltm_core.sun import sun_elevation
+from ltm_core.types import Int64Array
 from ltm_core.utc_time import DAY_NS
 from ltm_ros.archive.manifest import ArchiveFrame
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
-_DAYLIGHT = np.radians(5.0)
-"""Of the sun, from which on a picture can be clear."""
-
-_QUARTERS = 0.25, 0.75
-"""Of a part, where a look is wanted: of what changes over the day, two such are four times as near to the mean of all
-as the middle is."""
+_DAYLIGHT = 0.0
+"""Radians of the sun above the horizon, from which on a picture can be clear. Those that are dim under a low sun are
+told by a look; those that are not count live, so a sample that took none of them would see another land."""
+_ASKED = 4
+"""Pictures, at most, that are looked at for each look that is wanted."""
+_PHASES = 16
+"""Places at which the first step begins, a power of two."""
+_MINUTES_NS = 5 * 60 * 10**9
+"""Steps in which the daylight of a span is measured."""
 
 Look = Callable[[ArchiveFrame], str]
 """Why a frame's picture shows too little; empty: it is clear."""
@@ -104,18 +110,61 @@ def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str,
     return found
 
 
-def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: int) -> Sampled:
-    """Of the frames of one span, in daylight where any are: see above. `turn`: the number of the span."""
-    if len(frames) <= sample.count:
-        return Sampled(tuple(frames), Counter())
-    chosen, passed = list[ArchiveFrame](), Counter[str]()
-    for which, part in enumerate(np.array_split(np.arange(len(frames)), sample.count)):
-        for number in _outwards(part.tolist(), _QUARTERS[(turn + which) % 2]):
-            if not (reason := look(frames[number])):
-                chosen.append(frames[number])
-                break
-            passed[reason] += 1
-    return Sampled(tuple(chosen), passed)
+def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: int, lit_ns: int) -> Sampled:
+    """Of the frames of one span, in daylight where any are: see above. `turn`: the number of the span; `lit_ns`: its
+    daylight. Where any of the pictures that are looked at is clear, one is taken at least."""
+    asked = _evenly(frames, _ASKED * sample.count)
+    if not asked:
+        return Sampled((), Counter())
+    stands_for = _times(np.array([frame.stamp_ns for frame in asked], np.int64), max(lit_ns // sample.count, 1))
+    reasons = [look(frame) for frame in asked]
+    passed = Counter(reason for reason in reasons if reason)
+    clear = [number for number, reason in enumerate(reasons) if not reason]
+    if not clear:
+        return Sampled((), passed)
+    ends = np.cumsum(stands_for[clear])
+    step = max(lit_ns, int(stands_for.sum())) // sample.count
+    begin = step * (2 * _reversed(turn % _PHASES) + 1) // (2 * _PHASES)
+    places = np.arange(begin, ends[-1], step)
+    if not places.size:
+        places = np.array([int(ends[-1]) * begin // step])
+    chosen = np.unique(np.searchsorted(ends, places, side="right"))
+    return Sampled(tuple(asked[clear[number]] for number in chosen.tolist()), passed)
+
+
+def daylight_ns(turn: int, sample: Sample, site: Site) -> int:
+    """How long the sun is up at the site within a span; the whole span where it never is."""
+    longitude, latitude = place_of(site)
+    begin = turn * sample.span_ns - _shift(longitude)
+    at = begin + np.arange(0, sample.span_ns, _MINUTES_NS)
+    up = int((sun_elevation(latitude, longitude, at) > _DAYLIGHT).sum())
+    return up * _MINUTES_NS if up else sample.span_ns
+
+
+def _evenly(frames: Sequence[ArchiveFrame], most: int) -> Sequence[ArchiveFrame]:
+    """So many of them at most, from the middles of as many parts."""
+    if len(frames) <= most:
+        return frames
+    return [frames[(2 * part + 1) * len(frames) // (2 * most)] for part in range(most)]
+
+
+def _times(stamps: Int64Array, most: int) -> Int64Array:
+    """(N,) ns that each of rising stamps stands for: half the way to the one before and to that after it, as far to the
+    other side of the first and the last; `most` at most, and that for a single one."""
+    if len(stamps) == 1:
+        return np.array([most], np.int64)
+    ways = np.diff(stamps)
+    both = np.concatenate([ways[:1], ways]) + np.concatenate([ways, ways[-1:]])
+    return np.clip(both // 2, 1, most)
+
+
+def _reversed(number: int) -> int:
+    """Its bits from the last to the first, below `_PHASES`: any few numbers that follow each other come out evenly
+    spread (van der Corput's sequence)."""
+    found = 0
+    for _ in range(_PHASES.bit_length() - 1):
+        found, number = 2 * found + number % 2, number // 2
+    return found
 
 
 def in_daylight(frames: Sequence[ArchiveFrame], site: Site) -> list[ArchiveFrame]:
@@ -144,9 +193,3 @@ def place_of(site: Site) -> tuple[float, float]:
     """Longitude and latitude of a site's origin, radians."""
     longitude, latitude = site.frame.to_lonlat(0.0, 0.0)
     return float(np.radians(longitude)), float(np.radians(latitude))
-
-
-def _outwards(numbers: Sequence[int], begin: float) -> Iterator[int]:
-    """From a share `begin` of them on, to both sides."""
-    place = numbers[0] + begin * len(numbers) - 0.5
-    return iter(sorted(numbers, key=lambda number: (abs(number - place), number)))

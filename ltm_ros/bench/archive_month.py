@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from ltm_core.raster.tile_store import TileStore
 from ltm_core.site_io import load_site
 from ltm_core.types import BoolArray, Int16Array
 from ltm_ros.archive.engine import Engine, on_workers, serial
-from ltm_ros.archive.reduction import store_digest
-from ltm_ros.archive.run import ArchiveOptions, look_through, run
+from ltm_ros.archive.plan import evidence_name
+from ltm_ros.archive.reduction import reduce_to_store, store_digest
+from ltm_ros.archive.run import ArchiveOptions, Plan, look_through, run
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.bench.archive import Way
 from ltm_ros.bench.archive_worker import EngineShare, engine_share
@@ -24,6 +25,8 @@ from ltm_ros.replay.run import ReplayOptions, run_offline
 
 SAMPLES = ("4/day", "8/day")
 """What is wanted holds of the first."""
+WANTED = 0.001
+"""Share of the seen cells, at most, whose code is another one by it."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,23 @@ class SampleCost:
     passed_over: dict[str, int]
     different: int
     felled_found: float
+
+    def said(self, seen: int) -> str:
+        """In words; `seen`: cells that all frames see."""
+        return (
+            f"{self.sample}: {self.frames} frames; {self.different} of {seen} seen cells have another code "
+            f"({self.different / max(seen, 1):.3%}); {self.felled_found:.0%} of the felled cells have changed"
+        )
+
+
+@dataclass(frozen=True)
+class LooksOfMonth:
+    """What samples cost the map of month `draw`. `seen`, `felled_found` as of `MonthBench`."""
+
+    draw: int
+    seen: int
+    felled_found: float
+    samples: tuple[SampleCost, ...]
 
 
 @dataclass(frozen=True)
@@ -71,9 +91,9 @@ class MonthBench:
 
     @property
     def holds(self) -> bool:
-        """One digest of each, and a thousandth of the codes at most another by the first sample."""
+        """One digest of each, and no more codes than wanted another by the first sample."""
         one = all(len({way.digest for way in ways}) == 1 for ways in (self.ways, self.burned_ways))
-        return one and self.samples[0].different <= 0.001 * self.seen
+        return one and self.samples[0].different <= WANTED * self.seen
 
 
 def measure_month(folder: Path, days: int, said: Callable[[str], None], draw: int = DRAW) -> MonthBench:
@@ -96,27 +116,62 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None], draw: in
         _way("serial, a day a task, burns told", burned, serial),
         _way("serial, 10 frames a task, burns told", replace(apart, burns=month.burns), serial),
     ]
-    codes, seen, changed = _codes(month, Path(burned.out))
-    felled, samples = month.felled & seen, []
-    for sample in SAMPLES:
-        said(sample)
-        few = replace(burned, out=str(folder / sample.replace("/", "_a_")), sample=Sample.parsed(sample))
-        planned = look_through(few, _quiet)
-        run(planned, serial, _quiet)
-        others, _, also = _codes(month, Path(few.out))
-        different, found = int((codes != others)[seen].sum()), float(also[felled].mean())
-        samples.append(SampleCost(sample, len(planned.frames), dict(planned.passed_over), different, found))
+    looks = _looks(month, draw, Path(burned.out) / STORE_FILE, burned, SAMPLES, said)
     return MonthBench(
         month.frames,
         tuple(ways),
         tuple(burned_ways),
-        int(seen.sum()),
-        float(changed[felled].mean()),
-        tuple(samples),
+        looks.seen,
+        looks.felled_found,
+        looks.samples,
         str(folder / "all/maps/index.html"),
         resumed(options, folder / "single", said),
         share,
     )
+
+
+def measure_looks(folder: Path, days: int, draw: int, said: Callable[[str], None]) -> LooksOfMonth:
+    """What the first of the samples costs month `draw`'s map, and nothing else of it; in an empty `folder`.
+
+    Raises ArchiveError where a task fails.
+    """
+    month = write_month(folder, said, days, draw)
+    options = ArchiveOptions(month.bags, month.site, str(folder / "all"), burns=month.burns)
+    said("all frames")
+    every = folder / "all.ltm"
+    _only_map(look_through(options, _quiet), every)
+    return _looks(month, draw, every, options, SAMPLES[:1], said)
+
+
+def _looks(
+    month: Month,
+    draw: int,
+    every: Path,
+    options: ArchiveOptions,
+    samples: Sequence[str],
+    said: Callable[[str], None],
+) -> LooksOfMonth:
+    """`every`: the store of all frames, which `options` work."""
+    codes, seen, changed = _codes(month, every)
+    felled, found = month.felled & seen, list[SampleCost]()
+    for sample in samples:
+        said(sample)
+        out = every.parent / sample.replace("/", "_a_")
+        planned = look_through(replace(options, out=str(out), sample=Sample.parsed(sample)), _quiet)
+        _only_map(planned, out / STORE_FILE)
+        others, _, also = _codes(month, out / STORE_FILE)
+        different, share = int((codes != others)[seen].sum()), float(also[felled].mean())
+        found.append(SampleCost(sample, len(planned.frames), dict(planned.passed_over), different, share))
+    return LooksOfMonth(draw, int(seen.sum()), float(changed[felled].mean()), tuple(found))
+
+
+def _only_map(planned: Plan, path: Path) -> None:
+    """The store of a plan, without layers and page. Raises ArchiveError where a task fails."""
+    for done in serial(planned.tasks, planned.settings):
+        if done.report is None:
+            raise ArchiveError(f"{done.task.label}: {done.error}")
+    read = planned.results.read
+    reduce_to_store(planned.tasks, lambda task: read(evidence_name(task)), planned.site, path, planned.burns)
 
 
 def resumed(options: ArchiveOptions, out: Path, said: Callable[[str], None]) -> Resumed:
@@ -154,9 +209,10 @@ def _replayed(month: Month, state: Path) -> Way:
         return Way("offline replay", store_digest(store), store.frame_count(), *spent)
 
 
-def _codes(month: Month, out: Path) -> tuple[Int16Array, BoolArray, BoolArray]:
-    """Codes of a map, where there is evidence or it burned, and where it is not the prior's; on the world's grid."""
-    with FuelSource.open(out / STORE_FILE, load_site(month.site)) as map_:
+def _codes(month: Month, store: Path) -> tuple[Int16Array, BoolArray, BoolArray]:
+    """Codes of a store's map, where there is evidence or it burned, and where it is not the prior's; on the world's
+    grid."""
+    with FuelSource.open(store, load_site(month.site)) as map_:
         layers = map_.layers
         touched = (layers.evidence > 0) | (layers.last_seen > 0)
         shape = month.felled.shape

@@ -14,6 +14,8 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.run import ArchiveOptions, Plan, look_through
+from ltm_ros.archive.task import TaskReport
+from ltm_ros.bench.archive_worker import EngineShare, TimedReport, timed_work
 
 _WARMING = 2
 """Tasks of each process, of which the first loads kernels and networks, that are not counted."""
@@ -21,12 +23,14 @@ _WARMING = 2
 
 @dataclass(frozen=True)
 class Speedup:
-    """Frames a second, of tasks of `frames` each, by one process and by two beside each other."""
+    """Frames a second, of tasks of `frames` each, by one process and by two beside each other; `share`: what of
+    processor time the engine of the two took."""
 
     tasks: int
     frames: int
     alone: float
     together: float
+    share: EngineShare
 
     @property
     def times(self) -> float:
@@ -42,11 +46,12 @@ def measure_speedup(bag: Path, site: Path, folder: Path, days: int, said: Callab
     if len(planned.tasks) < 4 * _WARMING + 2:
         raise ArchiveError(f"{days} days make {len(planned.tasks)} tasks, too few to measure two processes: give more")
     said(f"{len(planned.tasks)} tasks, one process")
-    alone = _rate(planned, serial, _WARMING, 0)
+    alone = WorkedPlan(planned, serial).rate(_WARMING, 0)
     said("two processes")
     apart = look_through(replace(options, out=str(folder / "apart")), _quiet)
-    together = _rate(apart, on_workers(2), 2 * _WARMING, 1)
-    return Speedup(len(planned.tasks), max(len(task.frames) for task in planned.tasks), alone, together)
+    both = WorkedPlan(apart, on_workers(2, timed_work))
+    together, share = both.rate(2 * _WARMING, 1), both.share(2 * _WARMING)
+    return Speedup(len(planned.tasks), max(len(task.frames) for task in planned.tasks), alone, together, share)
 
 
 def write_days(bag: Path, path: Path, days: int) -> Path:
@@ -61,17 +66,31 @@ def write_days(bag: Path, path: Path, days: int) -> Path:
     return path
 
 
-def _rate(planned: Plan, engine: Engine, warming: int, last: int) -> float:
-    """Frames a second between the ends of the `warming`-th task and of the `last`-th from the end, when one process
-    works no longer. Raises ArchiveError where a task fails."""
-    ends, frames = list[float](), list[int]()
-    for done in engine(planned.tasks, planned.settings):
-        if done.report is None:
-            raise ArchiveError(f"{done.task.label}: {done.error}")
-        ends.append(time.perf_counter())
-        frames.append(done.report.worked)
-    end = len(ends) - 1 - last
-    return sum(frames[warming : end + 1]) / (ends[end] - ends[warming - 1])
+class WorkedPlan:
+    """A plan that an engine has worked. Raises ArchiveError where a task fails."""
+
+    def __init__(self, planned: Plan, engine: Engine) -> None:
+        self._reports, self._ends, self._spent = list[TaskReport](), list[float](), list[float]()
+        self._most = max(len(task.frames) for task in planned.tasks)
+        for done in engine(planned.tasks, planned.settings):
+            if done.report is None:
+                raise ArchiveError(f"{done.task.label}: {done.error}")
+            self._reports.append(done.report)
+            self._ends.append(time.perf_counter())
+            self._spent.append(time.process_time())
+
+    def rate(self, warming: int, last: int) -> float:
+        """Frames a second between the ends of the `warming`-th task and of the `last`-th from the end, when one process
+        works no longer."""
+        end = len(self._ends) - 1 - last
+        frames = sum(report.worked for report in self._reports[warming : end + 1])
+        return frames / (self._ends[end] - self._ends[warming - 1])
+
+    def share(self, warming: int) -> EngineShare:
+        """Of an engine that times its tasks in other processes, from the end of the `warming`-th task on."""
+        of_tasks = sum(report.cpu_s for report in self._reports[warming:] if isinstance(report, TimedReport))
+        count = len(self._reports) - warming
+        return EngineShare(self._most, count, of_tasks, self._spent[-1] - self._spent[warming - 1])
 
 
 def _quiet(done: int, total: int) -> None:

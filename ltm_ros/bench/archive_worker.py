@@ -100,7 +100,9 @@ def _worked(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Ta
 
 
 @dataclass(frozen=True)
-class _Timed(TaskReport):
+class TimedReport(TaskReport):
+    """`cpu_s`: processor time of the worker meanwhile."""
+
     cpu_s: float
 
 
@@ -111,7 +113,7 @@ def engine_share(tasks: Sequence[Task], settings: TaskSettings) -> EngineShare:
         end = time.process_time()  # of the last: workers are not yet let go
         if number == 0:
             begin = end
-        elif isinstance(ended.report, _Timed):
+        elif isinstance(ended.report, TimedReport):
             spent += ended.report.cpu_s
     return EngineShare(max(len(task.frames) for task in tasks), len(tasks) - 1, spent, end - begin)
 
@@ -119,7 +121,7 @@ def engine_share(tasks: Sequence[Task], settings: TaskSettings) -> EngineShare:
 def timed_work(task: Task, settings: TaskSettings) -> TaskReport:
     """A task, and the processor time of its worker meanwhile, other threads included."""
     begin = time.process_time()
-    return _Timed(work(task, settings).worked, time.process_time() - begin)
+    return TimedReport(work(task, settings).worked, time.process_time() - begin)
 
 
 def engine_cost(count: int, settings: TaskSettings) -> EngineCost:

@@ -23,6 +23,9 @@ def archive(
         int, typer.Option("--month", min=0, help="Days of a simulated month in its place, such as 30.")
     ] = 0,
     draw: Annotated[int, typer.Option(help="Which month is drawn; another number, another month.", min=0)] = 5,
+    looks: Annotated[
+        str, typer.Option("--looks", help="Months by their numbers, such as 7,8: only what four looks a day cost each.")
+    ] = "",
     speedup: Annotated[
         int, typer.Option("--speedup", min=0, help="Days of the recording, by one process and by two, in its place.")
     ] = 0,
@@ -31,8 +34,9 @@ def archive(
 ) -> None:
     """Work a recording again in several ways, and replay it: the digests of their maps, and the time they took.
 
-    With --month, that of a drawn month of two towers, and how far the map of four looks a day is from it. Ends with
-    status 1 where the digests differ, or more than a thousandth of the codes.
+    With --month, that of a drawn month of two towers, and how far the map of four looks a day is from it; with --looks,
+    the latter of several months, and nothing else. Ends with status 1 where the digests differ, or more than a
+    thousandth of the codes.
     """
     import tempfile
     from dataclasses import asdict
@@ -47,6 +51,8 @@ def archive(
     from ltm_ros.cli.bench.runs import print_conditions
     from ltm_ros.evaluation.figures_io import write_figures
 
+    if looks:
+        raise typer.Exit(0 if _looks(_numbers(looks), month or 30, json_path) else 1)
     if month:
         raise typer.Exit(0 if _month(month, draw, keep, json_path) else 1)
     if (bag is None) != (site is None):
@@ -122,6 +128,7 @@ def _speedup(bag: Path, site: Path, days: int, json_path: Path | None) -> None:
         f"{found.tasks} tasks of up to {found.frames} frames: {found.alone:.2f} frames a second by one process, "
         f"{found.together:.2f} by two: {found.times:.2f} times"
     )
+    console.print(found.share.said)
     print_conditions(console, state)
     if json_path is not None:
         write_figures(json_path, {"conditions": state.as_dict(), "times": found.times, **asdict(found)})
@@ -162,10 +169,7 @@ def _month(days: int, draw: int, keep: Path | None, json_path: Path | None) -> b
         console.print(found.share.said)
     console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
     for one in found.samples:
-        console.print(
-            f"{one.sample}: {one.frames} frames; {one.different} of {found.seen} seen cells have another code "
-            f"({one.different / max(found.seen, 1):.3%}); {one.felled_found:.0%} of the felled cells have changed"
-        )
+        console.print(one.said(found.seen))
         for reason, count in sorted(one.passed_over.items()):
             console.print(f"  {count} passed over: {reason}")
     if keep is not None:
@@ -174,3 +178,38 @@ def _month(days: int, draw: int, keep: Path | None, json_path: Path | None) -> b
     if json_path is not None:
         write_figures(json_path, {"conditions": state.as_dict(), "holds": found.holds, **asdict(found)})
     return found.holds
+
+
+def _looks(draws: list[int], days: int, json_path: Path | None) -> bool:
+    """Whether no more codes than wanted are others, of all months together."""
+    import tempfile
+    from dataclasses import asdict
+
+    from rich.console import Console
+
+    from ltm_core.bench.measure import conditions
+    from ltm_ros.bench.archive_month import WANTED, measure_looks
+    from ltm_ros.cli.bench.runs import print_conditions
+    from ltm_ros.evaluation.figures_io import write_figures
+
+    console, state = Console(), conditions(("numpy", "numba", "onnxruntime", "pyarrow"))
+    found = []
+    for draw in draws:
+        with tempfile.TemporaryDirectory(prefix="ltm-bench-looks-") as folder, console.status("") as status:
+            one = measure_looks(Path(folder), days, draw, status.update)
+        found.append(one)
+        felled = f"by all frames {one.felled_found:.0%} of the felled cells"
+        console.print(f"month {draw}: {one.samples[0].said(one.seen)}, {felled}")
+    different, seen = sum(one.samples[0].different for one in found), sum(one.seen for one in found)
+    console.print(f"together: {different} of {seen} ({different / max(seen, 1):.3%}; {WANTED:.1%} wanted)")
+    print_conditions(console, state)
+    if json_path is not None:
+        write_figures(json_path, {"conditions": state.as_dict(), "months": [asdict(one) for one in found]})
+    return different <= WANTED * seen
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise typer.BadParameter(f"months are whole numbers with commas, such as 7,8; got {text!r}") from error

@@ -54,6 +54,21 @@ def test_what_is_below_a_place(store: Store, tmp_path: Path) -> None:
     assert files_below(str(tmp_path / "nothing")) == []
 
 
+def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:
+    """A folder on another disk, once; a link to the folder itself ends; one that leads nowhere is not passed over."""
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk/a.mcap").write_bytes(b"four")
+    (tmp_path / "archive").mkdir()
+    for name, to in {"2025": tmp_path / "disk", "again": tmp_path / "disk", "loop": tmp_path / "archive"}.items():
+        (tmp_path / "archive" / name).symlink_to(to)
+    (tmp_path / "archive/away.mcap").symlink_to(tmp_path / "not_mounted/away.mcap")
+    found = files_below(str(tmp_path / "archive"))
+    assert [(file.name, file.size_bytes) for file in found] == [
+        (str(tmp_path / "archive/2025/a.mcap"), 4),
+        (str(tmp_path / "archive/away.mcap"), 0),
+    ]
+
+
 def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its recordings are missing from the map, and nobody knows."""
     (tmp_path / "a/shut").mkdir(parents=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -14,7 +15,18 @@ from ltm_core.errors import ArchiveError
 from ltm_core.site_io import load_site
 from ltm_core.utc_time import DAY_NS
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.sampling import Sample, in_daylight, repeated, sampled, solar_day, spans
+from ltm_ros.archive.sampling import (
+    Look,
+    Sample,
+    Sampled,
+    daylight_ns,
+    in_daylight,
+    place_of,
+    repeated,
+    sampled,
+    solar_day,
+    spans,
+)
 
 HOUR_NS = DAY_NS // 24
 
@@ -50,39 +62,115 @@ def test_days_begin_in_the_site_s_night() -> None:
     assert [hours(span)[0] for span in found] == [0, 8, 8]
 
 
-def test_looks_are_spread_over_a_day() -> None:
-    sample = Sample.parsed("4/day")
-    assert sampled(FRAMES[:3], sample, clear, 0).frames == tuple(FRAMES[:3])
-    even, odd = (hours(sampled(FRAMES[:24], sample, clear, turn).frames) for turn in (0, 1))
-    assert (even, odd) == ([1, 10, 13, 22], [4, 7, 16, 19])
+FOUR = Sample.parsed("4/day")
+DAY = FRAMES[6:18]
+"""Pictures of an hour each, of a day on which the sun is up from 6 to 18 h."""
+TURNS = range(16)
 
 
-def test_two_days_together_show_what_changes_over_a_day_as_all_of_its_hours_do() -> None:
-    """Of a parabola."""
-    every = [frame("east", minute * HOUR_NS // 60) for minute in range(24 * 60)]
-
-    def mean(frames: Sequence[ArchiveFrame]) -> float:
-        return float(np.mean([(one.stamp_ns / HOUR_NS - 12) ** 2 for one in frames]))
-
-    looks = [one for turn in (0, 1) for one in sampled(every, Sample.parsed("4/day"), clear, turn).frames]
-    middles = [every[60 * hour] for hour in (3, 9, 15, 21)]
-    assert abs(mean(middles) - mean(every)) > 2.5
-    assert abs(mean(looks) - mean(every)) < 0.8
+def chosen(frames: Sequence[ArchiveFrame], turn: int, look: Look = clear) -> list[int]:
+    """Hours of what is taken of such a day."""
+    return hours(sampled(frames, FOUR, look, turn, 12 * HOUR_NS).frames)
 
 
-def test_of_each_part_the_first_clear_one_from_there_is_taken() -> None:
-    """Fog until 9 h, glare at 14 h, a night from 18 h on."""
+def by_the_minute(begin: int, count: int) -> list[ArchiveFrame]:
+    return [frame("east", begin * HOUR_NS + minute * HOUR_NS // 60) for minute in range(count)]
+
+
+def test_looks_are_spread_over_a_day_and_begin_elsewhere_on_the_next() -> None:
+    assert chosen(DAY, 0) == [6, 9, 12, 15]
+    assert chosen(DAY, 1) == [7, 10, 13, 16]
+    taken = [hour for turn in TURNS for hour in chosen(DAY, turn)]
+    assert {hour: taken.count(hour) for hour in range(6, 18)} == {6 + k: (5, 6, 5)[k % 3] for k in range(12)}
+
+
+@pytest.mark.parametrize(("of", "count"), [((7, 12, 17), 3), ((10,), 1), ((10, 11), 1), ((6, 9, 12, 15), 4)])
+def test_few_pictures_are_as_many_looks_as_they_have_time_between_them(of: tuple[int, ...], count: int) -> None:
+    for turn in TURNS:
+        assert len(chosen([FRAMES[hour] for hour in of], turn)) == count
+
+
+def test_a_camera_that_sends_more_has_no_more_looks() -> None:
+    """A picture a minute; and one an hour, with a burst of seconds."""
+    burst = [frame("east", 3 * DAY_NS + 9 * HOUR_NS + second * 10**9) for second in range(1, 5)]
+    mixed = [*DAY[:4], *burst, *DAY[4:]]
+    taken = list[int]()
+    for turn in TURNS:
+        assert len(chosen(by_the_minute(6, 12 * 60), turn)) == 4
+        found = chosen(mixed, turn)
+        assert len(found) == 4
+        taken += found
+    assert taken.count(9) <= 6
+
+
+def test_few_pictures_are_looked_at() -> None:
+    seen = list[ArchiveFrame]()
+
+    def fog(one: ArchiveFrame) -> str:
+        seen.append(one)
+        return "fog"
+
+    found = sampled(by_the_minute(6, 12 * 60), FOUR, fog, 3, 12 * HOUR_NS)
+    assert [(one.stamp_ns % DAY_NS) * 60 // HOUR_NS for one in seen] == [360 + 22 + 45 * k for k in range(16)]
+    assert found == Sampled((), Counter(fog=16))
+
+
+def test_clear_hours_alone_have_looks_and_each_as_often() -> None:
+    """Fog until 9 h, glare at 14 h: eight hours of twelve, so two or three looks."""
 
     def look(frame: ArchiveFrame) -> str:
         (hour,) = hours([frame])
-        return "fog" if hour < 9 else "glare" if hour == 14 else "night" if hour >= 18 else ""
+        return "fog" if hour < 9 else "glare" if hour == 14 else ""
 
-    found = sampled(FRAMES[:24], Sample.parsed("4/day"), look, 0)
-    assert hours(found.frames) == [10, 13]
-    assert found.passed_over == {"fog": 6, "night": 6}
-    other = sampled(FRAMES[:24], Sample.parsed("4/day"), look, 1)
-    assert hours(other.frames) == [9, 16]
-    assert other.passed_over == {"fog": 6 + 3, "night": 6}
+    found = sampled(DAY, FOUR, look, 0, 12 * HOUR_NS)
+    assert (hours(found.frames), found.passed_over) == ([9, 12, 16], {"fog": 3, "glare": 1})
+    taken = [hour for turn in TURNS for hour in chosen(DAY, turn, look)]
+    assert {taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17)} == {5, 6}
+    assert len(taken) == sum(taken.count(hour) for hour in (9, 10, 11, 12, 13, 15, 16, 17))
+
+
+def test_days_together_show_what_changes_over_a_day_as_all_of_its_clear_hours_do() -> None:
+    """Of the square of the hours from noon, with fog until 9 h on one day of two; middles of four parts are off."""
+    looks, every, middles = list[int](), list[int](), list[float]()
+    for turn in range(10):
+        foggy = turn % 4 in (1, 2)
+
+        def look(frame: ArchiveFrame, until: int = 9 if foggy else 0) -> str:
+            return "fog" if hours([frame])[0] < until else ""
+
+        looks += chosen(DAY, turn, look)
+        every += range(9 if foggy else 6, 18)
+        middles += [10, 13, 16] if foggy else [7, 10, 13, 16]
+
+    def mean(of: Sequence[float]) -> float:
+        return float(np.mean([(hour - 12) ** 2 for hour in of]))
+
+    assert abs(mean(middles) - mean(every)) > 0.6
+    assert abs(mean(looks) - mean(every)) < 0.3
+
+
+def test_of_a_day_with_any_clear_picture_one_is_taken() -> None:
+    for turn in TURNS:
+        assert chosen(DAY, turn, lambda one: "" if hours([one]) == [7] else "fog") == [7]
+    assert sampled((), FOUR, clear, 1, DAY_NS) == Sampled((), Counter())
+
+
+def test_one_an_hour_is_one_an_hour() -> None:
+    hourly = Sample.parsed("1/hour")
+    for turn in TURNS:
+        for count in (60, 1):
+            assert len(sampled(by_the_minute(7, count), hourly, clear, turn, HOUR_NS).frames) == 1
+
+
+def test_the_sun_s_hours_of_a_day_are_counted(tmp_path: Path) -> None:
+    """In California: 9.6 h in early January. A day of the site begins in its night, an hour is an hour of UTC."""
+    site = write_small_site(tmp_path, recording=False).site
+    assert daylight_ns(3, FOUR, site) / HOUR_NS == pytest.approx(9.6, abs=0.2)
+    hourly = Sample.parsed("1/hour")
+    begin = solar_day(0, place_of(site)[0])
+    lit = [daylight_ns(24 * (3 - begin) + hour, hourly, site) for hour in range(24)]
+    assert lit.count(HOUR_NS) >= 22  # those by night, too, where no frame is asked
+    assert sum(lit) > 23 * HOUR_NS
 
 
 def test_daylight_is_the_site_s_and_of_each_day(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +14,16 @@ from scenes.small_site import FRAMES, write_small_site
 
 from ltm_core.errors import ArchiveError
 from ltm_core.utc_time import DAY_NS
-from ltm_ros.archive.engine import serial
+from ltm_ros.archive.engine import Done, serial
+from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Plan, look_through, run
 from ltm_ros.bench.archive import Way
 from ltm_ros.bench.archive_kills import run_under_kills
-from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_month, resumed
-from ltm_ros.bench.archive_speedup import measure_speedup, write_days
-from ltm_ros.bench.archive_worker import engine_cost, engine_share, worker_cost
+from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_looks, measure_month, resumed
+from ltm_ros.bench.archive_speedup import WorkedPlan, measure_speedup, write_days
+from ltm_ros.bench.archive_worker import TimedReport, engine_cost, engine_share, worker_cost
 from ltm_ros.bench.colour_network import write_colour_network
+from ltm_ros.bench.simulated_month import DRAW
 
 COLOURS = {"sky": (200, 210, 235), "soil": (175, 160, 150), "tree": (35, 75, 35)}
 
@@ -58,6 +61,11 @@ def test_a_drawn_day_gives_one_map_on_all_ways(tmp_path: Path) -> None:
     assert Path(found.page).is_file()
     assert found.resumed is not None
     assert found.resumed.tasks == 48
+    # The short way, without layers, page and other ways, tells the same.
+    (tmp_path / "short").mkdir()
+    short = measure_looks(tmp_path / "short", 1, DRAW, lambda words: None)
+    assert (short.seen, short.felled_found) == (found.seen, found.felled_found)
+    assert short.samples == found.samples[:1]
 
 
 def test_a_resumed_run_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,6 +93,38 @@ def test_a_recording_is_repeated_on_each_day(tmp_path: Path) -> None:
     assert len(moved) == 3 * 2 * FRAMES
     with pytest.raises(ArchiveError, match="2 days make 4 tasks, too few"):
         measure_speedup(small_site.bag, small_site.path, tmp_path, 2, lambda words: None)
+
+
+def test_the_engine_s_share_leaves_out_what_warms_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of eight tasks of which each takes 2 s in a worker, and the first two more; the engine 0.1 s each, the first 5.
+    Clocks are set, not read."""
+    small_site = write_small_site(tmp_path)
+    days = write_days(small_site.bag, tmp_path / "days", 4)
+    planned = look_through(ArchiveOptions((days,), small_site.path, str(tmp_path / "out")), lambda done, total: None)
+    wall, engine = (iter(5.0 + step * np.arange(8)) for step in (0.5, 0.1))
+    monkeypatch.setattr("ltm_ros.bench.archive_speedup.time.perf_counter", lambda: next(wall))
+    monkeypatch.setattr("ltm_ros.bench.archive_speedup.time.process_time", lambda: next(engine))
+
+    def timed(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+        for number, task in enumerate(tasks):
+            yield Done(task, TimedReport(FRAMES, 2.0 if number >= 2 else 70.0))
+
+    found = WorkedPlan(planned, timed)
+    share = found.share(2)
+    assert (share.tasks, share.frames, share.tasks_s) == (6, FRAMES, 12.0)
+    assert share.engine_s == pytest.approx(0.6)
+    assert share.share == pytest.approx(0.6 / 12.6)
+    # Of five tasks between the second and the seventh, the last one left out.
+    assert found.rate(2, 1) == pytest.approx(5 * FRAMES / 2.5)
+
+
+@pytest.mark.slow
+def test_two_processes_are_measured_against_one(tmp_path: Path) -> None:
+    small_site = write_small_site(tmp_path)
+    found = measure_speedup(small_site.bag, small_site.path, tmp_path, 6, lambda words: None)
+    assert (found.tasks, found.frames, found.share.tasks) == (12, FRAMES, 12 - 4)
+    assert found.times > 0
+    assert 0 < found.share.share < 1
 
 
 @pytest.mark.slow
