@@ -19,7 +19,8 @@ def doctor(
     """Look at the installation. Exit code 1 when something required is missing."""
     from rich.console import Console
 
-    from ltm_ros.doctor import Condition, as_json, examine, healthy, summed_up
+    from ltm_ros.doctor import as_json, examine, healthy, summed_up
+    from ltm_ros.doctor_finding import Condition
 
     findings = examine(site)
     if json:

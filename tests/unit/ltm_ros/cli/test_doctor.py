@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from ltm_ros import doctor
 from ltm_ros.cli.doctor import doctor as command
-from ltm_ros.doctor import Condition, Finding
+from ltm_ros.doctor_finding import Condition, Finding
 from ltm_ros.launching import shared_memory
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
