@@ -14,6 +14,7 @@ from ltm_core.training.borrow import land_of, photo_skies, photo_sky, with_lake
 from ltm_core.training.config import AugmentConfig
 from ltm_core.training.labelled_frames import UNKNOWN, Frame
 from ltm_core.training.random_fields import fractal_noise, soft_mask
+from ltm_core.training.structures import with_structures
 from ltm_core.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
@@ -71,6 +72,11 @@ def augmented(
     if chances.lake > 0 and rng.random() < chances.lake:  # draws nothing where it is not asked for: old recipes repeat
         photo, labels = with_lake(photo, labels, rng)
         inverse[labels == Label.WATER] = np.nan
+    if chances.shade > 0 and rng.random() < chances.shade:
+        photo = _shade(photo, labels, rng)
+    if chances.structures > 0 and rng.random() < chances.structures:
+        photo, labels = with_structures(photo, labels, rng)
+        inverse[(labels == Label.BUILT) | (labels == UNKNOWN)] = np.nan
     if rng.random() < chances.haze:
         photo = _haze(photo, labels, rng)
     if rng.random() < chances.light:
@@ -221,6 +227,25 @@ def _snow(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
     shade = photo.mean(axis=2, keepdims=True)
     white = np.clip(0.62 + 0.9 * (shade - shade.mean()) + np.array([0.0, 0.01, 0.04]), 0.0, 1.0)
     return np.asarray(photo * (1.0 - weight) + white * weight, np.float32)
+
+
+def _shade(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
+    """Rock in shade: patches of bare ground, darker, greyer and bluer, as cliffs are that the sun does not reach."""
+    bare = labels == Label.BARE
+    if not bare.any():
+        return photo
+    cover = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=int(rng.integers(2, 6))) < rng.uniform(
+        0.3, 1.0
+    )
+    weight = soft_mask(bare & cover)
+    grey = photo.mean(axis=2, keepdims=True)
+    left = np.float32(rng.uniform(0.0, 0.7))  # of the colour
+    dark = (grey + (photo - grey) * left) * np.float32(rng.uniform(0.2, 0.75))
+    dark = dark * (1.0 + np.array([-1.0, 0.0, 1.0]) * rng.uniform(-0.05, 0.2)) + np.float32(rng.uniform(0.0, 0.06))
+    contrast = np.float32(rng.uniform(0.7, 1.6))  # snow and pale veins stand out
+    mean = dark[bare].mean(axis=0)
+    dark = np.clip(mean + (dark - mean) * contrast, 0.0, 1.0)
+    return np.asarray(photo * (1.0 - weight) + dark * weight, np.float32)
 
 
 def _haze(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:

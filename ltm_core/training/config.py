@@ -51,7 +51,11 @@ class OptimiserConfig(StrictModel):
     partial: float = Field(default=0.3, ge=0)
     depth: float = Field(default=0.4, ge=0)  # weight of true inverse depth
     order: float = Field(default=0.1, ge=0)  # weight of a teacher's order of near and far
+    # Weight of staying, in depth, with the weights that a run starts from; in the place of `depth` and `order`.
+    keep_depth: float = Field(default=0.0, ge=0)
     validate_every: int = Field(default=200, ge=1)
+    # Processes that make batches ahead, 0: none. What is in a batch does not depend on it. A GPU needs eight or more.
+    workers: int = Field(default=0, ge=0, le=64)
 
 
 class AugmentConfig(StrictModel):
@@ -64,6 +68,8 @@ class AugmentConfig(StrictModel):
     photo_sky: float = 0.0  # of any frame, where photos train too: the sky of one of them
     lent_ground: float = 0.0  # of photos: a patch of a rendered frame's ground
     lake: float = 0.0
+    structures: float = 0.0  # masts, huts, dishes, roofs drawn into it
+    shade: float = 0.0  # of frames with bare ground: part of it in grey or blue shade
     ground_tint: float = 0.2
     snow: float = 0.08
     haze: float = 0.25

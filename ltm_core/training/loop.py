@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.utils.data import DataLoader, Dataset
 
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.evaluation.metrics.segmentation import SegmentationScore
@@ -22,7 +22,7 @@ from ltm_core.training.borrow import with_ground
 from ltm_core.training.config import OptimiserConfig, TrainingConfig
 from ltm_core.training.labelled_frames import Frame, Split
 from ltm_core.training.landscape_network import LandscapeNetwork, for_inference
-from ltm_core.training.losses import Batch, total_loss
+from ltm_core.training.losses import Batch, kept_depth_loss, total_loss
 from ltm_core.types import UInt8Array
 
 # ImageNet's, as the encoder's weights expect; the exported manifest states the same.
@@ -51,6 +51,7 @@ class Run:
     best_state: dict[str, Any] | None = None
     losses: list[float] = field(default_factory=list)
     validations: list[tuple[int, float]] = field(default_factory=list)
+    before: LandscapeNetwork | None = None  # as it was at the start, where its depth is to be kept
 
     @classmethod
     def start(cls, config: TrainingConfig, classes: int, weights: dict[str, Any] | None = None) -> Run:
@@ -80,7 +81,8 @@ class Run:
             {"params": list(encoder_parameters(network)), "scale": config.optimiser.encoder_rate},
         ]
         optimiser = torch.optim.AdamW(groups, lr=rate, weight_decay=config.optimiser.weight_decay)
-        return cls(network, copy.deepcopy(network).eval(), optimiser)
+        before = copy.deepcopy(network).eval() if config.optimiser.keep_depth > 0 else None
+        return cls(network, copy.deepcopy(network).eval(), optimiser, before=before)
 
     def save(self, path: Path, config: TrainingConfig) -> None:
         """Write a checkpoint, whole or not at all."""
@@ -94,6 +96,7 @@ class Run:
             "best_state": self.best_state,
             "losses": self.losses,
             "validations": self.validations,
+            "before": None if self.before is None else self.before.state_dict(),
         }
         part = path.with_suffix(".part")
         torch.save(content, part)
@@ -115,6 +118,8 @@ class Run:
         run.average.load_state_dict(content["average"])
         run.optimiser.load_state_dict(content["optimiser"])
         run.step, run.best, run.best_state = content["step"], content["best"], content["best_state"]
+        if run.before is not None:
+            run.before.load_state_dict(content["before"])
         run.losses, run.validations = content["losses"], [(int(s), float(v)) for s, v in content["validations"]]
         return run
 
@@ -156,7 +161,12 @@ def train(
         photos = batch.photos.to(memory_format=torch.channels_last)
         with torch.set_grad_enabled(not frozen):
             maps = run.network.encoder(photos)
-        loss = total_loss(*run.network.heads(maps), batch, weights, settings)
+        logits, log_inverse = run.network.heads(maps)
+        loss = total_loss(logits, log_inverse, batch, weights, settings)
+        if run.before is not None:
+            with torch.no_grad():
+                _, before = run.before(photos)
+            loss = loss + settings.keep_depth * kept_depth_loss(log_inverse, before)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         if not torch.isfinite(
@@ -212,40 +222,59 @@ def _at_size(image: UInt8Array, size: tuple[int, int]) -> UInt8Array:
 
 
 def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) -> Iterator[Batch]:
-    """Augmented batches after the first `done` up to the `last`, made one ahead; what is in a batch depends on seed and
+    """Augmented batches after the first `done` up to the `last`, made ahead; what is in a batch depends on seed and
     step alone."""
-    count, small_steps = config.optimiser.batch, round(config.optimiser.small * config.optimiser.steps)
-    deck, lent = Deck(frames, config.shares, config.seed), Lent.by(frames)
-    rendered = [frame for frame in frames if not frame.ordinal]
+    workers, there = config.optimiser.workers, device()
+    loader = DataLoader(
+        _Steps(config, frames),
+        sampler=range(done, last),
+        batch_size=None,
+        num_workers=workers,
+        pin_memory=there.type == "cuda",
+        multiprocessing_context="fork" if workers else None,
+        prefetch_factor=4 if workers else None,
+    )
+    mean, std = (torch.tensor(v, device=there) * 255.0 for v in (MEAN, STD))
+    for photos, *others in loader:
+        unit = (photos.to(there, non_blocking=True).float() - mean) / std  # bytes travel, not floats
+        yield Batch(unit.permute(0, 3, 1, 2), *(value.to(there, non_blocking=True) for value in others))
 
-    def batch(step: int) -> Batch:
-        size = _two_thirds(config) if step < small_steps else (config.height, config.width)
-        chosen = [frames[deck.card(step * count + index)] for index in range(count)]
+
+class _Steps(Dataset):  # type: ignore[misc]  # torch is not typed for us
+    """Batches by their step: photos (N, H, W, 3) uint8, labels, inverse depth, whether it is an order."""
+
+    def __init__(self, config: TrainingConfig, frames: list[Frame]) -> None:
+        self._config, self._frames = config, frames
+        self._deck, self._lent = Deck(frames, config.shares, config.seed), Lent.by(frames)
+        self._rendered = [frame for frame in frames if not frame.ordinal]
+        self._small = round(config.optimiser.small * config.optimiser.steps)
+
+    def __getitem__(self, step: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        config, lent = self._config, self._lent
+        if config.optimiser.workers:
+            cv2.setNumThreads(0)  # a process for each batch is enough
+        count = config.optimiser.batch
+        size = _two_thirds(config) if step < self._small else (config.height, config.width)
+        chosen = [self._frames[self._deck.card(step * count + index)] for index in range(count)]
         rng = np.random.default_rng([config.seed, 1, step])
         windows = [augmented(frame, size, config.augment, rng, lent) for frame in chosen]
         for index, frame in enumerate(chosen):
             if (
                 config.augment.lent_ground > 0
                 and frame.ordinal
-                and rendered
+                and self._rendered
                 and rng.random() < config.augment.lent_ground
             ):
-                donor = augmented(rendered[int(rng.integers(len(rendered)))], size, config.augment, rng, lent)
-                windows[index] = with_ground(windows[index], donor, rng)
-        return Batch(
-            normalised([photo for photo, _, _ in windows]).to(device()),
-            torch.from_numpy(np.stack([labels for _, labels, _ in windows])).to(device()),
-            torch.from_numpy(np.stack([inverse for _, _, inverse in windows])).to(device()),
-            torch.tensor([frame.ordinal for frame in chosen], device=device()),
+                donor_frame = self._rendered[int(rng.integers(len(self._rendered)))]
+                windows[index] = with_ground(
+                    windows[index], augmented(donor_frame, size, config.augment, rng, lent), rng
+                )
+        return (
+            torch.from_numpy(np.stack([photo for photo, _, _ in windows])),
+            torch.from_numpy(np.stack([labels for _, labels, _ in windows])),
+            torch.from_numpy(np.stack([inverse for _, _, inverse in windows])),
+            torch.tensor([frame.ordinal for frame in chosen]),
         )
-
-    with ThreadPoolExecutor(1) as maker:
-        following = maker.submit(batch, done)
-        for step in range(done, last):
-            current = following.result()
-            if step + 1 < last:
-                following = maker.submit(batch, step + 1)
-            yield current
 
 
 class Deck:

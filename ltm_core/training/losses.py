@@ -82,6 +82,12 @@ def depth_loss(log_inverse: Tensor, batch: Batch) -> Tensor:
     return loss
 
 
+def kept_depth_loss(log_inverse: Tensor, before: Tensor) -> Tensor:
+    """Mean |log ratio| of inverse depth to that of an earlier network, after each window's own scale (its mean)."""
+    residual = log_inverse - before
+    return (residual - residual.mean((1, 2, 3), keepdim=True)).abs().mean()
+
+
 def _silhouettes(truth: Tensor) -> Tensor:
     """Pixels with a neighbour more than 30 % nearer or farther, or unknown."""
     low = -functional.max_pool2d(torch.nan_to_num(-truth, nan=torch.inf)[:, None], 3, 1, 1)[:, 0]

@@ -127,7 +127,7 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
         photo, truth, _ = augmented(frame, SIZE, every, np.random.default_rng(seed))
         assert photo.dtype == np.uint8
         assert photo.std() > 1.0
-        assert set(np.unique(truth)) <= {*np.unique(labels), UNKNOWN}
+        assert set(np.unique(truth)) <= {*np.unique(labels), UNKNOWN, Label.BUILT}
 
 
 def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> None:
@@ -222,6 +222,47 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
     assert all(torch.equal(first[name], second[name]) for name in first)
     with pytest.raises(ConfigError, match=r"other values of seed"):
         Run.resume(checkpoint, config.model_copy(update={"seed": 9}), 7)
+
+
+def test_what_is_in_a_batch_does_not_depend_on_who_makes_it(frames: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.training.loop import train
+
+    weights = []
+    for workers in (0, 2):
+        config = _steps(TINY, 3)
+        config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"workers": workers})})
+        network, _ = train(config, read_split(frames, config.split, 7), 7, lambda _: None)
+        weights.append(network.state_dict())
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.training.loop import Run, train
+
+    apart = {}
+    for keep in (0.0, 3.0):
+        update = {"depth": 0.0, "order": 0.0, "keep_depth": keep, "steps": 12, "validate_every": 6}
+        config = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update=update)})
+        split = read_split(frames, config.split, 7)
+        run = Run.start(config, 7)
+        photo = torch.randn(1, 3, 64, 96, generator=torch.Generator().manual_seed(1))
+        with torch.inference_mode():
+            before = run.average(photo)[1]
+        _, run = train(config, split, 7, lambda _: None, run, checkpoint=tmp_path / "c.pt", until=6)
+        assert run.step == 6
+        if keep:  # a run that goes on keeps what was there at its start, not what it has come to
+            resumed = Run.resume(tmp_path / "c.pt", config, 7)
+            assert resumed.before is not None
+            with torch.inference_mode():
+                torch.testing.assert_close(resumed.before(photo)[1], before)
+            run = resumed
+        _, run = train(config, split, 7, lambda _: None, run)
+        with torch.inference_mode():
+            change = run.network.eval()(photo)[1] - before
+        apart[keep] = float((change - change.mean()).abs().mean())
+    assert apart[3.0] < 0.5 * apart[0.0]
 
 
 def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp_path: Path) -> None:
