@@ -155,7 +155,8 @@ def _times(stamps: Int64Array, most: int) -> Int64Array:
         return np.array([most], np.int64)
     ways = np.diff(stamps)
     both = np.concatenate([ways[:1], ways]) + np.concatenate([ways, ways[-1:]])
-    return np.clip(both // 2, 1, most)
+    clipped: Int64Array = np.clip(both // 2, 1, most)
+    return clipped
 
 
 def _reversed(number: int) -> int:
