@@ -36,6 +36,8 @@ def heads_to_choose(manifest: Manifest, folder: Path | None = None) -> tuple[dic
         except ModelError as reason:
             passed[path] = str(reason)
             continue
+        if content.by_name:
+            continue  # as it was meant, so there is nothing to tell
         if content.one_view:
             passed[path] = "is for one view alone: name it at the camera that has that view"
         elif head.domain is None or head.domain.axes != space.checksum:

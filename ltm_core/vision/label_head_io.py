@@ -27,7 +27,8 @@ _DIGITS: Final = 4
 class HeadFile(StrictModel):
     """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
     `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `one_view`:
-    it was taught by one view and is for that alone. `calibration`: how its labels err, on photos held out.
+    it was taught by one view and is for that alone. `by_name`: no picture chooses it. `calibration`: how its labels
+    err, on photos held out.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
@@ -43,6 +44,7 @@ class HeadFile(StrictModel):
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
     domain: HeadDomain | None = None
     one_view: bool = False
+    by_name: bool = False
     calibration: Calibration | None = None
 
     @model_validator(mode="after")

@@ -26,6 +26,9 @@ def head(
     one_view: Annotated[
         bool, typer.Option("--one-view", help="PHOTOS are of one view, and the head is for that alone.")
     ] = False,
+    by_name: Annotated[
+        bool, typer.Option("--by-name", help="No picture chooses the head; a camera has to name it.")
+    ] = False,
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
@@ -104,7 +107,7 @@ def head(
         )
     drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
-    write_head(part, trial.file)
+    write_head(part, trial.file.model_copy(update={"by_name": True, "domain": None}) if by_name else trial.file)
     figures = {"photos": {name: score.summary(names) for name, score in scores.items()}}
     try:
         taught = Segmenter(manifest, threads, segmenter.labels, head=read_head(part, manifest)[0])

@@ -21,7 +21,7 @@ from ltm_core.training.head_trial import teach_head
 from ltm_core.training.labelled_frames import Frame, read_frames
 from ltm_core.types import UInt8Array
 from ltm_core.vision.head_choice_io import heads_to_choose
-from ltm_core.vision.label_head_io import read_head
+from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
@@ -93,6 +93,30 @@ def test_the_command_installs_a_head_that_is_better_where_it_was_not_taught(tmp_
     found = Segmenter(manifest, head=head).segment(photo).labels
     assert (found == labels)[labels != UNLABELLED].mean() > 0.9
     assert (Segmenter.open().segment(photo).labels == Label.BUILT)[labels == Label.BUILT].mean() < 0.5
+
+
+@pytest.mark.slow
+def test_a_head_that_has_to_be_named_is_chosen_by_no_picture(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out), "--by-name"])
+    assert result.exit_code == 0, result.output
+    manifest = Manifest.find("landscape_lite0")
+    _, content = read_head(out, manifest)
+    assert content.by_name
+    assert content.domain is None
+    taken, passed = heads_to_choose(manifest, out.parent)
+    assert out not in {*taken, *passed}
+
+
+def test_the_near_head_fits_the_network_that_ships_and_is_chosen_by_no_picture() -> None:
+    manifest = Manifest.find("landscape_lite0")
+    file = find_head("near", manifest)
+    assert file is not None
+    head, content = read_head(file, manifest)
+    assert not head.doubt
+    assert content.by_name
+    taken, passed = heads_to_choose(manifest)
+    assert file not in {*taken, *passed}
 
 
 @pytest.mark.slow

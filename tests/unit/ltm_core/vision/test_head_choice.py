@@ -146,6 +146,7 @@ def test_what_cannot_be_chosen_is_passed_over_and_told(manifest: Path, tmp_path:
     heads, network = tmp_path / "heads", Manifest.load(manifest)
     write_swapping_head(heads / "old.yaml", manifest)
     write_swapping_head(heads / "other.yaml", manifest, sha256="1" * 64)
+    write_swapping_head(heads / "named.yaml", manifest, by_name=True)
     elsewhere = {"axes": "0" * 12, "centre": [0.0], "spread": 1.0, "sites": 1}
     write_swapping_head(heads / "moved.yaml", manifest, domain=elsewhere)
     taken, passed = heads_to_choose(network, heads)
