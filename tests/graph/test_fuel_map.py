@@ -17,7 +17,9 @@ from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp
 from scenes.waiting import wait_for
 
 from ltm_core.confirmed_terrain import terrain_grid
+from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.stored_map import STORE_FILE
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.raster.tile_store import TileStore
@@ -211,8 +213,9 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
         bystander.send(changes, classes_to_msg(kinds, terrain, stamp))
         tile = bystander.wait_for_stamp(UPDATE, stamp)
         shown = np.array(tile.data).reshape(tile.info.height, tile.info.width) == LifeForm.GRASS
-        assert shown.shape == (4 + 2 * 10, 5 + 2 * 10)  # with the cells whose changes these may have a say in
-        assert shown[10:14, 10:15].all()
+        about = reach_of(FusionRules())  # with the cells whose changes these may have a say in
+        assert shown.shape == (4 + 2 * about, 5 + 2 * about)
+        assert shown[about : about + 4, about : about + 5].all()
         assert shown.sum() == stand.sum()
 
         runner.kill("fuel_map")
