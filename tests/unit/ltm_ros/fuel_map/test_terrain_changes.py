@@ -16,7 +16,9 @@ from scenes.small_disk import SmallDisk
 
 from ltm_core.confirmed_terrain import terrain_grid
 from ltm_core.errors import ConfigError, MessageError, StoreError
+from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.raster.tile_store import TileStore
@@ -292,8 +294,9 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     np.testing.assert_array_equal(node.life_form, np.where(mask, LifeForm.BURNED, LifeForm.TREE))
     (tile,) = node.outlet.on(FUEL_MAP_UPDATE)
     shown = np.array(tile.data).reshape(tile.info.height, tile.info.width)
-    assert shown.shape == (5 + 7 + 10, 20 + 2 * 10)  # with the cells whose changes it may have a say in
-    np.testing.assert_array_equal(shown == LifeForm.BURNED, mask[:22, 30:70][::-1])
+    about = reach_of(FusionRules())  # with the cells whose changes it may have a say in
+    assert shown.shape == (5 + 7 + about, 20 + 2 * about)
+    np.testing.assert_array_equal(shown == LifeForm.BURNED, mask[: 12 + about, 40 - about : 60 + about][::-1])
     node.kill()
     again = kept(now=BEGIN_NS)
     np.testing.assert_array_equal(again.life_form == LifeForm.BURNED, mask)
