@@ -40,21 +40,24 @@ def test_a_tower_starts_without_its_port_and_answers_once_it_is_free(
     command = [sys.executable, "-c", LTM, "run", str(small.path), "--only", "tower"]
     command += ["--state", str(tmp_path / "state"), "--logs", str(tmp_path / "logs")]
     taken = socket.create_server(("127.0.0.1", port))
-    with Bystander() as bystander, console.open("w") as lines:
+    with console.open("w") as lines:
         graph = subprocess.Popen(command, stdout=lines, stderr=subprocess.STDOUT)
         try:
-            wait_for(
-                lambda: {f"/{NAME}/health", f"/{NAME}/fuel_map", f"/{NAME}/tower/capture"} <= set(bystander.summaries),
-                "all nodes",
-                console.read_text,
-                patience_s=180.0,
-            )
-            said = f"port: 127.0.0.1:{port} cannot be listened on (Address already in use): end what uses it"
-            wait_for(
-                lambda: bystander.summaries[f"/{NAME}/health"]["last_error"].startswith(said),
-                "the node's word of it",
-                lambda: bystander.summaries[f"/{NAME}/health"],
-            )
+            with Bystander() as bystander:  # gone before the tower is: ports that it maps could not be removed
+                wait_for(
+                    lambda: (
+                        {f"/{NAME}/health", f"/{NAME}/fuel_map", f"/{NAME}/tower/capture"} <= set(bystander.summaries)
+                    ),
+                    "all nodes",
+                    console.read_text,
+                    patience_s=180.0,
+                )
+                said = f"port: 127.0.0.1:{port} cannot be listened on (Address already in use): end what uses it"
+                wait_for(
+                    lambda: bystander.summaries[f"/{NAME}/health"]["last_error"].startswith(said),
+                    "the node's word of it",
+                    lambda: bystander.summaries[f"/{NAME}/health"],
+                )
             assert f"doubtful: machine, health: {said.removeprefix('port: ')}" in console.read_text()
             taken.close()
             wait_for(lambda: healthz(port) == 200, "an answer", console.read_text)
