@@ -159,9 +159,13 @@ class Living:
         self._sent += len(parts)
 
     def wait_taken(self) -> None:
-        """Until the node has taken all that was sent: a queue holds ten, and a busy machine is slow to read."""
+        """Until the node has done with all that was sent: DDS holds ten of a topic, the node's inbox a hundred, and a
+        busy machine is slow to read."""
         wait_for(
-            lambda: self.bystander.count(NODE, "received") >= self._sent,
+            lambda: (
+                self.bystander.count(NODE, "received") >= self._sent
+                and self.bystander.count(NODE, "queue") <= 1  # a tick
+            ),
             f"{self._sent} messages",
             lambda: self.bystander.summaries,
         )
