@@ -106,7 +106,7 @@ class ReolinkHead:
             if code:
                 code = int((said.get("error") or {}).get("rspCode", code))
             value = said.get("value") or {}
-        except (ValueError, TypeError, AttributeError, RecursionError):
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
             raise SourceError("the camera answers no JSON of Reolink's: check url and kind of ptz") from None
         if not isinstance(value, dict):
             raise SourceError(f"the camera answers {command} in no form that is known")

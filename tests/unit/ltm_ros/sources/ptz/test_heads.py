@@ -183,13 +183,14 @@ BOMB = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><x>&b;</x
         (b"pan=NaN\r\ntilt=1\r\nzoom=1", 200),
         (BOMB, 200),
         (b'[{"cmd":"x","code":0,"value":[1]}]', 200),
+        (b'[{"cmd":"x","code":1e999,"value":{}}]', 200),
         (b'[{"cmd":"x","code":0,"value":{"Token":[{"name":"north"}]}}]', 200),
         (b'[{"cmd":"x","code":0,"value":{"Token":{"name":"a"},"PtzCurPos":{"Ppos":1,"Tpos":2},"ZoomFocus":[3]}}]', 200),
         (b"[" * 5000, 200),
         (b"no", 404),
         (b"no", 500),
     ],
-    ids=["page", "empty", "bytes", "nan", "bomb", "list", "token", "zoom", "deep", "404", "500"],
+    ids=["page", "empty", "bytes", "nan", "bomb", "list", "code", "token", "zoom", "deep", "404", "500"],
 )
 def test_what_is_no_answer_is_told_as_such(turning: Turning, kind: str, body: bytes, status: int) -> None:
     _, camera = turning
