@@ -190,7 +190,7 @@ class ChangeDecision:
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
         shown = cells.evidence[here] >= rules.min_evidence
         lasts = apart | (cells.cameras[here] > 1)
-        # How lasting it is, those about it show.
+        # Whether it lasts is asked of the cells about it, not of this one.
         leans = has_prior & ~masked & (cells.evidence[here] >= rules.fill_evidence) & (log_odds >= 0)
         wants = has_prior & ~masked & shown & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
         fresh = burned & ~regrown

@@ -72,9 +72,9 @@ class FusionRules(StrictModel):
     less sure than a change asks for, if only they make that form likelier than any other. Three are a straight edge's.
     """
     fill_evidence: float = Field(1.0, gt=0)
-    """For that form;"""
+    """Evidence for that form that such a cell needs of its own."""
     fill_rounds: int = Field(2, ge=0, le=8)
-    """how often that is done; 0: never."""
+    """Rounds in which such cells are reported, each with those of the round before; 0: none are."""
     min_cells: int = Field(3, ge=1, le=100)
     """Minimum mapping unit: a connected region that changes into one life form counts from so many cells on (of 30 m:
     0.27 ha)."""

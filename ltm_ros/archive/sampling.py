@@ -32,7 +32,7 @@ _ASKED = 4
 """Pictures, at most, that are looked at for each look that is wanted."""
 _PHASES = 16
 """Places at which the first step begins, a power of two."""
-_MINUTES_NS = 5 * 60 * 10**9
+_DAYLIGHT_STEP_NS = 5 * 60 * 10**9
 """Steps in which the daylight of a span is measured."""
 
 Look = Callable[[ArchiveFrame], str]
@@ -136,9 +136,9 @@ def daylight_ns(turn: int, sample: Sample, site: Site) -> int:
     """How long the sun is up at the site within a span; the whole span where it never is."""
     longitude, latitude = place_of(site)
     begin = turn * sample.span_ns - _shift(longitude)
-    at = begin + np.arange(0, sample.span_ns, _MINUTES_NS)
+    at = begin + np.arange(0, sample.span_ns, _DAYLIGHT_STEP_NS)
     up = int((sun_elevation(latitude, longitude, at) > _DAYLIGHT).sum())
-    return up * _MINUTES_NS if up else sample.span_ns
+    return up * _DAYLIGHT_STEP_NS if up else sample.span_ns
 
 
 def _evenly(frames: Sequence[ArchiveFrame], most: int) -> Sequence[ArchiveFrame]:
