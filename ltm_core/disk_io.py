@@ -10,10 +10,26 @@ from pathlib import Path
 from ltm_core.errors import ConfigError
 
 
+def is_file(path: Path) -> bool:
+    """Whether a file is there; not, too, of a name that none can have or that we may not look at: until Python 3.14
+    `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there; see `is_file`."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def is_there(path: Path) -> bool:
+    """Whether a file, a folder or a device is there; see `is_file`."""
+    return os.path.exists(path)  # noqa: PTH110
+
+
 def folder_that_exists(path: Path) -> Path:
     """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
     path = path.absolute()
-    while not path.exists() and path != path.parent:
+    while not is_there(path) and path != path.parent:
         path = path.parent
     return path
 

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
+from ltm_core.disk_io import is_folder, is_there
 from ltm_core.errors import ConfigError
 
 
@@ -24,11 +25,11 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
     `overwrite`: whether files may be there already. Makes and changes nothing.
     """
     for file in files:
-        if file.is_dir():
+        if is_folder(file):
             raise ConfigError(f"{file}: is a folder, {what} need the name of a file")
-        if file.exists() and not overwrite:
+        if is_there(file) and not overwrite:
             raise ConfigError(f"{file}: exists already; name another place, or write over it with --overwrite")
-        reason = _why_not_over(file) if file.exists() else _why_not_into(file.parent)
+        reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
         if reason is not None:
             raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
 
@@ -41,7 +42,7 @@ def free_bytes(folder: Path) -> int:
 def _nearest(folder: Path) -> Path:
     """`folder`, or the first above it that is there."""
     there = folder.expanduser().absolute()
-    while not there.exists() and there != there.parent:
+    while not is_there(there) and there != there.parent:
         there = there.parent
     return there
 
@@ -49,13 +50,21 @@ def _nearest(folder: Path) -> Path:
 def _why_not_into(folder: Path) -> str | None:
     """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
     there = _nearest(folder)
-    if not there.is_dir():
+    if not is_folder(there):
         return f"{there} is no folder"
     try:
         with tempfile.TemporaryFile(dir=there):
-            return None
+            return _why_no_name(folder)
     except OSError as error:
         return error.strerror or str(error)
+
+
+def _why_no_name(place: Path) -> str | None:
+    try:
+        place.exists()  # raises for a name that is too long
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 def _why_not_over(file: Path) -> str | None:

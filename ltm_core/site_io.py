@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError
 from ltm_core.ptz_config import PtzSettings
 from ltm_core.site import Site
@@ -29,7 +30,7 @@ def load_site(path: Path | str) -> Site:
     }
     for name in ("model", "depth_model"):
         beside = path.parent / getattr(site, name)
-        if beside.suffix == ".yaml" and beside.is_file():
+        if beside.suffix == ".yaml" and is_file(beside):
             changes[name] = str(beside)
     changes["cameras"] = {
         name: _source_beside(_with_mask(name, camera, path), path.parent) for name, camera in site.cameras.items()

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.crosswalk import Crosswalk, partners
 from ltm_core.fuel.life_form import NODATA, LifeForm
@@ -173,7 +174,7 @@ class FuelRegion(StrictModel):
         """A region that ships with the project. Raises ConfigError naming those there are."""
         folder = config_path("fuel/regions")
         path = folder / f"{name}.yaml"
-        if not path.is_file():
+        if not is_file(path):
             there = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
             raise ConfigError(f"no fuel region is called {name!r}; there are {there}")
         return load_yaml(path, cls)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.disk_io import is_folder, is_there
 from ltm_core.errors import RasterError
 from ltm_core.fuel.barriers_io import barrier_codes, with_barriers
 from ltm_core.fuel.codes import FuelSystem, fuel_models, system_of_codes
@@ -102,14 +103,14 @@ def _bands_of(config: PriorConfig) -> dict[str, _Band]:
     """What to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
     if config.path is None:
         return {name: _Band(path) for name, path in config.files().items()}
-    if config.path.is_dir():
+    if is_folder(config.path):
         return _bands_of_folder(config.path, {name: _Band(path) for name, path in config.files().items()})
     if config.files():
         raise RasterError(
             f"{config.path}: is no folder, so that {', '.join(config.files())} cannot be named beside it; name all "
             "files, or a folder"
         )
-    if not config.path.exists():
+    if not is_there(config.path):
         raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
     with open_raster(config.path) as source:
         count, is_lcp = source.count, source.driver == "LCP"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
@@ -23,7 +24,7 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
     """
     if site.terrain is None:
         raise ConfigError(f"site {site.name} has no section `terrain`; {path} needs that of the site that made it")
-    if not path.is_file():
+    if not is_file(path):
         raise ConfigError(f"{path}: no such file; a terrain store is terrain.sqlite in the folder that keeps the map")
     bare = site.open_dem()
     surface = site.open_surface(bare) if site.surface is not None else None

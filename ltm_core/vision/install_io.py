@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ModelError
 from ltm_core.vision.label_calibration_io import calibration_path
 from ltm_core.vision.manifest import Manifest, added_folder, shipped_names
@@ -59,7 +60,7 @@ def add_model(
         shutil.copyfile(manifest.text_file(), folder / manifest.text.file.name)
         content = content.replace(str(manifest.text.file), manifest.text.file.name)
     for beside in (manifest_path.parent / manifest.card, calibration_path(manifest_path)):
-        if beside.is_file():
+        if is_file(beside):
             shutil.copyfile(beside, folder / beside.name)
     added = folder / f"{manifest.name}.yaml"
     added.write_text(content, encoding="utf-8")

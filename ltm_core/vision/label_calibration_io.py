@@ -9,6 +9,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float64Array
@@ -70,7 +71,7 @@ def calibration_path(manifest_path: Path) -> Path:
 def load_calibration(manifest: Manifest) -> Calibration | None:
     """The calibration beside a manifest; None where it has none. Raises ModelError for a file that cannot be taken."""
     path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
-    if not path.is_file():
+    if not is_file(path):
         return None
     try:
         return load_yaml(path, Calibration)

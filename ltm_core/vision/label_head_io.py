@@ -12,6 +12,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
 from ltm_core.vision.label_agreement import Agreement
@@ -123,7 +124,7 @@ def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path
     else:
         places = [place / f"{name}.yaml" for place in places_of_heads(manifest, folder)]
     for place in places:
-        if place.is_file():
+        if is_file(place):
             return place
     raise ModelError(
         f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm train "

@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
@@ -213,7 +214,7 @@ class Manifest(StrictModel):
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
             return cls.load(Path(path_or_name))
-        path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if p.is_file()), None)
+        path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if is_file(p)), None)
         if path is None:
             names = ", ".join([*shipped_names(), *added_names()]) or "none"
             raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
@@ -249,7 +250,7 @@ class Manifest(StrictModel):
             for folder in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
                 places += [Path(folder) / file, Path(folder) / file.name]
         for place in places:
-            if place.is_file():
+            if is_file(place):
                 return place
         looked = ", ".join(dict.fromkeys(str(place) for place in places))
         source = f" (source: {self.source})" if self.source else ""

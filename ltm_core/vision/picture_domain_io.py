@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 
 from ltm_core.config_io import load_yaml
+from ltm_core.disk_io import is_file
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.vision.manifest import DOMAIN_SUFFIX, Manifest
 from ltm_core.vision.picture_domain import DomainSpace
@@ -23,7 +24,7 @@ def load_domain(manifest: Manifest) -> DomainSpace | None:
     """Of a network; None where nobody measured it. Raises ModelError for a file that cannot be taken, or is of another
     network or of a map that the manifest does not state."""
     path = domain_path(manifest)
-    if not path.is_file():
+    if not is_file(path):
         return None
     try:
         space = load_yaml(path, DomainSpace)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ltm_core.disk_io import is_file, is_folder
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
@@ -143,9 +144,9 @@ class BagReader:
             ) from error
 
     def _mcap_files(self) -> list[Path]:
-        if self.path.is_file():
+        if is_file(self.path):
             return [self.path]
-        if not self.path.is_dir():
+        if not is_folder(self.path):
             raise RecordingError(f"no bag at {self.path}: give a bag folder or an .mcap file")
         files = bag_files(self.path)
         if files is not None:

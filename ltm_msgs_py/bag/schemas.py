@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ltm_core.disk_io import is_file
 from ltm_core.errors import RecordingError
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
@@ -130,6 +131,6 @@ def _installed_file(package: str, name: str) -> Path | None:
         prefixes += Path(spec.origin).parents
     for prefix in prefixes:
         path = prefix / "share" / package / "msg" / name
-        if path.is_file():
+        if is_file(path):
             return path
     return None

@@ -11,6 +11,7 @@ from typing import Any, Literal, NoReturn, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 
+from ltm_core.disk_io import is_folder, is_there
 from ltm_core.errors import RecordingError
 from ltm_core.output_io import require_folder
 from ltm_msgs_py.bag.mcap_file import McapFile
@@ -286,5 +287,5 @@ class BagWriter:
 
 
 def _require_absent(path: Path) -> None:
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+    if is_there(path) and not (is_folder(path) and not any(path.iterdir())):
         raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from ltm_core.disk_io import is_folder
 from ltm_core.source_config import FolderConfig
 from ltm_ros.sources.errors import PictureError, SourceError
 from ltm_ros.sources.jpeg_time import exif_time
@@ -38,7 +39,7 @@ class FolderReader:
         self.pause = config.every
         self._config, self._most_bytes, self._clock = config, most_bytes, clock
         self._folder = config.path
-        if not self._folder.is_dir():
+        if not is_folder(self._folder):
             raise SourceError(f"{self._folder} is no folder that can be read: make it, or mend path")
         try:
             self._zone = ZoneInfo(config.zone)
@@ -70,7 +71,7 @@ class FolderReader:
 
     def _look(self, wall: float) -> dict[Path, _Seen]:
         try:
-            if not self._folder.is_dir():
+            if not is_folder(self._folder):
                 raise SourceError(f"{self._folder} is gone: mount it, or mend path")
             return dict(itertools.islice(self._files(wall), MOST_FILES))
         except OSError as error:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from importlib.util import find_spec
 
+from ltm_core.disk_io import is_file, is_folder, is_there
 from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings, RtspConfig, SourceConfig, V4l2Config
 from ltm_ros.sources.credentials import read_secret
 from ltm_ros.sources.errors import UnauthorisedError
@@ -21,11 +22,11 @@ def doubts_of(source: SourceConfig) -> Iterator[str]:
     if isinstance(source, RtspConfig | V4l2Config) and find_spec("av") is None:
         yield 'video needs PyAV: pip install "ltm[rtsp]"'
     if isinstance(source, V4l2Config):
-        if not source.device.exists():
+        if not is_there(source.device):
             yield f"{source.device} is not there: plug the camera in, or mend device (ls /dev/v4l/by-id)"
         elif not os.access(source.device, os.R_OK | os.W_OK):
             yield f"{source.device} may not be read: add the user to the group video"
-    if isinstance(source, HttpSettings) and source.ca is not None and not source.ca.is_file():
+    if isinstance(source, HttpSettings) and source.ca is not None and not is_file(source.ca):
         yield f"ca {source.ca} is not there"
-    if isinstance(source, FolderConfig) and not source.path.is_dir():
+    if isinstance(source, FolderConfig) and not is_folder(source.path):
         yield f"{source.path} is no folder: make it, or mend path"

@@ -40,3 +40,10 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         require_folder(Path("/proc/ltm"))
     with pytest.raises(ConfigError, match=r"/proc/version/x: results cannot be written there \("):
         require_files([Path("/proc/version/x")])
+
+
+def test_names_that_are_too_long_for_a_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"map: the map cannot be written there \(File name too long\)"):
+        require_folder(tmp_path / ("long" * 70 + "map"), "the map")
+    with pytest.raises(ConfigError, match=r"map.tif: results cannot be written there \(File name too long\)"):
+        require_files([tmp_path / ("long" * 70 + "map.tif")])

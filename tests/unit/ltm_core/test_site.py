@@ -12,10 +12,13 @@ import yaml
 from ltm_core.camera import Camera
 from ltm_core.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError
+from ltm_core.errors import ConfigError, ModelError, PoseError, RasterError
+from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
+from ltm_core.vision.label_head_io import find_head
+from ltm_core.vision.manifest import Manifest
 
 REPOSITORY = Path(__file__).parents[3]
 SITE: dict[str, Any] = {
@@ -92,6 +95,21 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
         load(tmp_path, **changes)
     for message in ["site.yaml", *messages]:
         assert message in str(raised.value)
+
+
+def test_names_that_no_file_can_have(tmp_path: Path) -> None:
+    """They are looked for beside the site file, and told where they are needed."""
+    name = "long" * 70
+    site = load(tmp_path, model=f"{name}.yaml", cameras={"north": {"head": name}}, fuel={"prior": {"path": name}})
+    with pytest.raises(ModelError, match=name):
+        Manifest.find(site.model)
+    with pytest.raises(ModelError, match=name):
+        Manifest.find(name)
+    with pytest.raises(ModelError, match=f"no head '{name}'"):
+        find_head(name, Manifest.find("landscape_lite0"), tmp_path)
+    assert site.fuel.prior is not None
+    with pytest.raises(RasterError, match=f"{name}: no such file"):
+        load_prior(site.fuel.prior, GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611"))
 
 
 def test_no_site_file(tmp_path: Path) -> None:
