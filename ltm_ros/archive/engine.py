@@ -9,6 +9,7 @@ import ipaddress
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,20 @@ from urllib.parse import urlsplit
 from ltm_core.errors import ArchiveError, LtmError
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport, work
+from ltm_ros.launching.ros_environment import available_cores
 
 _DEATHS = 3
 """Workers beyond the first that may die while they have a task, before it is given up as their killer."""
-_QUIET = {
+_LOCAL = {
     "distributed.scheduler.allowed-failures": _DEATHS,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.worker.profile.enabled": False,
+    "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1},
 }
 """Of Dask on this machine: its servers would look at themselves 50 times a second, and profile workers 100 times, for a
-dashboard that nobody watches."""
+dashboard that nobody watches. Its own environment of workers would also have them give memory back at 64 kB, for which
+each array of a frame is mapped anew: a quarter more processor time."""
 PATIENCE_S = 30.0
 """Seconds without a task that ends, after which a cluster without workers is told of, again and again."""
 _log = logging.getLogger(__name__)
@@ -86,15 +90,26 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
 
         place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
         with (
-            dask.config.set(_QUIET),
+            dask.config.set(_LOCAL),
             LocalCluster(
                 n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
             ) as cluster,
             Client(cluster) as client,
         ):
-            yield from _windowed(client, tasks, settings, job or work)
+            yield from _windowed(
+                client, tasks, settings, partial(_on_its_cores, max(1, available_cores() // count), job or work)
+            )
 
     return run
+
+
+def _on_its_cores(threads: int, job: Job, task: Task, settings: TaskSettings) -> TaskReport:
+    """A worker's job whose kernels take no threads that wait for another worker's core. Not by the environment: Dask
+    sets that of workers in this process, too, while it starts them, and numba would find it changed."""
+    import numba
+
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    return job(task, settings)
 
 
 def on_cluster(cluster: Cluster) -> Engine:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 
+import numba
 import pytest
 from distributed import LocalCluster
 
 from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive import engine
-from ltm_ros.archive.engine import Cluster, on_cluster
+from ltm_ros.archive.engine import Cluster, on_cluster, on_workers
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport
+from ltm_ros.launching.ros_environment import available_cores
 
 SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
 
@@ -58,3 +61,16 @@ def test_a_cluster_without_workers_is_told_of_and_goes_on_when_some_come(
     assert f"dask worker {cluster.scheduler_address}" in said
     assert {one.task.evidence_key for one in done} == set("012345")
     assert {one.task.evidence_key: one.error for one in done if one.error} == {"3": "the disk is full"}
+
+
+def surroundings(task: Task, settings: TaskSettings) -> TaskReport:
+    hurried = [name for name in os.environ if name.startswith("MALLOC_")]
+    return TaskReport(numba.get_num_threads() + 1000 * len(hurried))
+
+
+@pytest.mark.slow  # starts two processes
+def test_workers_keep_their_memory_and_leave_each_other_s_cores_alone() -> None:
+    threads = max(1, available_cores() // 2)
+    done = list(on_workers(2, surroundings)([task(n) for n in range(3)], SETTINGS))
+    assert [one.report for one in done] == 3 * [TaskReport(threads)]
+    assert numba.get_num_threads() == numba.config.NUMBA_NUM_THREADS
