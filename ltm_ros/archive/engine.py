@@ -96,20 +96,23 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
             ) as cluster,
             Client(cluster) as client,
         ):
-            yield from _windowed(
-                client, tasks, settings, partial(_on_its_cores, max(1, available_cores() // count), job or work)
-            )
+            yield from _windowed(client, tasks, settings, partial(_on_its_cores, count, job or work))
 
     return run
 
 
-def _on_its_cores(threads: int, job: Job, task: Task, settings: TaskSettings) -> TaskReport:
-    """A worker's job whose kernels take no threads that wait for another worker's core. Not by the environment: Dask
-    sets that of workers in this process, too, while it starts them, and numba would find it changed."""
+def _on_its_cores(workers: int, job: Job, task: Task, settings: TaskSettings) -> TaskReport:
+    keep_to_cores(workers)
+    return job(task, settings)
+
+
+def keep_to_cores(workers: int) -> None:
+    """In one of so many workers of this machine: its kernels take no threads that wait for another worker's core. Not
+    by the environment: Dask sets that of workers in this process, too, while it starts them, and numba would find it
+    changed."""
     import numba
 
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    return job(task, settings)
+    numba.set_num_threads(min(max(1, available_cores() // workers), numba.config.NUMBA_NUM_THREADS))
 
 
 def on_cluster(cluster: Cluster) -> Engine:

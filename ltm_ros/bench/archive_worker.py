@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 from ltm_core.bench.measure import peak_mb, resident_mb
-from ltm_ros.archive.engine import on_workers
+from ltm_ros.archive.engine import keep_to_cores, on_workers
 from ltm_ros.archive.frame_files import frame_files, votes_file
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings
@@ -70,13 +70,14 @@ class EngineShare:
 
 
 def worker_cost(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Task] = ()) -> WorkerCost:
-    """Of tasks whose results are not there yet, in a fresh process. `measured`: the same of a plan that measures, with
-    its settings' `fusing`; none: the site has no depth network."""
+    """Of tasks whose results are not there yet, in a fresh process with the threads of one of two workers. `measured`:
+    the same of a plan that measures, with its settings' `fusing`; none: the site has no depth network."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(_worked, tasks, settings, measured).result()
 
 
 def _worked(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Task]) -> WorkerCost:
+    keep_to_cores(2)
     frames = sum(len(task.frames) for task in tasks)
     for task in tasks:
         votes_file(Task(task.frames[:1], task.steps_key, "", ""), settings)
