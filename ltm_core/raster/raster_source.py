@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ltm_core.disk_io import is_file
 from ltm_core.errors import RasterError
 
 _GDAL = {"GDAL_CACHEMAX": 32}
@@ -18,6 +19,7 @@ _UNSUSPECTED = 16 << 20
 MOST_BANDS = 100
 """Landscape files have ten. Where a file interleaves its bands by cell, one band is not read without all others: of
 4,097 bands a block of 256 x 256 cells is a gigabyte."""
+_GRIDS_OF_TEXT = ("AAIGrid", "GRASSASCIIGrid", "ISG")
 _MOST_FOR_A_BYTE = 1000
 """Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
 file may state any size, and need not hold the tiles of it."""
@@ -34,6 +36,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     try:
         with rasterio.Env(**_GDAL), rasterio.open(path) as source:
             _check_bands(source, path)
+            if source.driver in _GRIDS_OF_TEXT:
+                _check_rows(source, path)
             yield source
     except (RasterioError, CPLE_BaseError, CRSError, UnicodeDecodeError) as error:  # the last: a CRS's name, no text
         raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
@@ -43,6 +47,24 @@ def _check_bands(source: Any, path: Path | str) -> None:
     """Raises RasterError."""
     if source.count > MOST_BANDS:
         raise RasterError(f"{path}: has {source.count} bands, at most {MOST_BANDS}; cut out the one that is meant (-b)")
+
+
+def _check_rows(source: Any, path: Path | str) -> None:
+    """GDAL looks for a row of text by reading those before it, and where one is missing for each of them anew: of a file
+    that ends early the last row takes years. In order, the first that is missing ends it. Raises RasterError."""
+    from rasterio.errors import RasterioError
+    from rasterio.windows import Window
+
+    size = Path(path).stat().st_size if is_file(Path(path)) else None
+    if size is not None and 2 * source.width > size + 1:
+        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; fetch it again")
+    for row in range(source.height):
+        try:
+            source.read(1, window=Window(0, row, source.width, 1))
+        except RasterioError as error:
+            raise RasterError(
+                f"{path}: row {row + 1} of {source.height} is missing or holds what is no number; fetch it again"
+            ) from error
 
 
 def _check_is_data(path: Path) -> None:
@@ -64,7 +86,7 @@ def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
     if cells <= _UNSUSPECTED:
         return
     files = [Path(name) for name in source.files]
-    size = sum(file.stat().st_size for file in files if file.is_file())
+    size = sum(file.stat().st_size for file in files if is_file(file))
     # A VRT holds nothing itself, and names files that may be elsewhere.
     if cells > MOST_CELLS or (source.driver != "VRT" and cells > size * _MOST_FOR_A_BYTE):
         raise RasterError(

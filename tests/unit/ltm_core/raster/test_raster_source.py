@@ -16,6 +16,7 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.dem_io import read_around
 
 
 def sparse(path: Path, side: int, dtype: str) -> Path:
@@ -47,6 +48,22 @@ def test_a_raster_of_thousands_of_bands_is_not_read(tmp_path: Path) -> None:
         pass
     with pytest.raises(RasterError, match=r"dem\.tif: has 101 bands, at most 100; cut out the one that is meant"):
         Dem.open(tmp_path / "dem.tif")
+
+
+def test_a_grid_of_text_that_ends_early_is_told_by_its_first_missing_row(tmp_path: Path) -> None:
+    """GDAL alone takes twice as long for each row that is missing before the one that is asked for."""
+    file = tmp_path / "dem.asc"
+    head = "ncols 5\nnrows 14\nxllcorner 480000\nyllcorner 4150000\ncellsize 60\n"
+    rows = [" ".join(f"{800 + 7 * row + column}.5" for column in range(5)) for row in range(14)]
+    file.write_text(head + "\n".join(rows))
+    southwest = (480_030.0, 4_150_030.0, 480_200.0, 4_150_150.0)
+    assert read_around(file, "EPSG:26911", "EPSG:26911", southwest).elevation[-1, 0] == 891.5
+    file.write_text(head + "\n".join(rows[:3]))
+    with pytest.raises(RasterError, match=r"dem\.asc: row 4 of 14 is missing or holds what is no number"):
+        read_around(file, "EPSG:26911", "EPSG:26911", southwest)
+    file.write_text(head.replace("ncols 5", "ncols 500000000") + rows[0])
+    with pytest.raises(RasterError, match=r"states rows of 500000000 numbers in a file of \d+ bytes"):
+        Dem.open(file)
 
 
 @pytest.mark.parametrize("text", ['<GDAL_WMS><Service name="TMS"/></GDAL_WMS>', ' {"type": "FeatureCollection"}'])
