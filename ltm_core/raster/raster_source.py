@@ -50,7 +50,7 @@ def _check_bands(source: Any, path: Path | str) -> None:
 
 
 def _check_rows(source: Any, path: Path | str) -> None:
-    """GDAL looks for a row of text by reading those before it, and where one is missing for each of them anew: of a file
+    """GDAL looks for a row of text by reading those before it, and where one is missing for each of them anew: of one
     that ends early the last row takes years. In order, the first that is missing ends it. Raises RasterError."""
     from rasterio.errors import RasterioError
     from rasterio.windows import Window

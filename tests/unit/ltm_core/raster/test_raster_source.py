@@ -57,8 +57,8 @@ def test_a_grid_of_text_that_ends_early_is_told_by_its_first_missing_row(tmp_pat
     rows = [" ".join(f"{800 + 7 * row + column}.5" for column in range(5)) for row in range(14)]
     file.write_text(head + "\n".join(rows))
     southwest = (480_030.0, 4_150_030.0, 480_200.0, 4_150_150.0)
-    assert read_around(file, "EPSG:26911", "EPSG:26911", southwest).elevation[-1, 0] == 891.5
-    file.write_text(head + "\n".join(rows[:3]))
+    assert read_around(file, "EPSG:26911", "EPSG:26911", southwest)[0][-1, 0] == 891.5
+    file.write_text(head + "\n".join(rows[:3]) + "\n")
     with pytest.raises(RasterError, match=r"dem\.asc: row 4 of 14 is missing or holds what is no number"):
         read_around(file, "EPSG:26911", "EPSG:26911", southwest)
     file.write_text(head.replace("ncols 5", "ncols 500000000") + rows[0])
