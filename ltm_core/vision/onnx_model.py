@@ -142,10 +142,11 @@ class OnnxModel:
         return name
 
     def _named(self, wanted: str | None, present: list[str], what: str) -> str:
-        if wanted is None:
+        if wanted is None and present:
             return present[0]
-        if wanted not in present:
-            raise self._wrong(what, repr(wanted), ", ".join(map(repr, present)))
+        if wanted is None or wanted not in present:
+            expected = "one" if wanted is None else repr(wanted)
+            raise self._wrong(what, expected, ", ".join(map(repr, present)) or "none")
         return wanted
 
     def _wrong(self, what: str, expected: object, found: object) -> ModelError:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
-from onnx import helper
+from onnx import helper, numpy_helper
 from scenes.networks import changed, write_classifier, write_manifest
 
 from ltm_core.errors import ModelError
@@ -146,6 +146,21 @@ def test_a_network_unlike_its_manifest_is_refused_with_expected_and_found(
 ) -> None:
     with pytest.raises(ModelError, match=message):
         OnnxModel(Manifest.load(changed(manifest_path, **changes)))
+
+
+@pytest.mark.parametrize("part", ["input", "output"])
+def test_a_network_without_an_input_or_an_output_is_refused(manifest_path: Path, tmp_path: Path, part: str) -> None:
+    """The runtime loads both."""
+    network = onnx.load(str(tmp_path / "colors.onnx"))
+    if part == "output":
+        del network.graph.output[:]
+    else:
+        image = network.graph.input.pop()
+        network.graph.initializer.append(numpy_helper.from_array(np.zeros((1, 3, 32, 48), np.float32), image.name))
+    content = network.SerializeToString()
+    (tmp_path / "colors.onnx").write_bytes(content)
+    with pytest.raises(ModelError, match=rf"{part}: expected one, found none"):
+        OnnxModel(Manifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
 
 
 def test_a_network_that_fails_as_it_runs_is_an_error_of_ours(manifest_path: Path, tmp_path: Path) -> None:
