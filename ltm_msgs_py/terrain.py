@@ -13,13 +13,16 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
+from ltm_core.errors import MessageError
 from ltm_core.grid import GridGeometry
 from ltm_core.named_columns import take
-from ltm_core.terrain.change import Changed
+from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.types import Float32Array
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
+
+_WHAT = "terrain update"
 
 
 def changed_to_msg(
@@ -40,12 +43,15 @@ def changed_to_msg(
 
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
-    """The changed cells, with kind 0 before, and their heights. Raises MessageError on other fields or types."""
+    """The changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError on other fields or
+    types, and on kinds of change that there are not."""
     columns = msg_to_columns(msg)
-    rows, cols = (take(columns, name, np.int32, "terrain update") for name in ("row", "col"))
-    kind = take(columns, "change", np.uint8, "terrain update")
-    shift, z = (take(columns, name, np.float32, "terrain update") for name in ("shift", "z"))
-    return Changed(rows, cols, np.zeros_like(kind), kind, shift), z
+    rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
+    kind = take(columns, "change", np.uint8, _WHAT)
+    shift, *place = (take(columns, name, np.float32, _WHAT) for name in ("shift", "x", "y", "z"))
+    if (kind > max(ChangeKind)).any():
+        raise MessageError(f"{_WHAT}: change is {int(kind.max())}, no kind of change; there are 0 to {max(ChangeKind)}")
+    return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
 
 
 def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:

@@ -14,12 +14,10 @@ from ltm_core.fuel.stored_map import SURFACE_LAYER
 from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews
 from ltm_core.fuel.surface_news import SurfaceMoves, take_news
 from ltm_core.grid import GridGeometry
-from ltm_core.named_columns import take
 from ltm_core.raster.tile_store import CellChanges
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_msgs_py.grid import msg_to_classes, tile_window
-from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.fuel_map.persistence import FuelMapPersistence
@@ -71,9 +69,8 @@ class SurfaceListener:
         self._check_frame(message, "terrain update")
         if self._refuse_future("the terrain's update", stamp_of(message)):
             return
-        changed, _ = msg_to_changed(message)
-        columns = msg_to_columns(message)
-        x, y = (take(columns, axis, np.float32, "terrain update") for axis in "xy")
+        changed, places = msg_to_changed(message)
+        x, y = places[:, 0], places[:, 1]
         inside = self._grid.contains(changed.rows, changed.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -84,7 +81,7 @@ class SurfaceListener:
         centres = self._grid.to_map(changed.rows, changed.cols)
         with np.errstate(invalid="ignore"):
             placed = np.hypot(x - centres[0], y - centres[1]) <= 0.25 * self._grid.resolution
-        good = placed & np.isfinite(changed.shift) & (changed.kind <= max(ChangeKind))
+        good = placed & np.isfinite(changed.shift)
         if not good.all():
             first = int(np.argmin(good))
             raise MessageError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,6 @@ from pydantic import Field
 
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.named_columns import take
 from ltm_core.range_image import RangeImage
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
@@ -22,9 +22,9 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
-from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.runtime.free_path import free_path
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -137,20 +137,17 @@ class Viewer(Handler[ViewerConfig]):
         self._view.log_change(stamp_of(message), *msg_to_classes(message))
 
     def on_changed_cells(self, message: Any) -> None:
-        columns = msg_to_columns(message)
-        cells, points = (
-            np.column_stack([take(columns, name, dtype, "terrain update") for name in names])
-            for names, dtype in ((("row", "col"), np.int32), (("x", "y", "z"), np.float32))
-        )
-        kinds = take(columns, "change", np.uint8, "terrain update")
-        self._view.log_changed_cells(stamp_of(message), cells, points, kinds)
+        changed, points = msg_to_changed(message)
+        cells = np.column_stack([changed.rows, changed.cols])
+        self._view.log_changed_cells(stamp_of(message), cells, points, changed.kind)
 
     def on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             values = {}
             for item in status.values:
                 if item.key.endswith(("_ms", "_hz")) or item.key in ("received", "published", "dropped", "queue"):
-                    values[item.key] = float(item.value)
+                    with suppress(ValueError):  # any driver may have such keys, and words for values
+                        values[item.key] = float(item.value)
             self._view.log_diagnostics(stamp_of(message), status.name, values)
             if status.level != b"\x00":
                 self._view.log_text("WARN", f"{status.name}: {status.message}")

@@ -71,9 +71,10 @@ def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     ]
     assert {topic.name for topic in terrain.acknowledgements} == {finished, camera_topic(NAME, "tower", FINISHED)}
     (update,) = outlet.on(TERRAIN_UPDATE)
-    changed, z = msg_to_changed(update)
+    changed, places = msg_to_changed(update)
     was = small.dem.elevation[changed.rows, changed.cols]
     true = truth.elevation[changed.rows, changed.cols]
+    z = places[:, 2]
     assert len(z) > 50
     assert np.median(np.abs(z - true)) < 0.3 * np.median(np.abs(was - true))
     terrain.finish()
@@ -122,7 +123,8 @@ def test_a_camera_tells_by_its_labels_that_a_wood_is_gone(tmp_path: Path) -> Non
     assert outlet.on(TERRAIN_UPDATE) == []
     look(51.0, Label.GRASS)
     (update,) = outlet.on(TERRAIN_UPDATE)
-    changed, z = msg_to_changed(update)
+    changed, places = msg_to_changed(update)
+    z = places[:, 2]
     assert len(z) > 50
     assert set(np.unique(changed.kind)) == {ChangeKind.REMOVED}
     assert np.median(np.abs(z - wooded.dem.elevation[changed.rows, changed.cols])) < 1.0

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from scenes.outlets import Kept
 from scenes.small_site import write_small_site
 
@@ -110,6 +111,25 @@ def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Pa
     (points,) = found["/map/change"]
     x, y = window.to_map(1, 1)
     assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
+
+
+def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    path = small.path
+    path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml", "terrain": {}}))
+    node = viewer(path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    one = np.array([1])
+    changed = Changed(one, one, 0 * one.astype(np.uint8), np.array([97], np.uint8), np.array([-4.0], np.float32))
+    message = changed_to_msg(changed, np.array([300.0]), GridGeometry(0.0, 40.0, 10.0, 7, 4), STAMP)
+    with pytest.raises(MessageError, match="change is 97, no kind of change; there are 0 to 3"):
+        take[site_topic(small.site.name, TERRAIN_UPDATE)](message)
+    rate = [KeyValue(key="frames_hz", value="unknown"), KeyValue(key="queue", value="3")]
+    take["/diagnostics"](DiagnosticArray(status=[DiagnosticStatus(name="a driver", level=b"\0", values=rate)]))
+    node.finish()
+    paths = {str(chunk.entity_path) for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
+    assert any("queue" in path for path in paths)
+    assert not any("frames_hz" in path for path in paths)
 
 
 def test_the_prior_is_shown_under_what_cameras_have_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
