@@ -114,6 +114,8 @@ _TOKENS = (
     "a: &a [x, x, x, x, x, x, x, x, x]\nb: &b [*a, *a, *a, *a, *a, *a, *a, *a]\n"
     "c: &c [*b, *b, *b, *b, *b, *b, *b, *b]\nd: &d [*c, *c, *c, *c, *c, *c, *c]\ne: [*d, *d, *d, *d, *d, *d]\n",
 )
+MOST_TEXT = 32 << 20
+"""Characters that one line is repeated to, twice what the largest reader takes: a text may be one line."""
 _CUTS = re.compile(r"(?<=[:,\[\]{}\n -])")
 
 
@@ -130,9 +132,7 @@ def spoil_text(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
         return spoil_bytes(rng, data, seeds)
     text = data.decode("utf-8", "replace")
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        text = rng.choice((_replaced_value, _replaced_value, _token_at, _moved_part, _nested, _repeated_line))(
-            rng, text
-        )
+        text = rng.choice((_replaced_value, _replaced_value, _token_at, _moved_part, _nested, repeated_line))(rng, text)
     return text.encode("utf-8", "surrogatepass")
 
 
@@ -159,10 +159,11 @@ def _moved_part(rng: random.Random, text: str) -> str:
     return "".join(lines)
 
 
-def _repeated_line(rng: random.Random, text: str) -> str:
+def repeated_line(rng: random.Random, text: str) -> str:
     lines = text.splitlines(keepends=True) or [""]
     at = rng.randrange(len(lines))
-    return "".join([*lines[:at], *[lines[at]] * rng.choice((2, 3, 50)), *lines[at + 1 :]])
+    times = min(rng.choice((2, 3, 50)), max(1, MOST_TEXT // max(1, len(lines[at]))))
+    return "".join([*lines[:at], *[lines[at]] * times, *lines[at + 1 :]])
 
 
 def _nested(rng: random.Random, text: str) -> str:

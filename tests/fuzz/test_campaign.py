@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from fuzz import campaign as suite
 from fuzz import targets
+from fuzz.mutations import MOST_TEXT, repeated_line
 from fuzz.self_test import SELF_TEST
 
 CASES = 100
@@ -77,3 +79,10 @@ def test_a_case_is_the_same_for_its_number() -> None:
         cases = [target.case(number, seeds) for number in range(40)]
         assert cases == [target.case(number, seeds) for number in range(40)]
         assert len(set(cases)) > 20
+
+
+def test_a_text_of_one_long_line_is_not_repeated_without_bound() -> None:
+    rng, text = random.Random(3), "[" + "7" * 100_000 + "]"
+    for _ in range(8):
+        text = repeated_line(rng, text)
+    assert 50 * 100_000 < len(text) <= MOST_TEXT
