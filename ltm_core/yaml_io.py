@@ -29,8 +29,8 @@ MOST_VALUES = 100_000
 LONGEST_NUMBER = 40
 """Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
 LARGEST_KEPT = 32 << 10
-"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and site
-many times, and to copy values takes a fiftieth of the time that parsing takes."""
+"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and
+site many times, and to copy values takes a fraction of the time that parsing takes."""
 _KEPT = 64
 
 _BROKEN = (
