@@ -9,6 +9,8 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Hashable, Sequence
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +28,10 @@ MOST_VALUES = 100_000
 """Keys and values, with those that an alias repeats counted each time."""
 LONGEST_NUMBER = 40
 """Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
+LARGEST_KEPT = 32 << 10
+"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and
+site many times, and to copy values takes a fraction of the time that parsing takes."""
+_KEPT = 64
 
 _BROKEN = (
     *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
@@ -124,9 +130,17 @@ if yaml.__with_libyaml__:
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """What a YAML text holds; `place`: the file, for the message. Raises ConfigError: no YAML, keys twice, or more than
-    the bounds above."""
+    """What a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises ConfigError: no
+    YAML, keys twice, or more than the bounds above."""
+    if len(text) <= LARGEST_KEPT:
+        with contextlib.suppress(ConfigError):  # said below with the place
+            return deepcopy(_kept(text))
     return _read(text, place, lambda loader: loader.get_single_data())
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept(text: str) -> Any:
+    return _read(text, "", lambda loader: loader.get_single_data())
 
 
 def compose_yaml(text: str, place: str) -> yaml.Node | None:

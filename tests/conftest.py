@@ -5,10 +5,12 @@ from __future__ import annotations
 import gc
 import importlib.util
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
 from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).parents[1]
@@ -61,6 +63,15 @@ def _kernels(request: pytest.FixtureRequest) -> None:
         from scenes.compiled_kernels import ALL, compile_kernels
 
         compile_kernels(ALL)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_command_line() -> Iterator[None]:
+    """A test's runner builds the description of all commands anew at each call, which takes a fifth of a second, most
+    of what a call of a small command takes. They keep nothing of a call: one serves all of this process."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr("typer.testing._get_command", cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture

@@ -35,19 +35,21 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
+    from ltm_core.errors import ConfigError
+
+    if offline and (loop or rrd or publish_only or rate != 1.0):
+        raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
+
     import threading
 
     from rich.console import Console
 
-    from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.progress import message_bar, stop_on_signals
     from ltm_ros.cli.summary import node_rows, print_nodes, print_outcome
     from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
 
-    if offline and (loop or rrd or publish_only or rate != 1.0):
-        raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
     console = Console()
     if publish_only:
         _publish(bag, site, rate, longest_pause, loop, start, duration, domain)

@@ -117,3 +117,13 @@ def test_large_files_are_not_parsed(tmp_path: Path) -> None:
     path.write_text("a: 1\n" + "#" * LARGEST_FILE)
     with pytest.raises(ConfigError, match=rf"large\.yaml: cannot be read \(it has more than {LARGEST_FILE} bytes"):
         read_yaml(path)
+
+
+def test_what_is_read_again_is_the_callers_own_and_tells_its_own_place() -> None:
+    text = "cameras: {north: {x: 1}}"
+    first = parse_yaml(text, "one.yaml")
+    first["cameras"]["north"]["x"] = 2
+    assert parse_yaml(text, "two.yaml") == {"cameras": {"north": {"x": 1}}}
+    for place in ("one.yaml", "two.yaml"):
+        with pytest.raises(ConfigError, match=place):
+            parse_yaml("cameras: [", place)

@@ -24,6 +24,7 @@ def test_completes_an_empty_environment() -> None:
     assert profile.is_file()
     assert environment["FASTDDS_DEFAULT_PROFILES_FILE"] == str(profile)
     assert {environment[name] for name in module.THREAD_VARIABLES} == {"1"}
+    assert environment["PYDANTIC_DISABLE_PLUGINS"] == "__all__"
 
 
 def test_what_the_user_set_stays() -> None:
@@ -33,6 +34,7 @@ def test_what_the_user_set_stays() -> None:
         "FASTDDS_DEFAULT_PROFILES_FILE": "/etc/mine.xml",
         "AMENT_PREFIX_PATH": "/opt/ros/jazzy",
         "OMP_NUM_THREADS": "6",
+        "PYDANTIC_DISABLE_PLUGINS": "one",
         "ROS_DOMAIN_ID": "3",
     }
     environment = ros_environment(given, busy=True)
