@@ -1,7 +1,7 @@
 """Where plants cannot stand, as far as the terrain tells: rock walls, and trees above the tree line.
 
-A pixel that shows a plant there is taken for a network's error. It is withdrawn from the vote, and never called anything
-else: that nothing grows on a wall is no measurement of what the wall is of.
+A pixel that shows a plant there is taken for a network's error. It is withdrawn from the vote, and never called
+anything else: that nothing grows on a wall is no measurement of what the wall is of.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class GroundLimits:
     first sees it.
 
     `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
-    each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant, and where no tree, is believed.
+    each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
     """
 
     def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:

@@ -153,8 +153,8 @@ def _scan(
     sums: Any,
     withdrawn: Any,
 ) -> int:
-    """Fills `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (as of `CellSums`, by cell);
-    returns how many cells are seen.
+    """Fills `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (by cell); returns how
+    many cells are seen.
 
     Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
     second one adds up.
@@ -213,7 +213,7 @@ def _scan(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
-    """Which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 it is above the tree line, -1 none."""
+    """Which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1 none."""
     row, col = cell // masks.shape[2], cell % masks.shape[2]
     no_plant, no_tree = masks[0, row, col], masks[1, row, col]
     if no_plant == 0 and (kind < 2 or no_tree == 0):

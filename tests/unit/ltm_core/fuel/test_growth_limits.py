@@ -60,7 +60,8 @@ def cast(labels: np.ndarray | int, limits: GrowthLimits | None, wall_deg: float 
 def same(one: CellVotes, other: CellVotes) -> bool:
     """To the last bit."""
     pairs = [(getattr(one, name), getattr(other, name)) for name in ("rows", "cols", "counts", "z", "confidence")]
-    assert one.visibility is not None and other.visibility is not None
+    assert one.visibility is not None
+    assert other.visibility is not None
     pairs += zip(one.visibility.columns(), other.visibility.columns(), strict=True)
     return all(np.array_equal(a, b) for a, b in pairs)
 
@@ -78,10 +79,13 @@ def on_the_wall(votes: CellVotes) -> CellVotes:
 @pytest.mark.parametrize("label", [Label.GRASS, Label.SHRUB, Label.TREE])
 def test_a_wall_loses_its_plants_and_the_slope_beside_it_none(label: Label) -> None:
     plain, votes = cast(label, None), cast(label, GrowthLimits())
-    assert on_the_wall(plain).counts.sum() > 200 and len(on_the_wall(votes)) == 0
+    assert on_the_wall(plain).counts.sum() > 200
+    assert len(on_the_wall(votes)) == 0
     gentle = west_of(plain, FOOT - 30)
-    assert len(gentle) > 10 and same(gentle, west_of(votes, FOOT - 30))
-    assert votes.too_steep >= on_the_wall(plain).counts.sum() and votes.above_tree_line == 0
+    assert len(gentle) > 10
+    assert same(gentle, west_of(votes, FOOT - 30))
+    assert votes.too_steep >= on_the_wall(plain).counts.sum()
+    assert votes.above_tree_line == 0
 
 
 def test_a_slope_that_plants_hold_on_loses_none() -> None:
@@ -105,7 +109,8 @@ def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
     votes, plain = cast(Label.TREE, limits), cast(Label.TREE, None)
     assert same(west_of(plain, 120.0), west_of(votes, 120.0))
     assert len(plain) > len(votes) == len(west_of(votes, 150.0))
-    assert votes.above_tree_line >= plain.counts.sum() - west_of(plain, 150.0).counts.sum() and votes.too_steep == 0
+    assert votes.above_tree_line >= plain.counts.sum() - west_of(plain, 150.0).counts.sum()
+    assert votes.too_steep == 0
     assert same(cast(Label.SHRUB, limits), cast(Label.SHRUB, None))
 
 
@@ -119,7 +124,8 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
     mostly_bare = np.full((64, 96), Label.BARE, np.uint8)
     mostly_bare[::2, ::2] = Label.TREE
     few = on_the_wall(cast(mostly_bare, GrowthLimits()))
-    assert len(few) > 3 and few.counts[:, Label.TREE].sum() == 0
+    assert len(few) > 3
+    assert few.counts[:, Label.TREE].sum() == 0
     plain = on_the_wall(cast(mostly_bare, None))
     cells = set(zip(few.rows.tolist(), few.cols.tolist(), strict=True))
     kept = [k for k, cell in enumerate(zip(plain.rows.tolist(), plain.cols.tolist(), strict=True)) if cell in cells]
