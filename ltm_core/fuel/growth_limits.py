@@ -27,8 +27,8 @@ class GrowthLimits(StrictModel):
 
     steepest_deg: float | None = Field(50.0, gt=0, lt=90)
     """Slope of the ground over the width of a fuel cell, degrees, above which nothing that is labelled grass, shrub or
-    tree is believed. Of LANDFIRE's cells of these in the Santa Ana Mountains 0.2, 0.2 and 0.6 % are steeper, of those
-    about the Tubbs fire and in Vermont fewer than 0.2 % (docs/fuel_map.md)."""
+    tree is believed. Of what LANDFIRE calls so in the Santa Ana Mountains 0.4, 0.5 and 1.2 % is steeper, about the
+    Tubbs fire 0.2 % at most, in Vermont nothing (docs/fuel_map.md)."""
     tree_line_m: float | None = None
     """Elevation in the DEM's datum, metres, above which no tree is believed. Give the highest that stands reach on the
     site, not their mean: what is above it is not counted, whatever the picture shows."""
@@ -44,6 +44,7 @@ class GroundLimits:
 
     `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
     each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
+    `any`: whether a bit is set yet.
     """
 
     def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
@@ -51,19 +52,22 @@ class GroundLimits:
         # calloc'ed: cells that no frame sees take no memory.
         self._known = np.zeros(geometry.shape, np.bool_)
         self.masks: UInt16Array = np.zeros((2, *geometry.shape), np.uint16)
+        self.any = False
         self.kinds: UInt8Array = np.zeros(256, np.uint8)
         forms = label_forms(labels)
         self.kinds[np.flatnonzero(np.isin(forms, [form - 1 for form in _PLANTS]))] = 1
         self.kinds[np.flatnonzero(forms == LifeForm.TREE - 1)] = 2
 
-    def concern(self, cells: Int64Array) -> bool:
-        """Whether any of the cells, (N,) row * width + col, has a part that is beyond a limit."""
-        flat = self.masks.reshape(2, -1)
+    def learn(self, cells: Int64Array) -> bool:
+        """Ask the terrain about those of the cells, (N,) row * width + col, that were not asked about before; whether
+        any of these has a part that is beyond a limit."""
         new = cells[~self._known.ravel()[cells]]
-        if len(new):
-            flat[:, new] = self._asked(new)
-            self._known.ravel()[new] = True
-        return bool(flat[:, cells].any())
+        masks = self._asked(new)
+        self.masks.reshape(2, -1)[:, new] = masks
+        self._known.ravel()[new] = True
+        found = bool(masks.any())
+        self.any |= found
+        return found
 
     def _asked(self, cells: Int64Array) -> UInt16Array:
         """(2, N) masks of cells, by the terrain."""

@@ -156,9 +156,10 @@ class VoteCaster:
 
         of_frame = distance, along_axis, camera, pose, labels, confidence
         grid = self._counted, self._classes, self.geometry, self._max_range
-        sums = sum_pixels(*of_frame, *grid)
-        if self._limits is not None and self._limits.concern(sums.cells):
-            sums = sum_pixels(*of_frame, *grid, self._limits)
+        limits = self._limits
+        sums = sum_pixels(*of_frame, *grid, limits if limits is not None and limits.any else None)
+        if limits is not None and limits.learn(sums.cells):
+            sums = sum_pixels(*of_frame, *grid, limits)
         rows = (sums.cells // self.geometry.width).astype(np.int32)
         cols = (sums.cells % self.geometry.width).astype(np.int32)
         x, y = self.geometry.to_map(rows, cols)

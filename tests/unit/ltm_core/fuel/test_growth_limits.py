@@ -59,7 +59,8 @@ def cast(labels: np.ndarray | int, limits: GrowthLimits | None, wall_deg: float 
 
 def same(one: CellVotes, other: CellVotes) -> bool:
     """To the last bit."""
-    pairs = [(getattr(one, name), getattr(other, name)) for name in ("rows", "cols", "counts", "z", "confidence")]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("rows", "cols", "counts", "z")]
+    pairs += [] if one.confidence is None else [(one.confidence, other.confidence)]
     assert one.visibility is not None
     assert other.visibility is not None
     pairs += zip(one.visibility.columns(), other.visibility.columns(), strict=True)
@@ -147,11 +148,29 @@ def test_each_part_of_a_cell_is_asked() -> None:
     and 18.75 m of wall about them, and level ground for the rest: 60, 60, 56.6 and 47.3 degrees."""
     ground = GroundLimits(GrowthLimits(tree_line_m=1e4), FUEL, hillside(WALL_DEG), LABELS)
     last = 3 * FUEL.width + round(TOP / 30) - 1
-    assert not ground.concern(np.array([last - 4, last + 2]))
-    assert ground.concern(np.array([last - 5, last]))
+    assert not ground.learn(np.array([last - 4, last + 2]))
+    assert ground.learn(np.array([last - 5, last]))
     parts = (int(ground.masks[0].ravel()[last]) >> np.arange(PARTS * PARTS)) & 1
     assert parts.reshape(PARTS, PARTS).tolist() == [[1, 1, 1, 0]] * PARTS
     assert not ground.masks[1].any()
+
+
+def test_frames_of_one_camera_and_each_alone_have_the_same_votes() -> None:
+    """Of cells that were asked about before, and of those that a frame is the first to see."""
+    dem, depth = traced(WALL_DEG)
+    labels, votes_for = np.full(depth.shape, Label.TREE, np.uint8), LABELS.votes_table[: len(LABELS)]
+    near = np.where(np.arange(96) < 40, depth, np.nan).astype(np.float32)
+
+    def caster() -> VoteCaster:
+        limits = GroundLimits(GrowthLimits(tree_line_m=70.0), FUEL, dem, LABELS)
+        return VoteCaster(FUEL, dem, votes_for, limits=limits)
+
+    one = caster()
+    for frame in (near, depth, near, depth):
+        alone, among = (c.cast(frame, CAMERA, POSE, labels, 5, "north") for c in (caster(), one))
+        assert same(alone, among)
+        assert (alone.too_steep, alone.above_tree_line) == (among.too_steep, among.above_tree_line)
+        assert min(alone.too_steep, alone.above_tree_line) > 0
 
 
 def test_ground_of_unknown_height_has_no_limit() -> None:
@@ -159,8 +178,8 @@ def test_ground_of_unknown_height_has_no_limit() -> None:
     elevation = dem.elevation.copy()
     elevation[:, 60:] = np.nan
     ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
-    assert not ground.concern(np.array([10, 11, FUEL.width + 12]))
-    assert ground.concern(np.array([3]))
+    assert not ground.learn(np.array([10, 11, FUEL.width + 12]))
+    assert ground.learn(np.array([3]))
 
 
 @pytest.mark.parametrize("slope", [0.0, 90.0, -3.0])
