@@ -15,6 +15,7 @@ from pydantic import Field
 from ltm_core.camera import Camera
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.errors import PoseError
+from ltm_core.fuel.growth_limits import GroundLimits
 from ltm_core.fuel.vote_columns import fitting, turn_of
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.pose import Pose
@@ -215,7 +216,9 @@ class VotingStep:
         self.labels = LabelSet.load(config_path(site.labels))
         self.geometry = site.fuel_geometry(dem)
         votes_for = self.labels.votes_table[: len(self.labels)]
-        self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend)
+        growth = site.fuel.growth
+        limits = GroundLimits(growth, self.geometry, dem, self.labels) if growth.any else None
+        self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend, limits)
         self.assumed = site.assumed_pose_error.covariance()
         """(6, 6): of poses of which nothing else is known."""
 

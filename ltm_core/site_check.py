@@ -143,6 +143,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:
         site_label_errors(site)
     except LtmError as error:
         yield Finding.of(area, "region and label errors", error)
+    yield from _growth(site, check)
     if site.fuel.prior is None:
         yield Finding(area, "prior", Verdict.OK, "none: nothing is known of a cell before it is seen")
     elif check.dem is not None:
@@ -160,6 +161,17 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:
             if doubt is not None:
                 verdict = Verdict.WRONG if "its heights are feet" in doubt else Verdict.DOUBTFUL
                 yield Finding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
+
+
+def _growth(site: Site, check: SiteCheck) -> Iterator[Finding]:
+    """A tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
+    line = site.fuel.growth.tree_line_m
+    if line is None or check.dem is None:
+        return
+    rows = check.dem.elevation  # one by one: no mask of a whole raster
+    above = float(sum((row > line).sum() for row in rows) / sum(np.isfinite(row).sum() for row in rows))
+    found = f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
+    yield Finding("fuel", "tree line", Verdict.OK, found)
 
 
 def _prior(prior: FuelPrior, grid: GridGeometry) -> Finding:

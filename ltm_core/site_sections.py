@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltm_core.camera_config import CalibrationConfig, PoseConfig
+from ltm_core.fuel.growth_limits import GrowthLimits
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount_config import MountConfig
@@ -37,6 +38,8 @@ class FuelConfig(StrictModel):
     """Cell edges lie at phase mod resolution in the site's CRS; LANDFIRE's at 15 mod 30."""
     max_range: float = Field(6000.0, gt=0)
     """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
+    growth: GrowthLimits = GrowthLimits()
+    """Where the terrain says that no plant stands, so that none there votes."""
     prior: PriorConfig | None = None
     """The fuel map that evidence starts from; None: nothing is known before it is seen."""
     region: str = "dry"

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 BoolArray = NDArray[np.bool_]
 UInt8Array = NDArray[np.uint8]
+UInt16Array = NDArray[np.uint16]
 UInt32Array = NDArray[np.uint32]
 Int16Array = NDArray[np.int16]
 Int32Array = NDArray[np.int32]

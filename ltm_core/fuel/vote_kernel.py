@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
+from ltm_core.fuel.growth_limits import PARTS, GroundLimits
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
+
+_NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class CellSums(NamedTuple):
     """Over the pixels of each seen cell, in row-major order of the cells.
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
-    mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres.
+    mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
+    (2,) int64 pixels that were not counted: of plants where it is too steep, of trees above the tree line.
     """
 
     cells: Int64Array
@@ -27,6 +31,7 @@ class CellSums(NamedTuple):
     confidence: Float64Array
     x: Float64Array
     y: Float64Array
+    withdrawn: Int64Array
 
 
 def sum_pixels(
@@ -40,11 +45,13 @@ def sum_pixels(
     classes: int,
     geometry: GridGeometry,
     max_range: float,
+    limits: GroundLimits | None = None,
 ) -> CellSums:
     """Sums over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
-    to float32, as `RangeImage.points` gives it.
+    to float32, as `RangeImage.points` gives it. `limits`: pixels of plants beyond them are withdrawn, and cells of
+    which half of the pixels or more are: what is left of these would stand for what it is not.
     """
     x_tangent, y_tangent = _tangents(camera)
     east, north = pose.position[:2]
@@ -52,12 +59,15 @@ def sum_pixels(
     capacity = min(height * width, distance.size)
     if capacity == 0:
         nothing = np.zeros(0)
-        return CellSums(nothing.astype(np.int64), np.zeros((0, classes), np.uint32), nothing, nothing, nothing)
+        none = np.zeros((0, classes), np.uint32)
+        return CellSums(nothing.astype(np.int64), none, nothing, nothing, nothing, np.zeros(2, np.int64))
     # calloc'ed: pages that no pixel touches cost nothing.
     slots = np.zeros(height * width, np.int32)
     cells = np.zeros(capacity, np.int64)
     counts = np.zeros((capacity, classes), np.uint32)
     sums = np.zeros((capacity, 3))
+    withdrawn = np.zeros((capacity, 2), np.uint32)
+    masks, kinds = (limits.masks, limits.kinds) if limits is not None else (_NO_MASKS, _NO_KINDS)
     used = _scan(
         _read_only(distance, np.float32),
         along_axis,
@@ -73,15 +83,21 @@ def sum_pixels(
         (geometry.x_min, geometry.y_max, geometry.resolution),
         (first_row, first_col, height, width, geometry.width),
         float(max_range),
+        masks,
+        kinds,
         slots,
         cells,
         counts,
         sums,
+        withdrawn,
     )
     order = np.argsort(cells[:used])
-    pixels = counts[order].sum(axis=1)
+    pixels, total = counts[order].sum(axis=1), withdrawn[:used].sum(axis=0).astype(np.int64)
+    if total.any():
+        kept = pixels > withdrawn[order].sum(axis=1)
+        order, pixels = order[kept], pixels[kept]
     mean = sums[order] / np.maximum(pixels, 1)[:, None]
-    return CellSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north)
+    return CellSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north, total)
 
 
 def _read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
@@ -129,12 +145,16 @@ def _scan(
     grid: tuple[float, float, float],
     window: tuple[int, int, int, int, int],
     max_range: float,
+    masks: Any,
+    kinds: Any,
     slots: Any,
     cells: Any,
     counts: Any,
     sums: Any,
+    withdrawn: Any,
 ) -> int:
-    """Fills `cells`, `counts` and `sums` (x and y from the camera, confidence); returns how many cells are seen.
+    """Fills `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (by cell); returns how
+    many cells are seen.
 
     Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
     second one adds up.
@@ -176,9 +196,32 @@ def _scan(
                 used += 1
                 slots[place[u]] = used
                 cells[slot] = (first_row + place[u] // cols) * grid_width + first_col + place[u] % cols
+            if kinds[labels[v, u]] > 0:
+                why = _beyond(
+                    masks, kinds[labels[v, u]], np.float32(east + dx[u]), np.float32(north + dy[u]), grid, cells[slot]
+                )
+                if why >= 0:
+                    withdrawn[slot, why] += np.uint32(1)
+                    continue
             counts[slot, labels[v, u]] += np.uint32(1)
             sums[slot, 0] += dx[u]
             sums[slot, 1] += dy[u]
             if has_confidence:
                 sums[slot, 2] += confidence[v, u]
     return used
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
+    """Which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1 none."""
+    row, col = cell // masks.shape[2], cell % masks.shape[2]
+    no_plant, no_tree = masks[0, row, col], masks[1, row, col]
+    if no_plant == 0 and (kind < 2 or no_tree == 0):
+        return -1
+    x_min, y_max, resolution = grid
+    east = min(max(int(((np.float64(x) - x_min) / resolution - col) * PARTS), 0), PARTS - 1)
+    south = min(max(int(((y_max - np.float64(y)) / resolution - row) * PARTS), 0), PARTS - 1)
+    bit = np.uint16(1 << (south * PARTS + east))
+    if no_plant & bit:
+        return 0
+    return 1 if kind > 1 and no_tree & bit else -1

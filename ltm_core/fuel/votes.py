@@ -12,6 +12,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
 from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
+from ltm_core.fuel.growth_limits import GroundLimits
 from ltm_core.fuel.rules import FRAME_CAP
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -26,7 +27,8 @@ class CellVotes:
     in row-major order. `counts`: (N, K) uint32 pixels per class. `z`: (N,) float32 terrain height at the cell
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
     `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `visibility`: how the
-    frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed.
+    frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed. `too_steep`,
+    `above_tree_line`: pixels of plants that the terrain withdrew (`growth_limits`), for whoever watches; no evidence.
     """
 
     geometry: GridGeometry
@@ -38,6 +40,8 @@ class CellVotes:
     source: str
     confidence: Float32Array | None = None
     visibility: CellVisibility | None = None
+    too_steep: int = 0
+    above_tree_line: int = 0
 
     def __post_init__(self) -> None:
         n = len(self.rows)
@@ -98,6 +102,7 @@ class VoteCaster:
         votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
         max_range: slant metres beyond which pixels are too coarse to vote.
         bend: of sight by curvature and refraction (`geodesy.ray_bend`).
+        limits: where plants cannot stand; None: anywhere they can.
     """
 
     def __init__(
@@ -107,6 +112,7 @@ class VoteCaster:
         votes_for: BoolArray,
         max_range: float = np.inf,
         bend: float = 0.0,
+        limits: GroundLimits | None = None,
     ) -> None:
         self.geometry = geometry
         self._dem = dem
@@ -115,6 +121,7 @@ class VoteCaster:
         self._counted[: self._classes] = votes_for
         self._max_range = max_range
         self._bend = bend
+        self._limits = limits
 
     def cast(
         self,
@@ -147,18 +154,12 @@ class VoteCaster:
         # Here, for who only passes votes on (the uplink, the viewer) needs no numba.
         from ltm_core.fuel.vote_kernel import sum_pixels
 
-        sums = sum_pixels(
-            distance,
-            along_axis,
-            camera,
-            pose,
-            labels,
-            confidence,
-            self._counted,
-            self._classes,
-            self.geometry,
-            self._max_range,
-        )
+        of_frame = distance, along_axis, camera, pose, labels, confidence
+        grid = self._counted, self._classes, self.geometry, self._max_range
+        limits = self._limits
+        sums = sum_pixels(*of_frame, *grid, limits if limits is not None and limits.any else None)
+        if limits is not None and limits.learn(sums.cells):
+            sums = sum_pixels(*of_frame, *grid, limits)
         rows = (sums.cells // self.geometry.width).astype(np.int32)
         cols = (sums.cells % self.geometry.width).astype(np.int32)
         x, y = self.geometry.to_map(rows, cols)
@@ -171,4 +172,7 @@ class VoteCaster:
         east, north = x - pose.position[0], y - pose.position[1]
         visibility = replace(visibility, bearing=np.arctan2(east, north).astype(np.float32))
         mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
-        return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility)
+        too_steep, above = (int(n) for n in sums.withdrawn)
+        return CellVotes(
+            self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility, too_steep, above
+        )

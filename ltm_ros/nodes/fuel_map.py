@@ -137,6 +137,7 @@ class FuelMap(Handler[FuelMapConfig]):
     def start(self) -> None:
         geometry = self._site.in_crs(self._geometry)
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
+        info["growth"] = self._site.fuel.growth.model_dump()
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publisher.send_map()
         self._publisher.announce([])

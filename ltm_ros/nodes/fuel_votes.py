@@ -39,6 +39,7 @@ class FuelVotes(Handler[JoinConfig]):
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._step = VotingStep(load_site(config.site), config.camera)
+        self._withdrawn = np.zeros(2, np.int64)
         parts = ("depth", "info", "labels", "confidence", "pose")
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
@@ -79,6 +80,10 @@ class FuelVotes(Handler[JoinConfig]):
         sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
+        self._withdrawn += np.array([votes.too_steep, votes.above_tree_line])
+        for name, pixels in zip(("too_steep", "above_tree_line"), self._withdrawn.tolist(), strict=True):
+            if pixels:
+                self.health.gauge(f"withdrawn.{name}", pixels)
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
         self.outlet.acknowledge(FINISHED, stamp_of(depth))
 

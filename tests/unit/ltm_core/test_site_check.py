@@ -187,3 +187,14 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
         check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
         ((_, message),) = [found for found in said(check, verdict) if found[0] == "head mast"]
         assert message.endswith("teach one for each") is (verdict is Verdict.DOUBTFUL)
+
+
+@pytest.mark.parametrize("line", [880.0, 897.9, 2400.0])
+def test_a_tree_line_says_how_much_of_the_terrain_is_above_it(tmp_path: Path, line: float) -> None:
+    check = checked(tmp_path, 890.0, fuel={"growth": {"tree_line_m": line}})
+    assert check.dem is not None
+    above = (check.dem.elevation > line).mean()
+    assert dict(said(check, Verdict.OK))["tree line"] == (
+        f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
+    )
+    assert (above > 0, above < 1) == (line < 900, line > 880)

@@ -72,6 +72,16 @@ def _names(site: Site, camera: str) -> tuple[str, str]:
     return votes_digest(site, camera, TracingConfig(), LabellingConfig()), look_digest(site, camera)
 
 
+def test_limits_of_growth_are_in_the_names_of_votes(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    content = yaml.safe_load(small.path.read_text())
+    found = {votes_digest(small.site, "mast", TracingConfig(), LabellingConfig())}
+    for growth in ({"steepest_deg": 49.0}, {"tree_line_m": 2400.0}, {"steepest_deg": None}):
+        small.path.write_text(yaml.safe_dump(content | {"fuel": {"growth": growth}}))
+        found.add(votes_digest(load_site(small.path), "mast", TracingConfig(), LabellingConfig()))
+    assert len(found) == 4
+
+
 def test_the_program_is_its_own_sources_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = code_digest.__wrapped__()
     (own,) = ltm_ros.archive.__path__

@@ -1,0 +1,188 @@
+"""Plants that are labelled where the terrain says that none can stand."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from pydantic import ValidationError
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.fuel.growth_limits import PARTS, GroundLimits, GrowthLimits
+from ltm_core.fuel.votes import CellVotes, VoteCaster
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.types import Float32Array
+from ltm_core.vision.labels import Label, LabelSet
+
+pytestmark = pytest.mark.kernel
+
+LABELS = LabelSet.load()
+FUEL = GridGeometry(0.0, 360.0, 30.0, 16, 12)
+GENTLE_DEG, WALL_DEG = 25.0, 60.0
+FOOT, TOP = 210.0, 300.0
+"""x between which the wall rises to the east: whole cells. West of it the slope, east of it level ground."""
+CAMERA, POSE = Camera.from_fov(96, 64, 75.0), Pose.from_angles((0.0, 175.0, 120.0), 90.0, 5.0)
+
+
+def hillside(wall_deg: float) -> Dem:
+    """A slope of 25 degrees up to the foot of a wall; all of it rises to the east."""
+    geometry = GridGeometry(-30.0, 390.0, 3.0, 180, 140)
+    x = geometry.to_map(0, np.arange(geometry.width))[0]
+    z = np.tan(np.radians(GENTLE_DEG)) * np.minimum(x, FOOT)
+    z += np.tan(np.radians(wall_deg)) * (np.clip(x, FOOT, TOP) - FOOT)
+    return Dem(np.tile(z.astype(np.float32), (geometry.height, 1)), geometry)
+
+
+@functools.cache
+def traced(wall_deg: float) -> tuple[Dem, Float32Array]:
+    """The hillside, and its depth."""
+    dem = hillside(wall_deg)
+    return dem, TerrainTracer(dem, possible=NOTHING_BEYOND).trace(CAMERA, POSE).depth()
+
+
+def cast(labels: np.ndarray | int, limits: GrowthLimits | None, wall_deg: float = WALL_DEG) -> CellVotes:
+    """From above the slope's western end, looking east at all of it."""
+    dem, depth = traced(wall_deg)
+    image = np.broadcast_to(np.uint8(labels) if np.isscalar(labels) else labels, depth.shape)
+    ground = None if limits is None else GroundLimits(limits, FUEL, dem, LABELS)
+    caster = VoteCaster(FUEL, dem, LABELS.votes_table[: len(LABELS)], limits=ground)
+    return caster.cast(depth, CAMERA, POSE, image, 5, "north", np.full(depth.shape, 200, np.uint8))
+
+
+def same(one: CellVotes, other: CellVotes) -> bool:
+    """To the last bit."""
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("rows", "cols", "counts", "z")]
+    pairs += [] if one.confidence is None else [(one.confidence, other.confidence)]
+    assert one.visibility is not None
+    assert other.visibility is not None
+    pairs += zip(one.visibility.columns(), other.visibility.columns(), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def west_of(votes: CellVotes, x: float) -> CellVotes:
+    return votes.only(votes.centres()[:, 0] < x)
+
+
+def on_the_wall(votes: CellVotes) -> CellVotes:
+    """Cells that are the wall's alone, at the width of a cell over which the slope is taken."""
+    x = votes.centres()[:, 0]
+    return votes.only((x > FOOT + 30) & (x < TOP - 30))
+
+
+@pytest.mark.parametrize("label", [Label.GRASS, Label.SHRUB, Label.TREE])
+def test_a_wall_loses_its_plants_and_the_slope_beside_it_none(label: Label) -> None:
+    plain, votes = cast(label, None), cast(label, GrowthLimits())
+    assert on_the_wall(plain).counts.sum() > 200
+    assert len(on_the_wall(votes)) == 0
+    gentle = west_of(plain, FOOT - 30)
+    assert len(gentle) > 10
+    assert same(gentle, west_of(votes, FOOT - 30))
+    assert votes.too_steep >= on_the_wall(plain).counts.sum()
+    assert votes.above_tree_line == 0
+
+
+def test_a_slope_that_plants_hold_on_loses_none() -> None:
+    """The least rule must not change a bit of what gentle terrain says."""
+    assert same(cast(Label.TREE, None, wall_deg=49.0), cast(Label.TREE, GrowthLimits(), wall_deg=49.0))
+    assert not same(cast(Label.TREE, None, wall_deg=52.0), cast(Label.TREE, GrowthLimits(), wall_deg=52.0))
+
+
+@pytest.mark.parametrize("label", [Label.BARE, Label.BUILT, Label.WATER])
+def test_what_is_no_plant_votes_anywhere(label: Label) -> None:
+    assert same(cast(label, None), cast(label, GrowthLimits(tree_line_m=-100.0)))
+
+
+def test_without_limits_plants_vote_on_walls() -> None:
+    assert same(cast(Label.TREE, None), cast(Label.TREE, GrowthLimits(steepest_deg=None)))
+
+
+def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
+    line = 60.0  # the slope passes it at x = 128.7
+    limits = GrowthLimits(steepest_deg=None, tree_line_m=line)
+    votes, plain = cast(Label.TREE, limits), cast(Label.TREE, None)
+    assert same(west_of(plain, 120.0), west_of(votes, 120.0))
+    assert len(plain) > len(votes) == len(west_of(votes, 150.0))
+    assert votes.above_tree_line >= plain.counts.sum() - west_of(plain, 150.0).counts.sum()
+    assert votes.too_steep == 0
+    assert same(cast(Label.SHRUB, limits), cast(Label.SHRUB, None))
+
+
+def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
+    """A wall that is called tree by three pixels of four is not bare by the fourth; one that is called bare by three
+    of four is."""
+    mostly_trees = np.full((64, 96), Label.TREE, np.uint8)
+    mostly_trees[::2, ::2] = Label.BARE
+    assert len(on_the_wall(cast(mostly_trees, None))) > 3
+    assert len(on_the_wall(cast(mostly_trees, GrowthLimits()))) == 0
+    mostly_bare = np.full((64, 96), Label.BARE, np.uint8)
+    mostly_bare[::2, ::2] = Label.TREE
+    few = on_the_wall(cast(mostly_bare, GrowthLimits()))
+    assert len(few) > 3
+    assert few.counts[:, Label.TREE].sum() == 0
+    plain = on_the_wall(cast(mostly_bare, None))
+    cells = set(zip(few.rows.tolist(), few.cols.tolist(), strict=True))
+    kept = [k for k, cell in enumerate(zip(plain.rows.tolist(), plain.cols.tolist(), strict=True)) if cell in cells]
+    np.testing.assert_array_equal(few.counts[:, Label.BARE], plain.counts[kept][:, Label.BARE])
+
+
+@settings(max_examples=25, deadline=None)
+@given(arrays(np.uint8, (64, 96), elements=st.sampled_from([0, 1, 2, 3, 4, 5, 6, 255]), fill=st.just(3)))
+def test_no_vote_is_lost_on_gentle_terrain_and_no_label_wins_one(labels: np.ndarray) -> None:
+    plain, votes = cast(labels, None), cast(labels, GrowthLimits())
+    assert same(west_of(plain, FOOT - 30), west_of(votes, FOOT - 30))
+    counted = np.zeros((*FUEL.shape, len(LABELS)), np.int64)
+    counted[plain.rows, plain.cols] = plain.counts
+    assert (votes.counts <= counted[votes.rows, votes.cols]).all()
+
+
+def test_each_part_of_a_cell_is_asked() -> None:
+    """The slope is that of 30 m about the middle of a part. Of the wall's last cell the four middles have 30, 30, 26.25
+    and 18.75 m of wall about them, and level ground for the rest: 60, 60, 56.6 and 47.3 degrees."""
+    ground = GroundLimits(GrowthLimits(tree_line_m=1e4), FUEL, hillside(WALL_DEG), LABELS)
+    last = 3 * FUEL.width + round(TOP / 30) - 1
+    assert not ground.learn(np.array([last - 4, last + 2]))
+    assert ground.learn(np.array([last - 5, last]))
+    parts = (int(ground.masks[0].ravel()[last]) >> np.arange(PARTS * PARTS)) & 1
+    assert parts.reshape(PARTS, PARTS).tolist() == [[1, 1, 1, 0]] * PARTS
+    assert not ground.masks[1].any()
+
+
+def test_frames_of_one_camera_and_each_alone_have_the_same_votes() -> None:
+    """Of cells that were asked about before, and of those that a frame is the first to see."""
+    dem, depth = traced(WALL_DEG)
+    labels, votes_for = np.full(depth.shape, Label.TREE, np.uint8), LABELS.votes_table[: len(LABELS)]
+    near = np.where(np.arange(96) < 40, depth, np.nan).astype(np.float32)
+
+    def caster() -> VoteCaster:
+        limits = GroundLimits(GrowthLimits(tree_line_m=70.0), FUEL, dem, LABELS)
+        return VoteCaster(FUEL, dem, votes_for, limits=limits)
+
+    one = caster()
+    for frame in (near, depth, near, depth):
+        alone, among = (c.cast(frame, CAMERA, POSE, labels, 5, "north") for c in (caster(), one))
+        assert same(alone, among)
+        assert (alone.too_steep, alone.above_tree_line) == (among.too_steep, among.above_tree_line)
+        assert min(alone.too_steep, alone.above_tree_line) > 0
+
+
+def test_ground_of_unknown_height_has_no_limit() -> None:
+    dem = hillside(WALL_DEG)
+    elevation = dem.elevation.copy()
+    elevation[:, 60:] = np.nan
+    ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
+    assert not ground.learn(np.array([10, 11, FUEL.width + 12]))
+    assert ground.learn(np.array([3]))
+
+
+@pytest.mark.parametrize("slope", [0.0, 90.0, -3.0])
+def test_slopes_that_are_none(slope: float) -> None:
+    with pytest.raises(ValidationError):
+        GrowthLimits(steepest_deg=slope)
