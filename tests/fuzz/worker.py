@@ -93,5 +93,5 @@ def serve(connection: Connection, name: str, folder: Path) -> None:
             connection.send(Answer("this case could not be made:\n" + traceback.format_exc()))
             continue
         if _status("VmSize") > most - SPARE // 2:
-            gc.collect()  # what earlier cases left in cycles, some 80 MB of a terrain's handler, is no fault of this one
+            gc.collect()  # cycles that earlier cases left, some 80 MB of a terrain's handler, are no fault of this
         connection.send(_measured(folder, target.read, file, data))
