@@ -56,11 +56,11 @@ def _projected(
     by_direction = lens @ pose.rotation.T
     slopes = np.empty((len(z), 2, 7))
     slopes[..., :3] = -by_direction / np.maximum(ranges, 1.0)[:, None, None]
-    # A turn w of the camera moves a direction d by -w x d = d x w, seen from the camera.
+    # A turn w of the camera moves a direction d by -w x d = d x w, seen from the camera; b (d x w) = (b x d) w.
+    b, d = by_direction, at[:, None, :]
     for axis in range(3):
-        unit = np.zeros(3)
-        unit[axis] = 1.0
-        slopes[..., 3 + axis] = np.einsum("mij,mj->mi", by_direction, -np.cross(unit, at))
+        following, last = (axis + 1) % 3, (axis + 2) % 3
+        slopes[..., 3 + axis] = b[..., following] * d[..., last] - b[..., last] * d[..., following]
     slopes[..., 6] = pixels - np.array([camera.cx, camera.cy])
     return pixels, slopes, ahead
 

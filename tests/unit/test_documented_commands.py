@@ -218,9 +218,14 @@ def test_named_files_exist(page: Path) -> None:
     missing = [
         path for path in paths if not any(REPOSITORY.glob(re.sub(r"(?<![a-zA-Z])[A-Z]{2,}(?![a-z])", "*", path)))
     ]
-    known = {file.name for root in ROOTS for file in (REPOSITORY / root).rglob("*.py")} | {"setup.py"}
     modules = re.findall(r"(?<![\w./-])([a-z]\w*\.py)\b", "".join(f"{span}\n" for span in _SPAN.findall(prose(page))))
-    assert missing + [module for module in modules if module not in known] == []
+    assert missing + [module for module in modules if module not in python_files()] == []
+
+
+@cache
+def python_files() -> frozenset[str]:
+    """Names of all of the repository's."""
+    return frozenset(file.name for root in ROOTS for file in (REPOSITORY / root).rglob("*.py")) | {"setup.py"}
 
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)

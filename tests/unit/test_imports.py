@@ -7,7 +7,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import packages_distributions
@@ -51,20 +51,27 @@ NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask"
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 
-def imported(source: str, package: str) -> Iterator[str]:
-    """Whole names of all modules that a source imports; `package`: what a relative import starts from. Of
+def imported(nodes: Iterable[ast.AST], package: str) -> Iterator[str]:
+    """Whole names of all modules that nodes of a source import; `package`: what a relative import starts from. Of
     `from a.b import c` both a.b and a.b.c, since c may be a module."""
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = node.module or "" if node.level == 0 else ".".join(filter(None, (package, node.module)))
             yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in (
-            "import_module",
-            "__import__",
-        ):
+        elif isinstance(node, ast.Call) and called(node) in ("import_module", "__import__"):
             yield from (a.value for a in node.args if isinstance(a, ast.Constant))
+
+
+def called(node: ast.Call) -> str:
+    """The last name of what is called."""
+    return getattr(node.func, "attr", getattr(node.func, "id", ""))
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def modules(top: str) -> dict[str, Path]:
@@ -85,7 +92,7 @@ def runtime() -> frozenset[tuple[str, str]]:
         for top in ("ltm_core", "ltm_msgs_py", "ltm_ros")
         for module, path in modules(top).items()
         if not within(module, STUDY | {DOOR})
-        for name in imported(path.read_text(encoding="utf-8"), module.rpartition(".")[0])
+        for name in imported(ast.walk(parsed(path)), module.rpartition(".")[0])
     )
 
 
@@ -97,7 +104,7 @@ def test_nothing_imports_upwards(package: str, forbidden: set[str]) -> None:
     upwards = {
         f"{path.relative_to(REPOSITORY)} imports {name}"
         for path in modules(package).values()
-        for name in imported(path.read_text(encoding="utf-8"), package)
+        for name in imported(ast.walk(parsed(path)), package)
         if name.partition(".")[0] in forbidden
     }
     assert not upwards
@@ -153,14 +160,16 @@ print(*sys.modules, sep="\\n")
     assert not {name for name in loaded if within(name, absent)}
 
 
-def without_type_checking(tree: ast.Module) -> ast.Module:
-    """What runs: names for the type checker only are never imported."""
-
-    class Cut(ast.NodeTransformer):
-        def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:  # ast's name
-            return node.orelse if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
-
-    return ast.fix_missing_locations(Cut().visit(tree))
+def running(tree: ast.Module) -> Iterator[ast.AST]:
+    """All nodes but those for the type checker only, which are never run."""
+    ahead: list[ast.AST] = [tree]
+    while ahead:
+        node = ahead.pop()
+        yield node
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            ahead += node.orelse
+        else:
+            ahead += ast.iter_child_nodes(node)
 
 
 def test_no_modules_import_each_other() -> None:
@@ -168,8 +177,7 @@ def test_no_modules_import_each_other() -> None:
     files = {name: path for top in ("ltm_core", "ltm_msgs_py", "ltm_ros") for name, path in modules(top).items()}
     graph: dict[str, set[str]] = {}
     for module, path in files.items():
-        source = ast.unparse(without_type_checking(ast.parse(path.read_text(encoding="utf-8"))))
-        names = set(imported(source, module.rpartition(".")[0])) & set(files)
+        names = set(imported(running(parsed(path)), module.rpartition(".")[0])) & files.keys()
         # `from a.b import c` needs of a.b, where c is a module, no more than that it is a package.
         graph[module] = {name for name in names if not any(other.startswith(f"{name}.") for other in names)}
     try:
@@ -190,4 +198,4 @@ def late():
     __import__("m")
 """
     expected = {"a.b", "c", "e.f", "e.f.g", "own", "own.h", "i", "i.j", "importlib", "k.l", "m"}
-    assert set(imported(source, "own")) == expected
+    assert set(imported(ast.walk(ast.parse(source)), "own")) == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.mount_memory_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_prior import angles_between, turned
 from ltm_core.rotations import matrix_of_vector
@@ -36,12 +37,17 @@ def true_pose(stated: Pose, tilt_zero_deg: float) -> Pose:
     return turned(Pose(stated.position, stated.rotation @ up), LEAN)
 
 
+@cache
+def evidence_at(azimuth_deg: float, tilt_zero_deg: float) -> PictureEvidence:
+    stated = Pose.from_angles(eye(), azimuth_deg, 2.0)
+    return picture_evidence(*view(true_pose(stated, tilt_zero_deg)), CAMERA)
+
+
 def watched(tilt_zero_deg: float, sigma_deg: float) -> MountWatch:
     watch = MountWatch(terrain(), CONFIG, tilt_zero_sigma_deg=sigma_deg)
     for azimuth in PANS:
         stated = Pose.from_angles(eye(), azimuth, 2.0)
-        evidence = picture_evidence(*view(true_pose(stated, tilt_zero_deg)), CAMERA)
-        watch.look(evidence, stated, covariance(stated))
+        watch.look(evidence_at(azimuth, tilt_zero_deg), stated, covariance(stated))
     return watch
 
 
