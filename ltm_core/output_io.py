@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from ltm_core.disk_io import is_folder, is_there
+from ltm_core.disk_io import folder_that_exists, is_folder, is_there
 from ltm_core.errors import ConfigError
 
 
@@ -36,20 +36,12 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
 
 def free_bytes(folder: Path) -> int:
     """Room on the file system on which `folder` is, or would be made."""
-    return shutil.disk_usage(_nearest(folder)).free
-
-
-def _nearest(folder: Path) -> Path:
-    """`folder`, or the first above it that is there."""
-    there = folder.expanduser().absolute()
-    while not is_there(there) and there != there.parent:
-        there = there.parent
-    return there
+    return shutil.disk_usage(folder_that_exists(folder.expanduser())).free
 
 
 def _why_not_into(folder: Path) -> str | None:
     """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
-    there = _nearest(folder)
+    there = folder_that_exists(folder.expanduser())
     if not is_folder(there):
         return f"{there} is no folder"
     try:
