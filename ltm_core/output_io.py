@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,11 +31,6 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
         reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
         if reason is not None:
             raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
-
-
-def free_bytes(folder: Path) -> int:
-    """Room on the file system on which `folder` is, or would be made."""
-    return shutil.disk_usage(folder_that_exists(folder.expanduser())).free
 
 
 def _why_not_into(folder: Path) -> str | None:

@@ -15,9 +15,10 @@ from types import ModuleType
 from pydantic import BaseModel
 
 from ltm_core.config_io import checked
+from ltm_core.disk_io import free_bytes
 from ltm_core.errors import ConfigError, LtmError
 from ltm_core.finding import Finding, Verdict
-from ltm_core.output_io import free_bytes, require_folder
+from ltm_core.output_io import require_folder
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.site import Site
 from ltm_core.site_check import SiteCheck, check_site
@@ -203,7 +204,7 @@ def _folder(what: str, folder: Path) -> Finding:
         require_folder(folder.expanduser(), what)
     except LtmError as error:
         return Finding.of(MACHINE, what, error)
-    free = free_bytes(folder)
+    free = free_bytes(folder.expanduser())
     said = f"{folder}: {free / 1e9:.1f} GB free"
     if free >= SCARCE_SPACE:
         return Finding(MACHINE, what, Verdict.OK, said)
