@@ -87,12 +87,21 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.scheduler import DEFAULT_EXTENSIONS
 
+        # Spans keep a record of each submission for as long as the scheduler runs.
+        extensions = {name: part for name, part in DEFAULT_EXTENSIONS.items() if name != "spans"}
         place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
         with (
             dask.config.set(_LOCAL),
             LocalCluster(
-                n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
+                n_workers=count,
+                threads_per_worker=1,
+                memory_limit=0,
+                silence_logs=logging.ERROR,
+                scheduler_kwargs={"extensions": extensions},
+                extensions={},
+                **place,
             ) as cluster,
             Client(cluster) as client,
         ):
@@ -143,6 +152,7 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: J
     """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
     and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
     """
+    from dask.utils import key_split
     from distributed import wait
 
     ahead, waiting = iter(tasks), dict[Any, Task]()
@@ -175,6 +185,7 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: J
             else:
                 raise error  # a bug
             future.release()
+        key_split.cache_clear()  # it keeps the names of 100,000 tasks, each of which is asked for while it is here
         fill()
 
 
