@@ -83,9 +83,8 @@ class FrameAtWork:
         """Of steps that fuse. `covariance`: (6, 6) of the frame's pose as it is known; None: it is not."""
         assert self._steps.fusing is not None  # nosec B101 # tells the type checker what holds
         found, view = self._labelled
-        fused = self._steps.fusing.fuse(self._depth, self._frame, found.labels, covariance, view)
-        measured = fused.fused.measured(view.doubtful)
-        return MeasuredFrame(measured.depth, measured.sigma, found.labels, fused.trouble)
+        measured, trouble = self._steps.fusing.measure(self._depth, self._frame, found.labels, covariance, view)
+        return MeasuredFrame(measured.depth, measured.sigma, found.labels, trouble)
 
     @cached_property
     def _labelled(self) -> tuple[Segmentation, SceneView]:

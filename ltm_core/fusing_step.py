@@ -12,8 +12,10 @@ from pydantic import Field
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
+from ltm_core.depth.network_measurement import NetworkMeasurement
+from ltm_core.depth.topodepth import FusedDepth, fuse, measure
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
@@ -87,30 +89,39 @@ class FusingStep:
 
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
-        camera, pose = frame.camera, frame.pose
-        seen = self._scene.look(frame.image, Looking.of(camera, pose), frame.stamp_ns) if view is None else view
-        ground: RangeImage | DepthImage = DepthImage(depth, camera, pose)
+        seen, network, trouble = self._look(frame, view)
+        ground: RangeImage | DepthImage = DepthImage(depth, frame.camera, frame.pose)
         surface = None
         if self._ground is not None:
-            ground, surface = self._ground.trace(camera, pose), ground
-        network, trouble = None, ""
+            ground, surface = self._ground.trace(frame.camera, frame.pose), ground
+        known = self._classes, self._settings(covariance), surface, self.network.fusion, seen.hidden, seen.unusable
+        return FusedFrame(fuse(ground, network, frame.image, labels, *known), seen, trouble)
+
+    def measure(
+        self,
+        depth: Float32Array,
+        frame: PosedImage,
+        labels: UInt8Array | None,
+        covariance: Float64Array | None,
+        view: SceneView | None = None,
+    ) -> tuple[NetworkMeasurement, str]:
+        """What the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing, where it
+        failed; arguments and errors as there."""
+        seen, network, trouble = self._look(frame, view)
+        ground: RangeImage | DepthImage = DepthImage(depth, frame.camera, frame.pose)
+        if self._ground is not None:
+            ground = self._ground.trace(frame.camera, frame.pose)
+        known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
+        return measure(ground, network, frame.image, labels, *known, seen.doubtful), trouble
+
+    def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
+        """What of the photo shows the landscape, and what the network makes of it, or why it failed."""
+        looking = Looking.of(frame.camera, frame.pose)
+        seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
         try:
-            network = self.network.predict(frame.image, camera) if seen.reason is None else None
+            return seen, self.network.predict(frame.image, frame.camera) if seen.reason is None else None, ""
         except ModelError as error:
-            trouble = str(error)
-        fused = fuse(
-            ground,
-            network,
-            frame.image,
-            labels,
-            self._classes,
-            self._settings(covariance),
-            surface,
-            self.network.fusion,
-            seen.hidden,
-            seen.unusable,
-        )
-        return FusedFrame(fused, seen, trouble)
+            return seen, None, str(error)
 
     def _settings(self, covariance: Float64Array | None) -> FusionSettings:
         """With the camera's direction as sure as its pose's covariance says, where that is given."""

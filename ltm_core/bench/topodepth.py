@@ -17,6 +17,7 @@ from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
@@ -28,7 +29,7 @@ from ltm_core.depth.occlusion_prior import OcclusionPrior
 from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale
-from ltm_core.depth.topodepth import FusionSettings, fuse
+from ltm_core.depth.topodepth import fuse
 from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.pose import Pose
 from ltm_core.range_image import DepthImage

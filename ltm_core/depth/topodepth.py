@@ -17,19 +17,16 @@ import numpy as np
 
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.expectation import FusionSettings, expect, fitted
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.ground_sampling import ground_samples
-from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.hidden_pixels import edges_seen, hidden_at, labels_behind
 from ltm_core.depth.labelled_sky import with_labelled_sky
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
-from ltm_core.depth.occlusion_prior import OcclusionPrior
 from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import PoseCheck, check_pose
-from ltm_core.depth.scale_fit import ScaleFit, fit_scale
+from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.errors import ImageError
 from ltm_core.range_image import DepthImage, RangeImage
@@ -63,17 +60,6 @@ class Verdict(StrEnum):
     """The photo shows too little of the landscape, by night or in fog: traced depth as it is, nothing fused."""
 
 
-@dataclass(frozen=True)
-class FusionSettings:
-    """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
-    terrain's heights, metres. label_columns: of the network that made the labels, whose edges are no finer; 0: they
-    are the photo's own."""
-
-    angle_sigma: float = float(np.radians(0.03))
-    dem_sigma: float = 1.0
-    label_columns: int = 0
-
-
 @dataclass(frozen=True, eq=False)
 class FusedDepth:
     """Fused depth of one photo.
@@ -103,11 +89,7 @@ class FusedDepth:
         stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to edge)."""
         if self.fit is None or self.verdict not in (Verdict.OK, Verdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
-        found = NetworkMeasurement.of(self.fit, self.config)
-        for unseen in (self.hidden, doubtful):
-            if unseen is not None:
-                found = found.without(hidden_at(unseen, *found.depth.shape))
-        return found
+        return _measured(self.fit, self.config, self.hidden, doubtful)
 
     def network_depth(self) -> Float32Array | None:
         """Metres (h, w) that the network says at its own size, none where the terrain is hidden; None where it does not
@@ -167,49 +149,21 @@ def fuse(
 
     Raises ImageError where sizes differ.
     """
-    as_traced = traced.depth()
-    size = as_traced.shape
-    for what, shape in (
-        ("photo", rgb.shape[:2]),
-        ("label image", size if labels is None else labels.shape),
-        ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
-        ("mask", size if hidden is None else hidden.shape),
-    ):
-        if shape != size:
-            raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
     settings = FusionSettings() if settings is None else settings
     config = FusionConfig() if config is None else config
-    camera = traced.camera
-    ground, over = as_traced, None if surface is None else surface.depth()
-    if unusable:
-        return _traced_alone(as_traced, Verdict.PICTURE_UNUSABLE, unusable, PoseCheck.none(), hidden)
-    if labels is not None and hidden is not None:
-        labels = labels_behind(hidden, labels, ground, classes.sky)
-    if labels is not None:
-        ground = with_labelled_sky(ground, labels, classes.sky)
-        over = None if over is None else with_labelled_sky(over, labels, classes.sky)
-    cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
-    # Whether the terrain lies where the photo has it: if not, nothing below means anything.
-    edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    if hidden is not None:
-        edges = edges_seen(edges, hidden)
-    sigmas = settings.angle_sigma, settings.dem_sigma
-    check = PoseCheck.none()
-    if config.pose_check.enabled:
-        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
-    # A sample first: where it has ground, as it nearly always does, that is all.
-    if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
-        return _traced_alone(
-            as_traced, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check, hidden
-        )
-    if check.suspected:
-        return _traced_alone(as_traced, Verdict.POSE_SUSPECTED, check.reason, check, hidden)
-    seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
-    told = DepthImage(seen, camera, traced.pose)
-    expected, sigma, fit, view, standing = expect(told, network, rgb, labels, classes, settings, config)
+    judged = _judge(traced, rgb, labels, classes, settings, surface, config, hidden, unusable)
+    check, ground, labels = judged.check, judged.ground, judged.labels
+    if judged.refused is not None:
+        return _traced_alone(traced.depth(), *judged.refused, check, hidden)
+    expected, sigma, fit, view, standing = expect(judged.seen, network, rgb, labels, classes, settings, config)
     # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
-    refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
-    source = np.empty(size, np.uint8)
+    refine_occlusion_boundaries(
+        rgb, ground, expected, sigma, labels, classes, traced.camera, config, view, judged.edges
+    )
+    over = None if surface is None else surface.depth()
+    if over is not None and labels is not None:
+        over = with_labelled_sky(over, labels, classes.sky)
+    source = np.empty(ground.shape, np.uint8)
     fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
     # Where the network alone speaks of land beyond the raster, nothing is known.
     clear_unenclosed(ground, expected, sigma, source)
@@ -225,41 +179,100 @@ def fuse(
     return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit, hidden)
 
 
-class Expectation(NamedTuple):
-    """What is known of a photo's pixels before any of them is decided: depth and sigma (H, W) that the terrain lets
-    expect; the network's fit, its view of the photo, and what may stand before the ground, None without a network."""
-
-    depth: Float32Array
-    sigma: Float32Array
-    fit: ScaleFit | None
-    view: NetworkView | None
-    standing: OcclusionPrior | None
-
-
-def expect(
+def measure(
     traced: RangeImage | DepthImage,
     network: NetworkDepth | None,
     rgb: UInt8Array,
     labels: UInt8Array | None,
     classes: ClassPriors,
+    settings: FusionSettings | None = None,
+    config: FusionConfig | None = None,
+    hidden: BoolArray | None = None,
+    unusable: str = "",
+    doubtful: BoolArray | None = None,
+) -> NetworkMeasurement:
+    """What the network alone measures in a photo: `fuse(...).measured(doubtful)`, for whoever wants no fused depth.
+
+    Arguments and errors as there.
+    """
+    settings = FusionSettings() if settings is None else settings
+    config = FusionConfig() if config is None else config
+    judged = _judge(traced, rgb, labels, classes, settings, None, config, hidden, unusable)
+    if network is None or judged.refused is not None:
+        return NetworkMeasurement.none()
+    _, _, fit = fitted(judged.seen, network, judged.labels, classes, settings, config)
+    return NetworkMeasurement.none() if fit.trouble else _measured(fit, config, hidden, doubtful)
+
+
+def _measured(
+    fit: ScaleFit, config: FusionConfig, hidden: BoolArray | None, doubtful: BoolArray | None
+) -> NetworkMeasurement:
+    found = NetworkMeasurement.of(fit, config)
+    for unseen in (hidden, doubtful):
+        if unseen is not None:
+            found = found.without(hidden_at(unseen, *found.depth.shape))
+    return found
+
+
+class _Judged(NamedTuple):
+    """A photo before anything is expected of its pixels. `ground`: (H, W) traced, with the sky that labels tell;
+    `seen`: the same where the terrain is seen; `refused`: why nothing is to be fused, None: it is."""
+
+    ground: Float32Array
+    seen: DepthImage
+    labels: UInt8Array | None
+    edges: DepthDiscontinuities | None
+    check: PoseCheck
+    refused: tuple[Verdict, str] | None
+
+
+def _judge(
+    traced: RangeImage | DepthImage,
+    rgb: UInt8Array,
+    labels: UInt8Array | None,
+    classes: ClassPriors,
     settings: FusionSettings,
+    surface: RangeImage | DepthImage | None,
     config: FusionConfig,
-) -> Expectation:
-    """The first half of `fuse`; arguments as there."""
-    ground, camera, pose = traced.depth(), traced.camera, traced.pose
-    # What the terrain lets expect: bare ground, with the height of what grows there.
+    hidden: BoolArray | None,
+    unusable: str,
+) -> _Judged:
+    """Arguments and errors as of `fuse`."""
+    as_traced = traced.depth()
+    size = as_traced.shape
+    for what, shape in (
+        ("photo", rgb.shape[:2]),
+        ("label image", size if labels is None else labels.shape),
+        ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
+        ("mask", size if hidden is None else hidden.shape),
+    ):
+        if shape != size:
+            raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
+    camera, ground = traced.camera, as_traced
+    told = DepthImage(ground, camera, traced.pose)
+    if unusable:
+        return _Judged(ground, told, labels, None, PoseCheck.none(), (Verdict.PICTURE_UNUSABLE, unusable))
+    if labels is not None and hidden is not None:
+        labels = labels_behind(hidden, labels, ground, classes.sky)
+    if labels is not None:
+        ground = with_labelled_sky(ground, labels, classes.sky)
+    cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
+    # Whether the terrain lies where the photo has it: if not, nothing below means anything.
+    edges = DepthDiscontinuities.of(ground, config.surface.jump)
+    if hidden is not None:
+        edges = edges_seen(edges, hidden)
     sigmas = settings.angle_sigma, settings.dem_sigma
-    expected, sigma = expected_surface(ground, labels, classes.cover, camera, pose, *sigmas, config)
-    if network is None:
-        return Expectation(expected, sigma, None, None, None)
-    # Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there.
-    samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy, config)
-    fit = fit_scale(network, samples, (ground.shape[0], ground.shape[1]), config)
-    if fit.trouble:
-        return Expectation(expected, sigma, fit, None, None)
-    view = NetworkView.of(fit, rgb, config)
-    standing = OcclusionPrior.of(ground, labels, classes, camera, pose, view.shape, config)
-    return Expectation(expected, sigma, fit, view, standing)
+    check = PoseCheck.none()
+    if config.pose_check.enabled:
+        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
+    refused: tuple[Verdict, str] | None = None
+    # A sample first: where it has ground, as it nearly always does, that is all.
+    if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
+        refused = Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM"
+    elif check.suspected:
+        refused = Verdict.POSE_SUSPECTED, check.reason
+    seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
+    return _Judged(ground, DepthImage(seen, camera, traced.pose), labels, edges, check, refused)
 
 
 def _traced_alone(

@@ -157,7 +157,7 @@ def _scan(
     many cells are seen.
 
     Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
-    second one adds up.
+    second one adds up, over pixels side by side that show one class in one cell at once.
     """
     height, width = distance.shape
     x_min, y_max, resolution = grid
@@ -167,7 +167,7 @@ def _scan(
     tx, ty = np.empty(width, np.float32), np.empty(width, np.float32)
     place = np.empty(width, np.int32)
     dx, dy = np.empty(width, np.float32), np.empty(width, np.float32)
-    used = 0
+    used, farthest = 0, min(max_range * max_range, 1e300)  # squared, so that no root is taken; the sky is farther
     for v in range(height):
         tx[:] = x_tangent[v if x_tangent.shape[0] > 1 else 0]
         if y_tangent.shape[1] > 1:
@@ -175,39 +175,50 @@ def _scan(
         else:
             ty[:] = y_tangent[v, 0]
         for u in range(width):
-            x, y = np.float64(tx[u]), np.float64(ty[u])
-            length = np.sqrt(1.0 + x * x + y * y)
-            d = np.float64(distance[v, u])
-            depth = d if along_axis else d / length
-            slant = d * length if along_axis else d
+            x, y, d = np.float64(tx[u]), np.float64(ty[u]), np.float64(distance[v, u])
+            square = 1.0 + x * x + y * y
+            reached = d * d * square if along_axis else d * d
+            depth = d if along_axis else d / np.sqrt(square)
             ex = depth * (r00 * x + r01 * y + r02)
             ny = depth * (r10 * x + r11 * y + r12)
             dx[u], dy[u] = ex, ny
             c = (np.float64(np.float32(east + ex)) - x_min) / resolution - first_col
             r = (y_max - np.float64(np.float32(north + ny))) / resolution - first_row
-            seen = (slant <= max_range) & (d < np.inf) & (c >= 0) & (c < cols) & (r >= 0) & (r < rows)
+            seen = (reached <= farthest) & (c >= 0) & (c < cols) & (r >= 0) & (r < rows)
             place[u] = np.int32(r) * cols + np.int32(c) if seen else -1
-        for u in range(width):
-            if place[u] < 0 or not counted[labels[v, u]]:
+        u = 0
+        while u < width:
+            here, label = place[u], labels[v, u]
+            if here < 0 or not counted[label]:
+                u += 1
                 continue
-            slot = slots[place[u]] - 1
+            begin = u
+            u += 1
+            while u < width and place[u] == here and labels[v, u] == label:
+                u += 1
+            slot = slots[here] - 1
             if slot < 0:
                 slot = used
                 used += 1
-                slots[place[u]] = used
-                cells[slot] = (first_row + place[u] // cols) * grid_width + first_col + place[u] % cols
-            if kinds[labels[v, u]] > 0:
-                why = _beyond(
-                    masks, kinds[labels[v, u]], np.float32(east + dx[u]), np.float32(north + dy[u]), grid, cells[slot]
-                )
-                if why >= 0:
-                    withdrawn[slot, why] += np.uint32(1)
-                    continue
-            counts[slot, labels[v, u]] += np.uint32(1)
-            sums[slot, 0] += dx[u]
-            sums[slot, 1] += dy[u]
-            if has_confidence:
-                sums[slot, 2] += confidence[v, u]
+                slots[here] = used
+                cells[slot] = (first_row + here // cols) * grid_width + first_col + here % cols
+            kind, pixels = kinds[label], u - begin
+            east_sum, north_sum, sure = 0.0, 0.0, 0
+            for i in range(begin, u):
+                if kind > 0:
+                    why = _beyond(masks, kind, np.float32(east + dx[i]), np.float32(north + dy[i]), grid, cells[slot])
+                    if why >= 0:
+                        withdrawn[slot, why] += np.uint32(1)
+                        pixels -= 1
+                        continue
+                east_sum += dx[i]
+                north_sum += dy[i]
+                if has_confidence:
+                    sure += confidence[v, i]
+            counts[slot, label] += np.uint32(pixels)
+            sums[slot, 0] += east_sum
+            sums[slot, 1] += north_sum
+            sums[slot, 2] += sure
     return used
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.error_model import expected_prediction, interpolation_table
+from ltm_core.depth.expectation import FusionSettings, expect
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.depth.fusion_rows import DecisionRules, FusionRow, begin_row, compare_row
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
@@ -23,7 +24,6 @@ from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.occlusion_prior import OcclusionPrior, ground_contact, height_above
 from ltm_core.depth.pixel_fusion import log_against
-from ltm_core.depth.topodepth import FusionSettings, expect
 from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet

@@ -13,7 +13,7 @@ from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import open_choice
-from ltm_core.vision.input_tensor import input_tensor
+from ltm_core.vision.input_tensor import as_tensor, fitted, input_tensor
 from ltm_core.vision.label_agreement import agreed
 from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import LabelHead
@@ -76,6 +76,8 @@ class Segmenter:
         class_labels = _class_labels(manifest, self.classes, self.labels)
         # group of each network class, and the label of each group
         self._group_labels, self._group_of_class = np.unique(class_labels, return_inverse=True)
+        self._label_of_group = np.full(256, UNLABELLED, dtype=np.uint8)
+        self._label_of_group[: len(self._group_labels)] = self._group_labels
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
@@ -166,7 +168,7 @@ class Segmenter:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
             probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile)
         winner, confidence = upsampled_winner(probabilities, height, width)
-        labels = self._group_labels[winner]
+        labels = np.asarray(cv2.LUT(winner, self._label_of_group), np.uint8)
         if UNLABELLED in self._group_labels:
             confidence[labels == UNLABELLED] = 0
         withdraw(image, labels, confidence, self.withdrawal)
@@ -202,8 +204,9 @@ class Segmenter:
         that its manifest states: what a head is taught from. Raises as `logits` does."""
         _check(image)
         names = tuple(self.manifest.maps)
-        output, maps = self._model.run_with_maps(input_tensor(image, self.manifest.input), names)
-        return self._scores(output, image), dict(zip(names, maps, strict=True))
+        small = fitted(image, self.manifest.input)
+        output, maps = self._model.run_with_maps(as_tensor(small, self.manifest.input), names)
+        return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def land(self, scores: Float32Array) -> BoolArray:
         """(h, w) where the likeliest of the network's own classes, by scores (K, h, w), is not sky."""
@@ -220,12 +223,13 @@ class Segmenter:
 
     def _answer(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """The network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
-        tensor = input_tensor(image, self.manifest.input)
+        small = fitted(image, self.manifest.input)
+        tensor = as_tensor(small, self.manifest.input)
         names = self.choice.maps if self.choice is not None else self.head.maps if self.head is not None else ()
         if not names:
-            return self._scores(self._model.run(tensor), image), {}
+            return self._scores(self._model.run(tensor), small), {}
         output, maps = self._model.run_with_maps(tensor, names)
-        return self._scores(output, image), dict(zip(names, maps, strict=True))
+        return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
         """Scores (K, h, w), corrected in place by the head where there is one."""
@@ -243,7 +247,7 @@ class Segmenter:
         return dict(zip(self.classes, probabilities, strict=True))
 
     def _scores(self, output: npt.NDArray[Any], image: UInt8Array) -> Float32Array:
-        """Network output of a photo -> (K, h, w), checked."""
+        """Network output of a photo, `image` in the network's size -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
         scores = np.ascontiguousarray(scores, dtype=np.float32)

@@ -48,46 +48,41 @@ def _interpolate(
     winner: UInt8Array,
     confidence: UInt8Array,
 ) -> None:
+    """Row by row. Where one class is the likeliest on both sides of a pixel it is so between them, and the others are
+    not looked at."""
     classes, rows, cols = probabilities.shape
     height, width = winner.shape
     lines = np.empty((classes, cols + 1), dtype=np.float32)
-    peaks = np.empty(classes, dtype=np.float32)
+    likeliest = np.empty(cols + 1, dtype=np.uint8)
+    peak = np.empty(cols + 1, dtype=np.float32)
     best = np.empty(width, dtype=np.float32)
+    starts = np.searchsorted(col_first, np.arange(cols + 1)).astype(np.int32)
     for row in range(height):
         upper = row_first[row]
         lower = min(upper + 1, rows - 1)
         down = row_weight[row]
+        peak[:] = np.float32(-1.0)  # networks may give probabilities a thousandth below 0
         for k in range(classes):
             for col in range(cols):
                 above = probabilities[k, upper, col]
-                lines[k, col] = above + down * (probabilities[k, lower, col] - above)
+                value = above + down * (probabilities[k, lower, col] - above)
+                lines[k, col] = value
+                likeliest[col] = k if value > peak[col] else likeliest[col]
+                peak[col] = max(value, peak[col])
             lines[k, cols] = lines[k, cols - 1]
-            peaks[k] = lines[k].max()
-        # Between two samples the winner has at least half of what the weaker of their winners has; a class that has
-        # less all along the row wins nowhere in it.
-        least = np.float32(1.0)
-        for col in range(cols):
-            highest = lines[0, col]
-            for k in range(1, classes):
-                highest = max(highest, lines[k, col])
-            least = min(least, highest)
-        # Networks may give probabilities a thousandth below 0.
-        least = least * np.float32(0.49) if least > np.float32(0.05) else np.float32(-1.0)
-        first = True
-        for k in range(classes):
-            if peaks[k] < least:
+        likeliest[cols], peak[cols] = likeliest[cols - 1], peak[cols - 1]
+        for col in range(width):
+            left = peak[col_first[col]]
+            best[col] = left + col_weight[col] * (peak[col_first[col] + 1] - left)
+            winner[row, col] = likeliest[col_first[col]]
+        for cell in range(cols):
+            if likeliest[cell] == likeliest[cell + 1]:
                 continue
-            line = lines[k]
-            if first:
-                first = False
-                for col in range(width):
-                    left = line[col_first[col]]
-                    best[col] = left + col_weight[col] * (line[col_first[col] + 1] - left)
-                    winner[row, col] = k
-            else:
-                for col in range(width):
-                    left = line[col_first[col]]
-                    value = left + col_weight[col] * (line[col_first[col] + 1] - left)
+            for col in range(starts[cell], starts[cell + 1]):
+                best[col] = np.float32(-1.0)
+                for k in range(classes):
+                    left = lines[k, cell]
+                    value = left + col_weight[col] * (lines[k, cell + 1] - left)
                     if value > best[col]:
                         best[col] = value
                         winner[row, col] = k

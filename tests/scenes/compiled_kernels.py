@@ -18,8 +18,9 @@ from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.topodepth import FusionSettings, fuse
+from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.life_form import FORMS

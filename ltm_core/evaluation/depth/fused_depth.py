@@ -14,9 +14,10 @@ import numpy as np
 
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
+from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.errors import ConfigError
 from ltm_core.evaluation.depth.ablation import without
 from ltm_core.evaluation.metrics.depth import DepthScore

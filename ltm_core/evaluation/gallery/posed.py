@@ -11,8 +11,9 @@ import numpy as np
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
+from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.evaluation.gallery.exhibit import Exhibit, Fact, Section
 from ltm_core.evaluation.gallery.label_facts import VEGETATION, called, facts_of_areas, share_called, whole_picture
 from ltm_core.evaluation.gallery.parts import Part

@@ -14,8 +14,9 @@ import numpy as np
 
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.depth.topodepth import FusionSettings, fuse
+from ltm_core.depth.topodepth import fuse
 from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_core.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface

@@ -28,10 +28,10 @@ def fusion(
     from rich.table import Table
 
     from ltm_core.dem import Dem
+    from ltm_core.depth.expectation import FusionSettings
     from ltm_core.depth.fusion_config import FusionConfig
     from ltm_core.depth.fusion_config_io import fusion_path, load_fusion_config, write_fusion_config
     from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.depth.topodepth import FusionSettings
     from ltm_core.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.tracing import TerrainTracer

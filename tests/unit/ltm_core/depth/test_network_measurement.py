@@ -9,7 +9,7 @@ from scenes.depth_scene import depth_scene
 
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.topodepth import FusedDepth, fuse
+from ltm_core.depth.topodepth import FusedDepth, fuse, measure
 from ltm_core.types import BoolArray
 from ltm_core.vision.labels import Label, LabelSet
 
@@ -71,3 +71,28 @@ def test_without_a_network_that_fits_or_with_a_wrong_pose_nothing_is_measured() 
         assert np.isnan(measured.depth).all()
         assert np.isnan(measured.sigma).all()
     assert np.isfinite(fuse(scene.traced, scene.network(), scene.photo, None, CLASSES).measured().depth).any()
+
+
+def test_without_fusing_it_is_the_same_to_the_bit() -> None:
+    scene = depth_scene()
+    noise = NetworkDepth(np.random.default_rng(1).random((54, 96)).astype(np.float32), "relative_inverse")
+    hidden = np.zeros(scene.labels.shape, np.bool_)
+    hidden[100:, :70] = True
+    doubtful = np.zeros((9, 12), np.bool_)
+    doubtful[7, 8:] = True
+    given = scene.network(noise=0.05)
+    for traced, network, labels, mask, unusable in (
+        (scene.traced, given, scene.labels, None, ""),
+        (scene.traced, given, None, hidden, ""),
+        (scene.traced, given, scene.labels, hidden, ""),
+        (scene.traced, given, scene.labels, None, "fog"),
+        (scene.traced, noise, scene.labels, None, ""),
+        (scene.traced, None, scene.labels, None, ""),
+        (scene.turned(2.0), given, scene.labels, None, ""),
+    ):
+        fused = fuse(traced, network, scene.photo, labels, CLASSES, hidden=mask, unusable=unusable).measured(doubtful)
+        alone = measure(
+            traced, network, scene.photo, labels, CLASSES, hidden=mask, unusable=unusable, doubtful=doubtful
+        )
+        np.testing.assert_array_equal(alone.depth, fused.depth)
+        np.testing.assert_array_equal(alone.sigma, fused.sigma)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scenes.depth_scene import depth_scene
 
+from ltm_core.depth.expectation import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.topodepth import FusionSettings
 from ltm_core.errors import ModelError
 from ltm_core.training.fusion_fit import CANOPY, OUTLINE, STANDING, fit_fusion
 from ltm_core.training.fusion_samples import CLASSES, FrameSamples, Samples, frame_samples
