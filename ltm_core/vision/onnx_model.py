@@ -15,18 +15,27 @@ import onnxruntime as ort
 from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
 from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.shared_runs import SharedRuns
 
-_sessions: WeakValueDictionary[tuple[str, int], ort.InferenceSession] = WeakValueDictionary()
+_loaded: WeakValueDictionary[tuple[str, int], "_Loaded"] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
 _ELEMENT_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
+
+
+class _Loaded:
+    """A file in memory."""
+
+    def __init__(self, session: ort.InferenceSession) -> None:
+        self.session, self.runs = session, SharedRuns()
 
 
 class OnnxModel:
     """The network of a manifest, its file's checksum and its tensors compared with what the manifest states.
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
-    what runs need meanwhile is given back to one heap of all networks.
+    what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
+    picture is run once for all of them (`shared_runs`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs.
@@ -44,15 +53,16 @@ class OnnxModel:
             )
         # Who opens the same file in this process gets the same session, which any number of threads may run.
         with _one_at_a_time:
-            session = _sessions.get((found, threads))
-            if session is None:
-                session = _sessions[found, threads] = _session(content, self.path, threads)
-        self._session = session
+            loaded = _loaded.get((found, threads))
+            if loaded is None:
+                loaded = _loaded[found, threads] = _Loaded(_session(content, self.path, threads))
+        self._loaded, self._session = loaded, loaded.session
         self._input_name = self._checked_input()
         self._output_name = self._checked_output()
         # A file with heads of labels and of depth computes only the one that is asked for.
         self._options = ort.RunOptions()
         self._options.only_execute_path_to_fetches = True
+        loaded.runs.join(self, self._output_name)
 
     def run(self, tensor: npt.NDArray[Any], intrinsics: Float32Array | None = None) -> npt.NDArray[Any]:
         """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor.
@@ -65,22 +75,29 @@ class OnnxModel:
             if intrinsics is None:
                 raise self._wrong(f"input {name!r}", "a camera matrix", "none")
             feed[name] = np.ascontiguousarray(intrinsics, np.float32)[None]
-        (output,) = self._run([self._output_name], feed)
+            (output,) = self._run([self._output_name], feed)
+        else:
+            (output,) = self._shared(tensor, [self._output_name])
         return np.asarray(output)
 
     def run_with_maps(
-        self, tensor: npt.NDArray[Any], maps: Sequence[str]
+        self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
 
-        Raises ModelError where the file gives something else by such a name.
+        `part`: of a picture, which nobody else will ask for. Raises ModelError where the file gives something else by
+        such a name.
         """
-        output, *found = self._run([self._output_name, *maps], {self._input_name: tensor})
+        names = [self._output_name, *maps]
+        output, *found = self._run(names, {self._input_name: tensor}) if part else self._shared(tensor, names)
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)
             if values.ndim != 4 or values.dtype != np.float32 or values.shape[1] != channels:
                 raise self._wrong(f"map {name!r}", f"float32 [1, {channels}, h, w]", f"{values.dtype} {values.shape}")
         return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
+
+    def _shared(self, tensor: npt.NDArray[Any], outputs: list[str]) -> list[Any]:
+        return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, {self._input_name: tensor}))
 
     def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
         """Raises ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""

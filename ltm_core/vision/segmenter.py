@@ -221,14 +221,13 @@ class Segmenter:
         scores, maps = self._answer(image)
         return self.choice.odds(maps, self.land(scores))
 
-    def _answer(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
+    def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
+        """The network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a head
+        may read."""
         small = fitted(image, self.manifest.input)
         tensor = as_tensor(small, self.manifest.input)
         names = self.choice.maps if self.choice is not None else self.head.maps if self.head is not None else ()
-        if not names:
-            return self._scores(self._model.run(tensor), small), {}
-        output, maps = self._model.run_with_maps(tensor, names)
+        output, maps = self._model.run_with_maps(tensor, names, part)
         return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
@@ -239,7 +238,7 @@ class Segmenter:
 
     def _tile(self, image: UInt8Array) -> Float32Array:
         """Probabilities of a part of a photo, with the photo's head."""
-        return self._label_probabilities(self._corrected(*self._answer(image)))
+        return self._label_probabilities(self._corrected(*self._answer(image, part=True)))
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
         """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""

@@ -1,0 +1,112 @@
+"""Several that ask one file for different outputs of a picture have it run once."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.segmenter import DEFAULT_MODEL
+from ltm_core.vision.shared_runs import SharedRuns
+
+
+class _Asker:
+    """Someone who lives as long as he is held."""
+
+
+class _File:
+    """Computes outputs that tell their picture, and notes what it was asked for."""
+
+    def __init__(self, picture: float) -> None:
+        self.tensor = np.full((2, 3), picture)
+        self.runs: list[list[str]] = []
+
+    def compute(self, names: list[str]) -> list[npt.NDArray[Any]]:
+        self.runs.append(names)
+        return [np.array([self.tensor[0, 0], ord(name[0])]) for name in names]
+
+
+def _joined(*outputs: str) -> tuple[SharedRuns, list[_Asker]]:
+    runs, askers = SharedRuns(), [_Asker() for _ in outputs]
+    for asker, output in zip(askers, outputs, strict=True):
+        runs.join(asker, output)
+    return runs, askers
+
+
+def test_a_picture_is_run_once_for_both() -> None:
+    runs, askers = _joined("labels", "depth")
+    file = _File(5.0)
+    (labels,) = runs.run(file.tensor, ["labels"], file.compute)
+    (depth,) = runs.run(file.tensor.copy(), ["depth"], file.compute)
+    assert file.runs == [["labels", "depth"]]
+    np.testing.assert_array_equal(labels, [5.0, ord("l")])
+    np.testing.assert_array_equal(depth, [5.0, ord("d")])
+    # A part is given out once: whoever has it may write to it.
+    (again,) = runs.run(file.tensor, ["depth"], file.compute)
+    assert again is not depth
+    assert len(file.runs) == 2
+    assert len(askers) == 2
+
+
+def test_another_picture_and_further_maps_are_run_anew() -> None:
+    runs, askers = _joined("labels", "depth")
+    first, second = _File(5.0), _File(6.0)
+    runs.run(first.tensor, ["depth"], first.compute)
+    (labels,) = runs.run(second.tensor, ["labels"], second.compute)
+    np.testing.assert_array_equal(labels, [6.0, ord("l")])
+    assert second.runs == [["labels", "depth"]]
+    labels, maps = runs.run(first.tensor, ["labels", "maps"], first.compute)
+    assert first.runs[1][:2] == ["labels", "maps"]
+    np.testing.assert_array_equal(maps, [5.0, ord("m")])
+    assert len(askers) == 2
+
+
+def test_who_is_gone_or_alone_is_not_computed_for() -> None:
+    runs, askers = _joined("labels", "depth", "labels")
+    file = _File(5.0)
+    del askers[1]
+    gc.collect()
+    runs.run(file.tensor, ["labels"], file.compute)
+    assert file.runs == [["labels"]]
+
+
+def test_what_nobody_takes_makes_room() -> None:
+    runs, askers = _joined("labels", "depth")
+    files = [_File(float(number)) for number in range(9)]
+    for file in files:
+        runs.run(file.tensor, ["labels"], file.compute)
+    (depth,) = runs.run(files[0].tensor, ["depth"], files[0].compute)
+    assert len(files[0].runs) == 2
+    np.testing.assert_array_equal(depth, [0.0, ord("d")])
+    runs.run(files[8].tensor, ["depth"], files[8].compute)
+    assert len(files[8].runs) == 1
+    assert len(askers) == 2
+
+
+def test_labels_and_depth_of_one_file_are_the_same_alone_and_shared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels = Manifest.find(DEFAULT_MODEL)
+    path = tmp_path / "one_depth.yaml"
+    output = {"name": "inverse_depth", "kind": "relative_inverse", "layout": "NCHW"}
+    asked = {"name": "one_depth", "file": str(labels.model_file()), "output": output}
+    kept = yaml.safe_load((labels.folder / f"{DEFAULT_MODEL}.yaml").read_text())
+    content = {name: kept[name] for name in ("sha256", "licence", "card", "source", "input")} | asked
+    path.write_text(yaml.safe_dump(content))
+    depth = Manifest.load(path)
+    tensor = np.random.default_rng(3).normal(0, 1, labels.input.shape).astype(np.float32)
+    alone = OnnxModel(labels).run(tensor), OnnxModel(depth).run(tensor)
+    runs: list[list[str]] = []
+    run = OnnxModel._run
+    monkeypatch.setattr(OnnxModel, "_run", lambda own, names, feed: runs.append(names) or run(own, names, feed))
+    first, second = OnnxModel(labels), OnnxModel(depth)
+    np.testing.assert_array_equal(first.run(tensor), alone[0])
+    np.testing.assert_array_equal(second.run(tensor.copy()), alone[1])
+    assert runs == [["logits", "inverse_depth"]]
