@@ -32,6 +32,7 @@ class NetworkConfig(StrictModel):
     width: int = Field(default=64, ge=16, multiple_of=16)
     pretrained: bool = True
     fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
+    own_depth: bool = False  # depth reads a pyramid of its own: see `depth_pyramid`
 
 
 class OptimiserConfig(StrictModel):

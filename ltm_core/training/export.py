@@ -58,8 +58,11 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
     return manifest
 
 
-def export_adapted(network: LandscapeNetwork, base: Manifest, name: str, labels: LabelSet, folder: Path) -> Path:
-    """Write a network that was adapted from another's file, with what is known of that one's labels."""
+def export_adapted(
+    network: LandscapeNetwork, base: Manifest, name: str, labels: LabelSet, folder: Path, source: str
+) -> Path:
+    """Write a network that was adapted from another's file, with what is known of that one's labels. `source`: what
+    its manifest says of where it comes from."""
     split = SplitConfig(test=("none",))
     size = {"deploy_width": base.input.width, "deploy_height": base.input.height}
     config = TrainingConfig(
@@ -68,7 +71,7 @@ def export_adapted(network: LandscapeNetwork, base: Manifest, name: str, labels:
     manifest = export(network, config, labels, folder)
     content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
     content["output"]["temperature"] = base.output.temperature
-    content["source"] = f"{base.name}, its depth adapted to a site by `ltm train adapt`"
+    content["source"] = source
     _write(manifest, content)
     calibration = base.folder / f"{base.name}{CALIBRATION_SUFFIX}"
     if calibration.is_file():

@@ -32,7 +32,8 @@ def load_exported(manifest: Manifest, fixed: int = 0) -> LandscapeNetwork:
     }
     try:
         bias, width = weights["classes.bias"], weights["reduce.0.weight"].shape[0]
-        config = NetworkConfig(width=width, pretrained=False, fixed=fixed)
+        own = any(name.startswith("own.") for name in weights)
+        config = NetworkConfig(width=width, pretrained=False, fixed=fixed, own_depth=own)
         network = for_inference(LandscapeNetwork(len(bias), config))
         network.load_state_dict(weights)
     except (KeyError, RuntimeError) as reason:

@@ -1,4 +1,4 @@
-"""The network: an EfficientNet-Lite0 encoder, a light feature pyramid, one head for classes and one for depth."""
+"""The network: an EfficientNet-Lite0 encoder, one or two light feature pyramids, a head for classes, one for depth."""
 
 from __future__ import annotations
 
@@ -49,12 +49,32 @@ class PyramidStep(nn.Module):  # type: ignore[misc]  # torch is not typed for us
         return joined
 
 
+class DepthPyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """From the encoder's maps to one of a quarter of the photo's size, (N, width, H/4, W/4), as the network's own
+    pyramid, for depth alone."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        _, *middle, coarse = TAPS.values()
+        self.reduce = convolution(coarse, width, relu=True)
+        self.context = StripContext(width)
+        self.steps = nn.ModuleList(PyramidStep(width, skip, width) for skip in reversed(middle))
+
+    def forward(self, maps: list[Tensor]) -> Tensor:
+        _, *middle, coarse = maps
+        x: Tensor = self.context(self.reduce(coarse))
+        for step, skip in zip(self.steps, reversed(middle), strict=True):
+            x = step(x, skip)
+        return x
+
+
 class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed for us
     """Photo (N, 3, H, W), ImageNet-normalised -> class logits (N, classes, H/2, W/2) and log inverse depth
     (N, 1, H/4, W/4), both to be interpolated to the photo; H and W multiples of 32.
 
     The depth head answers in logarithms, so that a slope at 5 km is told from one at 6 km as surely as a bush at 5 m
-    from one at 6 m; its scale is free: photos of unknown focal length do not give it.
+    from one at 6 m; its scale is free: photos of unknown focal length do not give it. With `config.own_depth` it reads
+    a pyramid of its own, so that depth may be taught without a label that changes.
     """
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
@@ -67,6 +87,7 @@ class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed f
         self.steps = nn.ModuleList(PyramidStep(wide, skip, wide) for skip in reversed(middle))
         self.last = PyramidStep(wide, fine, narrow)
         self.classes = nn.Conv2d(narrow, classes, 1)
+        self.own = DepthPyramid(wide) if config.own_depth else None
         self.depth = nn.Sequential(
             convolution(wide, wide, 3, groups=wide, relu=True), convolution(wide, narrow, relu=True)
         )
@@ -81,7 +102,7 @@ class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed f
         x = self.context(self.reduce(coarse))
         for step, skip in zip(self.steps, reversed(middle), strict=True):
             x = step(x, skip)
-        return self.classes(self.last(x, fine)), self.inverse(self.depth(x))
+        return self.classes(self.last(x, fine)), self.inverse(self.depth(x if self.own is None else self.own(maps)))
 
 
 class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us

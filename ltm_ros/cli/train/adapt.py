@@ -66,7 +66,8 @@ def adapt(
             network, taught, config, lambda step, loss: bar.update(task, completed=step, description=f"loss {loss:.3f}")
         )
     after = depth_error(network, judged, config)
-    written = export_adapted(network, manifest, name, LabelSet.load(), out)
+    why = f"{manifest.name}, its depth adapted to a site by `ltm train adapt`"
+    written = export_adapted(network, manifest, name, LabelSet.load(), out, why)
     whose = f"{len(judged)} later frames" if kept else "the same frames"
     console.print(f"{len(taught)} frames taught; median depth error of {whose}: {before:.1%} before, {after:.1%} after")
     console.print(f"wrote {written}; its labels are those of {manifest.name}")

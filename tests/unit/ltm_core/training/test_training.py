@@ -291,7 +291,7 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     before = depth_error(network, posed, config)
     taught = adapted(network, posed, config, lambda step, loss: None)
     assert depth_error(taught, posed, config) < 0.7 * before
-    written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted")
+    written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
     photo, truth = _frame(40)
     first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
     np.testing.assert_array_equal(first.labels, second.labels)
@@ -300,6 +300,41 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     )
     near, far = (np.median(depths.values[truth[2::4, 2::4] == label]) for label in (Label.GRASS, Label.BARE))
     assert near > 1.1 * far
+
+
+def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.camera import Camera
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
+    from ltm_core.training.export import export, export_adapted
+    from ltm_core.training.exported import load_exported
+    from ltm_core.training.loop import train
+    from ltm_core.vision.manifest import Manifest
+
+    labels, split = LabelSet.load(), read_split(frames, TINY.split, 7)
+    torch.set_num_threads(1)
+    tiny = _steps(TINY, 6).model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
+    first, _ = train(tiny, split, 7, lambda _: None)
+    second, _ = train(tiny.model_copy(update={"seed": 9}), split, 7, lambda _: None)
+    bases = [Manifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))]
+    ours, theirs = (load_exported(base) for base in bases)
+    photos = [_frame(seed)[0] for seed in range(6)]
+    config = DepthPyramidConfig(steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
+    found = with_depth_of(ours, theirs, photos[:4], config, lambda step, loss: None)
+    before, after = (differences(n, theirs, photos[4:], config).mean() for n in (joined(ours, theirs), found))
+    assert after < 0.8 * before
+    written = export_adapted(found, bases[0], "both", labels, tmp_path / "c", "joined by a test")
+    photo = photos[5]
+    ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
+    np.testing.assert_array_equal(*ids)
+    again = load_exported(Manifest.load(written))
+    before = differences(found, theirs, photos[4:], config)
+    np.testing.assert_allclose(differences(joined(again, theirs), theirs, photos[4:], config), before, rtol=0.05)
+    camera = Camera.from_fov(96, 64, 50.0)
+    depth = DepthNetwork.open(tmp_path / "c" / "both_depth.yaml").predict(photo, camera).values
+    other = DepthNetwork.open(tmp_path / "a" / f"{tiny.name}_depth.yaml").predict(photo, camera).values
+    assert np.abs(np.log(depth / other) - np.log(depth / other).mean()).mean() > 0.001
 
 
 def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Path) -> None:

@@ -1,0 +1,97 @@
+"""`ltm train depth`: gives a network of labels the depth of another one, so that one encoder serves both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltm_core.types import UInt8Array
+from ltm_ros.cli.output import writable_folder
+
+
+def depth(
+    labels: Annotated[str, typer.Argument(help="Network of `ltm train` whose labels stay as they are.")],
+    teacher: Annotated[str, typer.Argument(help="Network of `ltm train` whose depth is learnt.")],
+    photos: Annotated[list[Path], typer.Option("--photos", help="Folder of photos to learn on; may be given again.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the model.", callback=writable_folder)],
+    judged: Annotated[
+        list[Path] | None, typer.Option("--judged", help="Folder of photos that judge; may be given again.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the network; default: <LABELS>_one.")] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 1300,
+    batch: Annotated[int, typer.Option(min=1, help="Photos a step.")] = 4,
+    threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
+) -> None:
+    """Teach a depth pyramid of its own to LABELS, to say what TEACHER does: one run of one file then gives both.
+
+    Photos need no truth. Labels stay as they are; heads that were taught for LABELS must be taught again.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Table
+
+    from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.manifest import Manifest
+    from ltm_ros.cli.train.training_run import need_torch
+
+    need_torch()
+    import numpy as np
+    import torch
+
+    from ltm_core.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
+    from ltm_core.training.export import export_adapted
+    from ltm_core.training.exported import load_exported
+
+    console, base, of = Console(), Manifest.find(labels), Manifest.find(teacher)
+    network, source = load_exported(base), load_exported(of)
+    config = DepthPyramidConfig(steps=steps, batch=batch, width=base.input.width, height=base.input.height)
+    taught = [photo for folder in photos for photo in _pictures(folder)]
+    torch.set_num_threads(threads)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("learning", total=steps)
+        found = with_depth_of(
+            network,
+            source,
+            taught,
+            config,
+            lambda step, loss: bar.update(task, completed=step, description=f"loss {loss:.3f}"),
+        )
+    table = Table(
+        title=f"mean |log ratio| of depth to that of {of.name}, land alone: median, 90th percentile of photos"
+    )
+    for column in ("photos", "", "own depth before", "the other's pyramid as it is", "taught"):
+        table.add_column(column, justify="left" if column == "photos" else "right")
+    for folder in judged or []:
+        pictures = _pictures(folder)
+        shares = [differences(one, source, pictures, config) for one in (network, joined(network, source), found)]
+        table.add_row(
+            str(folder), str(len(pictures)), *(f"{np.median(s):.3f} {np.percentile(s, 90):.3f}" for s in shares)
+        )
+    if judged:
+        console.print(table)
+    why = f"{base.name}, with the depth of {of.name} by `ltm train depth`"
+    written = export_adapted(found, base, name or f"{base.name}_one", LabelSet.load(), out, why)
+    console.print(f"{len(taught)} photos taught; wrote {written} and {written.stem}_depth.yaml, of one file")
+
+
+def _pictures(folder: Path) -> list[UInt8Array]:
+    """All of a folder, (H, W, 3) RGB, but label images; raises ImageError where there is none."""
+    import cv2
+    import numpy as np
+
+    from ltm_core.errors import ImageError
+    from ltm_core.training.labelled_frames import LABELS_SUFFIX
+
+    found = []
+    for path in sorted(folder.glob("*")):
+        if path.suffix.lower() in (".jpg", ".jpeg", ".png") and not path.name.endswith(LABELS_SUFFIX):
+            picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+            if picture is None:
+                raise ImageError(f"{path}: is no readable picture; mend it or take it out of the folder")
+            found.append(np.ascontiguousarray(picture[..., ::-1]))
+    if not found:
+        raise ImageError(f"{folder}: no photos, .jpg or .png; name a folder of some")
+    return found
