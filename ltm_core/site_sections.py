@@ -191,7 +191,10 @@ class CameraConfig(StrictModel):
     """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
     judge_pictures: bool = True
     """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
-    terrain or fit the pose. And tell smoke before the land, which does not vote."""
+    terrain or fit the pose."""
+    judge_smoke: bool = True
+    """Of judged pictures: tell smoke before the land, which does not vote, by earlier pictures. False: each picture is
+    judged by itself alone, as in an archive, whose map is then that of the recording replayed."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:

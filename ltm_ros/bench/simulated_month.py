@@ -196,7 +196,8 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose], repeats_drop
         (x, y, z), (azimuth, pitch, _) = pose.position, pose.angles_deg
         place = {"x": float(x + ORIGIN[0]), "y": float(y + ORIGIN[1]), "z": float(z)}
         angles = {"azimuth_deg": float(azimuth), "pitch_deg": float(pitch)}
-        cameras[name] = {"calibration": calibration, "pose": place | angles}
+        # Smoke is told by earlier pictures, which tasks of an archive do not have.
+        cameras[name] = {"calibration": calibration, "pose": place | angles, "judge_smoke": False}
     site = {
         "name": NAME,
         "crs": CRS,

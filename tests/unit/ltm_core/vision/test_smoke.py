@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import tracemalloc
+from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+import yaml
+from scenes.small_site import write_small_site
 
+from ltm_core.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.site_io import load_site
 from ltm_core.types import BoolArray, UInt8Array
-from ltm_core.vision.labels import Label
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.segmenter import Segmentation
 from ltm_core.vision.smoke import APART_S, OLDEST_S, REMEMBERED, WORKING_WIDTH, SmokeMemory
 
 SIZE = (216, 384)
@@ -156,3 +163,22 @@ def test_pictures_of_other_sizes_are_remembered_besides() -> None:
         look(land(), size, number * APART_S)
     for number, size in enumerate(sizes, len(sizes)):
         assert look(plume(land(), 2)[0], size, number * APART_S) is not None
+
+
+def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    content = yaml.safe_load(small.path.read_text())
+    picture, there = plume(land(), 2)
+    hidden = there & (labels() != Label.SKY)
+    gone = {}
+    for judged in (True, False):
+        content["cameras"]["mast"]["judge_smoke"] = judged
+        small.path.write_text(yaml.safe_dump(content))
+        step = LabellingStep(load_site(small.path), "mast", LabellingConfig())
+        monkeypatch.setattr(step._segmenter, "segment", lambda *_: Segmentation(labels(), np.full(SIZE, 200, np.uint8)))
+        step.label(land(), stamp_ns=0)
+        found, view = step.label(picture, stamp_ns=int(APART_S * 1e9))
+        gone[judged] = float((found.labels == UNLABELLED)[hidden].mean()), view.smoke
+    assert gone[True][0] > 0.9
+    assert gone[True][1] > 0.02
+    assert gone[False] == (0.0, 0.0)
