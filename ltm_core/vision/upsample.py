@@ -61,6 +61,7 @@ def _interpolate(
         upper = row_first[row]
         lower = min(upper + 1, rows - 1)
         down = row_weight[row]
+        likeliest[:] = 0
         peak[:] = np.float32(-1.0)  # networks may give probabilities a thousandth below 0
         for k in range(classes):
             for col in range(cols):
