@@ -49,9 +49,8 @@ class PyramidStep(nn.Module):  # type: ignore[misc]  # torch is not typed for us
         return joined
 
 
-class DepthPyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
-    """From the encoder's maps to one of a quarter of the photo's size, (N, width, H/4, W/4), as the network's own
-    pyramid, for depth alone."""
+class Pyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """From the encoder's maps to one of a quarter of the photo's size, (N, width, H/4, W/4)."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -61,6 +60,10 @@ class DepthPyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for u
         self.steps = nn.ModuleList(PyramidStep(width, skip, width) for skip in reversed(middle))
 
     def forward(self, maps: list[Tensor]) -> Tensor:
+        return self.quarter(maps)
+
+    def quarter(self, maps: list[Tensor]) -> Tensor:
+        """That map."""
         _, *middle, coarse = maps
         x: Tensor = self.context(self.reduce(coarse))
         for step, skip in zip(self.steps, reversed(middle), strict=True):
@@ -68,26 +71,23 @@ class DepthPyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for u
         return x
 
 
-class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+class LandscapeNetwork(Pyramid):
     """Photo (N, 3, H, W), ImageNet-normalised -> class logits (N, classes, H/2, W/2) and log inverse depth
     (N, 1, H/4, W/4), both to be interpolated to the photo; H and W multiples of 32.
 
     The depth head answers in logarithms, so that a slope at 5 km is told from one at 6 km as surely as a bush at 5 m
     from one at 6 m; its scale is free: photos of unknown focal length do not give it. With `config.own_depth` it reads
-    a pyramid of its own, so that depth may be taught without a label that changes.
+    a pyramid of its own, so that depth may be taught without a label that changes. The pyramid of the classes is the
+    network's own parts, by whose names exported files hold their weights.
     """
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
-        super().__init__()
-        self.encoder = Lite0Encoder(config.fixed)
-        fine, *middle, coarse = TAPS.values()
         wide, narrow = config.width, config.width // 2
-        self.reduce = convolution(coarse, wide, relu=True)
-        self.context = StripContext(wide)
-        self.steps = nn.ModuleList(PyramidStep(wide, skip, wide) for skip in reversed(middle))
-        self.last = PyramidStep(wide, fine, narrow)
+        super().__init__(wide)
+        self.encoder = Lite0Encoder(config.fixed)
+        self.last = PyramidStep(wide, next(iter(TAPS.values())), narrow)
         self.classes = nn.Conv2d(narrow, classes, 1)
-        self.own = DepthPyramid(wide) if config.own_depth else None
+        self.own = Pyramid(wide) if config.own_depth else None
         self.depth = nn.Sequential(
             convolution(wide, wide, 3, groups=wide, relu=True), convolution(wide, narrow, relu=True)
         )
@@ -98,11 +98,8 @@ class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed f
 
     def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits and log inverse depth from the encoder's maps."""
-        fine, *middle, coarse = maps
-        x = self.context(self.reduce(coarse))
-        for step, skip in zip(self.steps, reversed(middle), strict=True):
-            x = step(x, skip)
-        return self.classes(self.last(x, fine)), self.inverse(self.depth(x if self.own is None else self.own(maps)))
+        x = self.quarter(maps)
+        return self.classes(self.last(x, maps[0])), self.inverse(self.depth(x if self.own is None else self.own(maps)))
 
 
 class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us
