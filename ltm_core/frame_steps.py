@@ -144,8 +144,8 @@ class LabellingStep:
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
         self._scene = SceneFilter.of(site, camera)
-        seen_by = site.camera(camera)
-        self._smoke = SmokeMemory() if seen_by.judge_pictures and seen_by.judge_smoke else None
+        own = site.camera(camera)
+        self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
         self._zoom = config.zoom
         self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}

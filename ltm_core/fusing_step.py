@@ -90,10 +90,7 @@ class FusingStep:
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
         seen, network, trouble = self._look(frame, view)
-        ground: RangeImage | DepthImage = DepthImage(depth, frame.camera, frame.pose)
-        surface = None
-        if self._ground is not None:
-            ground, surface = self._ground.trace(frame.camera, frame.pose), ground
+        ground, surface = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), surface, self.network.fusion, seen.hidden, seen.unusable
         return FusedFrame(fuse(ground, network, frame.image, labels, *known), seen, trouble)
 
@@ -108,11 +105,14 @@ class FusingStep:
         """What the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing, where it
         failed; arguments and errors as there."""
         seen, network, trouble = self._look(frame, view)
-        ground: RangeImage | DepthImage = DepthImage(depth, frame.camera, frame.pose)
-        if self._ground is not None:
-            ground = self._ground.trace(frame.camera, frame.pose)
+        ground, _ = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
         return measure(ground, network, frame.image, labels, *known, seen.doubtful), trouble
+
+    def _terrain(self, depth: Float32Array, frame: PosedImage) -> tuple[RangeImage | DepthImage, DepthImage | None]:
+        """Bare earth, and what stands on it, where depth is traced to that."""
+        traced = DepthImage(depth, frame.camera, frame.pose)
+        return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
 
     def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
         """What of the photo shows the landscape, and what the network makes of it, or why it failed."""

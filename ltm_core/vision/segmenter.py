@@ -203,10 +203,7 @@ class Segmenter:
         """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
         that its manifest states: what a head is taught from. Raises as `logits` does."""
         _check(image)
-        names = tuple(self.manifest.maps)
-        small = fitted(image, self.manifest.input)
-        output, maps = self._model.run_with_maps(as_tensor(small, self.manifest.input), names)
-        return self._scores(output, small), dict(zip(names, maps, strict=True))
+        return self._run(image, tuple(self.manifest.maps))
 
     def land(self, scores: Float32Array) -> BoolArray:
         """(h, w) where the likeliest of the network's own classes, by scores (K, h, w), is not sky."""
@@ -224,10 +221,14 @@ class Segmenter:
     def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
         """The network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a head
         may read."""
-        small = fitted(image, self.manifest.input)
-        tensor = as_tensor(small, self.manifest.input)
         names = self.choice.maps if self.choice is not None else self.head.maps if self.head is not None else ()
-        output, maps = self._model.run_with_maps(tensor, names, part)
+        return self._run(image, names, part)
+
+    def _run(
+        self, image: UInt8Array, names: Sequence[str], part: bool = False
+    ) -> tuple[Float32Array, dict[str, Float32Array]]:
+        small = fitted(image, self.manifest.input)
+        output, maps = self._model.run_with_maps(as_tensor(small, self.manifest.input), names, part)
         return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:

@@ -7,10 +7,10 @@ of it computed that others in this process ask this file for; they take their pa
 from __future__ import annotations
 
 import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final
-from weakref import finalize
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -27,19 +27,18 @@ class SharedRuns:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._asked: Counter[str] = Counter()
+        self._asked: WeakKeyDictionary[object, str] = WeakKeyDictionary()
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
 
     def join(self, owner: object, output: str) -> None:
         """`owner` will ask for `output` as long as it lives."""
         with self._lock:
-            self._asked[output] += 1
-        finalize(owner, self._leave, output)
+            self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
         """These outputs of a picture's tensor, which nobody changes meanwhile; `compute` gives those of its names."""
         with self._lock:
-            others = [name for name in self._asked if name not in outputs]
+            others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
                 if all(name in parts for name in outputs) and np.array_equal(of, tensor):
                     found = [parts.pop(name) for name in outputs]
@@ -50,13 +49,5 @@ class SharedRuns:
         if others:
             rest = dict(zip(others, made[len(outputs) :], strict=True))
             with self._lock:
-                self._waiting.append((tensor if tensor.flags.owndata else tensor.copy(), rest))
+                self._waiting.append((tensor.copy(), rest))
         return made[: len(outputs)]
-
-    def _leave(self, output: str) -> None:
-        with self._lock:
-            self._asked[output] -= 1
-            if not self._asked[output]:
-                del self._asked[output]
-                for _, parts in self._waiting:
-                    parts.pop(output, None)
