@@ -28,6 +28,7 @@ BROKEN = (
     *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
 )
 """What Pillow, its plugins and their EXIF raise for files that are damaged: they agree on no error of their own."""
+_PHOTOS = {".jpg", ".jpeg", ".png"}
 
 
 @contextmanager
@@ -37,6 +38,16 @@ def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
     data = read_picture(path)
     with opened_picture(data, path) as image:
         yield image, data
+
+
+def photos_in(images: Path) -> list[Path]:
+    """The photos of a folder in the order of their names, label images left out; of a file, that file. Raises
+    ImageError where there is none."""
+    paths = [images] if images.is_file() else sorted(images.glob("*"))
+    photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
+    if not photos:
+        raise ImageError(f"{images}: no photos; expected files ending in {', '.join(sorted(_PHOTOS))}")
+    return photos
 
 
 def read_rgb(path: Path) -> UInt8Array:

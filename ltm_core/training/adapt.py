@@ -82,7 +82,7 @@ def depth_error(network: LandscapeNetwork, frames: list[Frame], config: AdaptCon
         for frame in frames:
             if frame.inverse is None:
                 continue
-            photo = _sized(frame.image, config)
+            photo = sized(frame.image, config.width, config.height)
             _, log_inverse = network(normalised([photo]))
             large = functional.interpolate(log_inverse, frame.inverse.shape, mode="bilinear", align_corners=False)
             ratio = large[0, 0].numpy() - np.log(frame.inverse)
@@ -92,9 +92,9 @@ def depth_error(network: LandscapeNetwork, frames: list[Frame], config: AdaptCon
     return float(np.median(errors)) if errors else float("nan")
 
 
-def _sized(image: UInt8Array, config: AdaptConfig) -> UInt8Array:
-    size = (config.width, config.height)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+def sized(image: UInt8Array, width: int, height: int) -> UInt8Array:
+    """A photo (H, W, 3) in another size, aspect not kept."""
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def frame_of(image: UInt8Array, depth: Float32Array, name: str, width: int) -> Frame:

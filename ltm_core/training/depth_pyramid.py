@@ -11,7 +11,6 @@ import copy
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from pydantic import Field
@@ -19,6 +18,7 @@ from torch import Tensor
 
 from ltm_core.errors import ModelError
 from ltm_core.strict_model import StrictModel
+from ltm_core.training.adapt import sized
 from ltm_core.training.augment import augmented
 from ltm_core.training.config import AugmentConfig, NetworkConfig
 from ltm_core.training.labelled_frames import UNKNOWN, Frame
@@ -34,7 +34,7 @@ class DepthPyramidConfig(StrictModel):
     """How the pyramid is taught. `width`, `height`: of what photos are brought to; whole photos, as they are asked
     for later, since the context of rows and columns is a whole photo's."""
 
-    steps: int = Field(default=1500, ge=1)
+    steps: int = Field(default=1300, ge=1)
     batch: int = Field(default=4, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
     average: float = Field(default=0.99, ge=0, lt=1)
@@ -121,7 +121,7 @@ def differences(
     found = []
     with torch.inference_mode():
         for photo in photos:
-            batch = normalised([_sized(photo, config)])
+            batch = normalised([sized(photo, config.width, config.height)])
             logits, found_here = network(batch)
             found.append(float(land_depth_loss(found_here, depth(batch)[1], logits)))
     return np.array(found)
@@ -138,10 +138,6 @@ def land_depth_loss(log_inverse: Tensor, wanted: Tensor, logits: Tensor) -> Tens
 
 
 def _window(photo: UInt8Array, config: DepthPyramidConfig, rng: np.random.Generator) -> UInt8Array:
-    frame = Frame(_sized(photo, config), np.full((config.height, config.width), UNKNOWN, np.uint8), Path("photo"), None)
+    photo = sized(photo, config.width, config.height)
+    frame = Frame(photo, np.full(photo.shape[:2], UNKNOWN, np.uint8), Path("photo"), None)
     return augmented(frame, (config.height, config.width), config.augment, rng)[0]
-
-
-def _sized(photo: UInt8Array, config: DepthPyramidConfig) -> UInt8Array:
-    size = (config.width, config.height)
-    return np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA), np.uint8)

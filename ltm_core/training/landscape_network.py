@@ -59,11 +59,8 @@ class Pyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
         self.context = StripContext(width)
         self.steps = nn.ModuleList(PyramidStep(width, skip, width) for skip in reversed(middle))
 
-    def forward(self, maps: list[Tensor]) -> Tensor:
-        return self.quarter(maps)
-
     def quarter(self, maps: list[Tensor]) -> Tensor:
-        """That map."""
+        """The map of a quarter of the photo's size."""
         _, *middle, coarse = maps
         x: Tensor = self.context(self.reduce(coarse))
         for step, skip in zip(self.steps, reversed(middle), strict=True):
@@ -99,7 +96,8 @@ class LandscapeNetwork(Pyramid):
     def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits and log inverse depth from the encoder's maps."""
         x = self.quarter(maps)
-        return self.classes(self.last(x, maps[0])), self.inverse(self.depth(x if self.own is None else self.own(maps)))
+        y = x if self.own is None else self.own.quarter(maps)
+        return self.classes(self.last(x, maps[0])), self.inverse(self.depth(y))
 
 
 class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us

@@ -14,7 +14,7 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.metrics.segmentation import score_labels
 from ltm_core.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
-from ltm_core.picture_io import check_picture
+from ltm_core.picture_io import check_picture, photos_in
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.training.labelled_frames import read_frames
 from ltm_core.types import UInt8Array
@@ -23,8 +23,6 @@ from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
 from ltm_ros.cli.eval.score_table import score_table
-
-_PHOTOS = {".jpg", ".jpeg", ".png"}
 
 
 def check(
@@ -58,7 +56,7 @@ def check(
     )
     if images is None:
         _overlay(console, segmenter, trial_scene(), Path("trial_scene"), out, zoom)
-    photos = _photos(images) if images is not None else []
+    photos = photos_in(images) if images is not None else []
     for path in photos:
         _overlay(console, segmenter, _read(path), path, out, zoom)
     if photos and sky_masks is not None:
@@ -73,7 +71,7 @@ def check_depth(console: Console, manifest: Manifest, threads: int, images: Path
     """Print what a depth model takes and gives and its time; write pictures, near red and far blue."""
     network = DepthNetwork(manifest, threads)
     _describe(console, manifest, manifest.model_file())
-    pictures = [(path, _read(path)) for path in _photos(images)] if images is not None else []
+    pictures = [(path, _read(path)) for path in photos_in(images)] if images is not None else []
     for path, photo in pictures or [(Path("trial_scene"), trial_scene())]:
         camera = Camera.from_fov(photo.shape[1], photo.shape[0], 50.0)
         network.predict(photo, camera)
@@ -141,14 +139,6 @@ def _score_sky(console: Console, segmenter: Segmenter, photos: list[Path], masks
         scores.append(float(score_labels(sky, predicted, 2).iou[1]))
         console.print(f"{path.name}: sky IoU {scores[-1]:.3f}")
     console.print(f"sky IoU over {len(scores)} photos: mean {np.mean(scores):.3f}, least {np.min(scores):.3f}")
-
-
-def _photos(images: Path) -> list[Path]:
-    paths = [images] if images.is_file() else sorted(images.glob("*"))
-    photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
-    if not photos:
-        raise ImageError(f"{images}: no photos; expected files ending in {', '.join(sorted(_PHOTOS))}")
-    return photos
 
 
 def _read(path: Path) -> UInt8Array:

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from ltm_core.types import UInt8Array
 from ltm_ros.cli.output import writable_folder
 
 
@@ -32,6 +31,7 @@ def depth(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
     from rich.table import Table
 
+    from ltm_core.picture_io import photos_in, read_rgb
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import Manifest
     from ltm_ros.cli.train.training_run import need_torch
@@ -47,7 +47,7 @@ def depth(
     console, base, of = Console(), Manifest.find(labels), Manifest.find(teacher)
     network, source = load_exported(base), load_exported(of)
     config = DepthPyramidConfig(steps=steps, batch=batch, width=base.input.width, height=base.input.height)
-    taught = [photo for folder in photos for photo in _pictures(folder)]
+    taught = [read_rgb(photo) for folder in photos for photo in photos_in(folder)]
     torch.set_num_threads(threads)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
@@ -65,7 +65,7 @@ def depth(
     for column in ("photos", "", "own depth before", "the other's pyramid as it is", "taught"):
         table.add_column(column, justify="left" if column == "photos" else "right")
     for folder in judged or []:
-        pictures = _pictures(folder)
+        pictures = [read_rgb(photo) for photo in photos_in(folder)]
         shares = [differences(one, source, pictures, config) for one in (network, joined(network, source), found)]
         table.add_row(
             str(folder), str(len(pictures)), *(f"{np.median(s):.3f} {np.percentile(s, 90):.3f}" for s in shares)
@@ -75,23 +75,3 @@ def depth(
     why = f"{base.name}, with the depth of {of.name} by `ltm train depth`"
     written = export_adapted(found, base, name or f"{base.name}_one", LabelSet.load(), out, why)
     console.print(f"{len(taught)} photos taught; wrote {written} and {written.stem}_depth.yaml, of one file")
-
-
-def _pictures(folder: Path) -> list[UInt8Array]:
-    """All of a folder, (H, W, 3) RGB, but label images; raises ImageError where there is none."""
-    import cv2
-    import numpy as np
-
-    from ltm_core.errors import ImageError
-    from ltm_core.training.labelled_frames import LABELS_SUFFIX
-
-    found = []
-    for path in sorted(folder.glob("*")):
-        if path.suffix.lower() in (".jpg", ".jpeg", ".png") and not path.name.endswith(LABELS_SUFFIX):
-            picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-            if picture is None:
-                raise ImageError(f"{path}: is no readable picture; mend it or take it out of the folder")
-            found.append(np.ascontiguousarray(picture[..., ::-1]))
-    if not found:
-        raise ImageError(f"{folder}: no photos, .jpg or .png; name a folder of some")
-    return found

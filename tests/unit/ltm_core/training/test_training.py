@@ -7,48 +7,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scenes.tiny_training import COLORS, SIZE, TINY, drawn_frame, with_steps, write_drawn
 
 from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.training.augment import Lent, augmented, photo_looks
-from ltm_core.training.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
+from ltm_core.training.config import AugmentConfig, OptimiserConfig, SplitConfig, TrainingConfig
 from ltm_core.training.labelled_frames import LAND, UNKNOWN, Frame, read_frames, read_split
-from ltm_core.training.random_fields import fractal_noise
-from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-
-SIZE = (64, 96)
-COLORS = np.array([(140, 190, 235), (200, 190, 90), (110, 90, 50), (20, 70, 30), (160, 150, 140)], np.uint8)
-
-
-def _frame(seed: int) -> tuple[UInt8Array, UInt8Array]:
-    """Sky over patches of grass, shrub, tree and bare ground, each in its own colour."""
-    rng = np.random.default_rng(seed)
-    labels = (1 + np.minimum(fractal_noise(SIZE, rng, octaves=2) * 4, 3)).astype(np.uint8)
-    labels[: int(rng.integers(15, 35))] = Label.SKY
-    noise = rng.normal(0.0, 5.0, (*SIZE, 3))
-    return np.clip(COLORS[labels] + noise, 0, 255).astype(np.uint8), labels
-
-
-def _write(folder: Path, seed: int, labels: UInt8Array | None = None) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    image, truth = _frame(seed)
-    cv2.imwrite(str(folder / f"{seed:04d}.png"), image[..., ::-1])
-    cv2.imwrite(str(folder / f"{seed:04d}_labels.png"), truth if labels is None else labels)
-
-
-@pytest.fixture
-def frames(tmp_path: Path) -> Path:
-    for index, scenario in enumerate(["ash", "elm", "fir", "oak"]):
-        for number in range(3):
-            _write(tmp_path / "frames" / scenario, 10 * index + number)
-    return tmp_path / "frames"
 
 
 def test_frames_are_read_as_rendered(frames: Path) -> None:
     read = read_frames(frames / "elm", 7)
     assert [frame.path.name for frame in read] == ["0010.png", "0011.png", "0012.png"]
-    image, labels = _frame(11)
+    image, labels = drawn_frame(11)
     np.testing.assert_array_equal(read[1].image, image)
     np.testing.assert_array_equal(read[1].labels, labels)
 
@@ -71,17 +43,17 @@ def test_a_scenario_in_validation_and_test_is_refused() -> None:
 
 
 def test_labels_of_another_size_or_unknown_id_are_refused(tmp_path: Path) -> None:
-    _write(tmp_path / "small", 1, np.zeros((64, 95), np.uint8))
+    write_drawn(tmp_path / "small", 1, np.zeros((64, 95), np.uint8))
     with pytest.raises(ImageError, match=r"0001_labels\.png: is \(64, 95\) uint8, expected \(64, 96\)"):
         read_frames(tmp_path / "small", 7)
-    _write(tmp_path / "unknown", 2, np.full(SIZE, 7, np.uint8))
+    write_drawn(tmp_path / "unknown", 2, np.full(SIZE, 7, np.uint8))
     with pytest.raises(ImageError, match=r"holds label 7, expected ids below 7 or 255"):
         read_frames(tmp_path / "unknown", 7)
 
 
 def test_sampled_labels_can_score_but_not_train(tmp_path: Path) -> None:
-    truth = _frame(4)[1]
-    _write(tmp_path / "frames", 4, truth[::4, ::4])
+    truth = drawn_frame(4)[1]
+    write_drawn(tmp_path / "frames", 4, truth[::4, ::4])
     (frame,) = read_frames(tmp_path / "frames", 7, sampled=True)
     np.testing.assert_array_equal(frame.labels[::4, ::4], truth[::4, ::4])
     assert np.sum(frame.labels != UNLABELLED) == 16 * 24
@@ -96,7 +68,7 @@ def test_a_folder_without_frames_says_what_it_expects(tmp_path: Path) -> None:
 
 def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -> None:
     """With geometry alone the photo's colours still tell each pixel's class."""
-    image, labels = _frame(5)
+    image, labels = drawn_frame(5)
     inverse = (labels + 1).astype(np.float32)
     frame = Frame(image, labels, Path("oak/0005.png"), inverse)
     geometry = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "flip": 0.5, "rescale": 0.7})
@@ -115,7 +87,7 @@ def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -
 
 
 def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
-    image, labels = _frame(6)
+    image, labels = drawn_frame(6)
     every = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 1.0), "lake": 0.0})
     none = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
     frame = Frame(image, labels, Path("oak/0006.png"))
@@ -132,8 +104,8 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
 
 def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> None:
     """Towards the photo's mean and contrast by the part drawn; sky, and the photo itself, as they were."""
-    image, labels = _frame(7)
-    blue, photo_labels = _frame(8)
+    image, labels = drawn_frame(7)
+    blue, photo_labels = drawn_frame(8)
     blue = np.where((photo_labels == Label.SKY)[..., None], blue, blue // 4 + np.array([0, 0, 60], np.uint8))
     order = np.ones(SIZE, np.float32)
     photo = Frame(blue.astype(np.uint8), photo_labels, Path("photos/8.png"), order, ordinal=True)
@@ -154,26 +126,6 @@ def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> No
         assert lightness == sorted(lightness)
         same, _, _ = augmented(photo, SIZE, only, np.random.default_rng(seed), Lent(looks, []))
         np.testing.assert_array_equal(same, photo.image)
-
-
-TINY = TrainingConfig(
-    name="tiny",
-    width=96,
-    height=64,
-    deploy_width=96,
-    deploy_height=64,
-    seed=3,
-    split=SplitConfig(validation=("elm",), test=("oak",)),
-    network=NetworkConfig(width=16, pretrained=False, fixed=0),
-    optimiser=OptimiserConfig(
-        steps=30, batch=4, validate_every=15, learning_rate=0.01, encoder_rate=1.0, average=0.8, frozen=0.0
-    ),
-    augment=AugmentConfig(photo_look=0, new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, noise=0.5, jpeg=0),
-)
-
-
-def _steps(config: TrainingConfig, steps: int) -> TrainingConfig:
-    return config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
 
 
 def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path, tmp_path: Path) -> None:
@@ -208,7 +160,7 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_core.training.loop import Run, train
 
-    config = _steps(TINY, 4)
+    config = with_steps(TINY, 4)
     config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"validate_every": 2})})
     split = read_split(frames, config.split, 7)
     checkpoint = tmp_path / "checkpoint.pt"
@@ -230,7 +182,7 @@ def test_what_is_in_a_batch_does_not_depend_on_who_makes_it(frames: Path) -> Non
 
     weights = []
     for workers in (0, 2):
-        config = _steps(TINY, 3)
+        config = with_steps(TINY, 3)
         config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"workers": workers})})
         network, _ = train(config, read_split(frames, config.split, 7), 7, lambda _: None)
         weights.append(network.state_dict())
@@ -263,120 +215,6 @@ def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path
             change = run.network.eval()(photo)[1] - before
         apart[keep] = float((change - change.mean()).abs().mean())
     assert apart[3.0] < 0.5 * apart[0.0]
-
-
-def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.camera import Camera
-    from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.training.adapt import AdaptConfig, adapted, depth_error, frame_of
-    from ltm_core.training.export import export, export_adapted
-    from ltm_core.training.exported import load_exported
-    from ltm_core.training.loop import train
-    from ltm_core.vision.manifest import Manifest
-
-    labels = LabelSet.load()
-    torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
-    # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
-    tiny = TINY.model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
-    start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
-    base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
-    network = load_exported(base)
-    metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
-    views = [_frame(seed) for seed in range(4)]
-    posed = [frame_of(photo, metres[truth], f"north/{seed}.png", 96) for seed, (photo, truth) in enumerate(views)]
-    assert posed[0].inverse is not None
-    np.testing.assert_array_equal(np.isnan(posed[0].inverse), views[0][1] == Label.SKY)
-    config = AdaptConfig(steps=80, learning_rate=0.01, width=96, height=64)
-    before = depth_error(network, posed, config)
-    taught = adapted(network, posed, config, lambda step, loss: None)
-    assert depth_error(taught, posed, config) < 0.7 * before
-    written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
-    photo, truth = _frame(40)
-    first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
-    np.testing.assert_array_equal(first.labels, second.labels)
-    depths = DepthNetwork.open(tmp_path / "adapted" / "tiny_north_depth.yaml").predict(
-        photo, Camera.from_fov(96, 64, 50)
-    )
-    near, far = (np.median(depths.values[truth[2::4, 2::4] == label]) for label in (Label.GRASS, Label.BARE))
-    assert near > 1.1 * far
-
-
-def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.camera import Camera
-    from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
-    from ltm_core.training.export import export, export_adapted
-    from ltm_core.training.exported import load_exported
-    from ltm_core.training.loop import train
-    from ltm_core.vision.manifest import Manifest
-
-    labels, split = LabelSet.load(), read_split(frames, TINY.split, 7)
-    torch.set_num_threads(1)
-    tiny = _steps(TINY, 6).model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
-    first, _ = train(tiny, split, 7, lambda _: None)
-    second, _ = train(tiny.model_copy(update={"seed": 9}), split, 7, lambda _: None)
-    bases = [Manifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))]
-    ours, theirs = (load_exported(base) for base in bases)
-    photos = [_frame(seed)[0] for seed in range(6)]
-    config = DepthPyramidConfig(steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
-    found = with_depth_of(ours, theirs, photos[:4], config, lambda step, loss: None)
-    before, after = (differences(n, theirs, photos[4:], config).mean() for n in (joined(ours, theirs), found))
-    assert after < 0.8 * before
-    written = export_adapted(found, bases[0], "both", labels, tmp_path / "c", "joined by a test")
-    photo = photos[5]
-    ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
-    np.testing.assert_array_equal(*ids)
-    again = load_exported(Manifest.load(written))
-    before = differences(found, theirs, photos[4:], config)
-    np.testing.assert_allclose(differences(joined(again, theirs), theirs, photos[4:], config), before, rtol=0.05)
-    camera = Camera.from_fov(96, 64, 50.0)
-    depth = DepthNetwork.open(tmp_path / "c" / "both_depth.yaml").predict(photo, camera).values
-    other = DepthNetwork.open(tmp_path / "a" / f"{tiny.name}_depth.yaml").predict(photo, camera).values
-    assert np.abs(np.log(depth / other) - np.log(depth / other).mean()).mean() > 0.001
-
-
-def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Path) -> None:
-    """At its first step it gives the exported network's own labels; a checkpoint of it can be resumed."""
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.training.export import export
-    from ltm_core.training.exported import blended, load_exported
-    from ltm_core.training.loop import Run, score, train
-    from ltm_core.vision.manifest import Manifest
-
-    split, labels = read_split(frames, TINY.split, 7), LabelSet.load()
-    first, _ = train(_steps(TINY, 8), split, 7, lambda _: None)
-    base = Manifest.load(export(first, TINY, labels, tmp_path / "base"))
-    weights = load_exported(base, fixed=1).state_dict()
-    config = _steps(TINY, 4)
-    run = Run.start(config, 7, weights)
-    before, after = (score(network, split.test, TINY, 7) for network in (first, run.network))
-    assert np.abs(before.confusion - after.confusion).sum() < 0.01 * before.confusion.sum()
-    network, run = train(config, split, 7, lambda _: None, run, tmp_path / "checkpoint.pt", until=2)
-    assert run.losses[0] > 0
-    resumed = Run.resume(tmp_path / "checkpoint.pt", config, 7)
-    same = (torch.equal(a, b) for a, b in zip(resumed.network.parameters(), run.network.parameters(), strict=True))
-    assert all(same)
-    second = load_exported(Manifest.load(export(network, TINY, labels, tmp_path / "next")))
-    mean = blended(load_exported(base), second, 0.25).classes.bias
-    torch.testing.assert_close(mean, 0.75 * weights["classes.bias"] + 0.25 * second.classes.bias)
-    assert not torch.equal(mean, second.classes.bias)
-    wider = config.model_copy(update={"network": NetworkConfig(width=32, pretrained=False)})
-    with pytest.raises(ConfigError, match=r"another network than configured.*width 32"):
-        Run.start(wider, 7, weights)
-
-
-def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="training needs the extra `train`")
-    from scenes.networks import write_classifier
-
-    from ltm_core.errors import ModelError
-    from ltm_core.training.exported import load_exported
-    from ltm_core.vision.manifest import Manifest
-
-    with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
-        load_exported(Manifest.load(write_classifier(tmp_path)))
 
 
 def test_depth_is_learnt_but_for_its_scale() -> None:
@@ -457,7 +295,7 @@ def test_simulated_frames_bring_their_depth(tmp_path: Path) -> None:
     from ltm_core.camera import Camera
 
     camera = Camera.from_fov(96, 64, 60.0)
-    _write(tmp_path, 3)
+    write_drawn(tmp_path, 3)
     ranges = np.full((64, 96), 250.0, np.float32)
     ranges[:20] = np.inf
     np.savez(tmp_path / "0003_truth.npz", range_surface=ranges)

@@ -1,0 +1,129 @@
+"""Networks that go on from exported files: adapted to a site, with another's depth, trained further."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.tiny_training import TINY, drawn_frame, with_steps
+
+from ltm_core.errors import ConfigError
+from ltm_core.training.config import NetworkConfig
+from ltm_core.training.labelled_frames import read_split
+from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.vision.segmenter import Segmenter
+
+
+def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.camera import Camera
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.training.adapt import AdaptConfig, adapted, depth_error, frame_of
+    from ltm_core.training.export import export, export_adapted
+    from ltm_core.training.exported import load_exported
+    from ltm_core.training.loop import train
+    from ltm_core.vision.manifest import Manifest
+
+    labels = LabelSet.load()
+    torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
+    # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
+    tiny = TINY.model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
+    start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
+    base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
+    network = load_exported(base)
+    metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
+    views = [drawn_frame(seed) for seed in range(4)]
+    posed = [frame_of(photo, metres[truth], f"north/{seed}.png", 96) for seed, (photo, truth) in enumerate(views)]
+    assert posed[0].inverse is not None
+    np.testing.assert_array_equal(np.isnan(posed[0].inverse), views[0][1] == Label.SKY)
+    config = AdaptConfig(steps=80, learning_rate=0.01, width=96, height=64)
+    before = depth_error(network, posed, config)
+    taught = adapted(network, posed, config, lambda step, loss: None)
+    assert depth_error(taught, posed, config) < 0.7 * before
+    written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
+    photo, truth = drawn_frame(40)
+    first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
+    np.testing.assert_array_equal(first.labels, second.labels)
+    depths = DepthNetwork.open(tmp_path / "adapted" / "tiny_north_depth.yaml").predict(
+        photo, Camera.from_fov(96, 64, 50)
+    )
+    near, far = (np.median(depths.values[truth[2::4, 2::4] == label]) for label in (Label.GRASS, Label.BARE))
+    assert near > 1.1 * far
+
+
+def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.camera import Camera
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
+    from ltm_core.training.export import export, export_adapted
+    from ltm_core.training.exported import load_exported
+    from ltm_core.training.loop import train
+    from ltm_core.vision.manifest import Manifest
+
+    labels, split = LabelSet.load(), read_split(frames, TINY.split, 7)
+    torch.set_num_threads(1)
+    tiny = with_steps(TINY, 6).model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
+    first, _ = train(tiny, split, 7, lambda _: None)
+    second, _ = train(tiny.model_copy(update={"seed": 9}), split, 7, lambda _: None)
+    bases = [Manifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))]
+    ours, theirs = (load_exported(base) for base in bases)
+    photos = [drawn_frame(seed)[0] for seed in range(6)]
+    config = DepthPyramidConfig(steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
+    found = with_depth_of(ours, theirs, photos[:4], config, lambda step, loss: None)
+    before, after = (differences(n, theirs, photos[4:], config).mean() for n in (joined(ours, theirs), found))
+    assert after < 0.8 * before
+    written = export_adapted(found, bases[0], "both", labels, tmp_path / "c", "joined by a test")
+    photo = photos[5]
+    ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
+    np.testing.assert_array_equal(*ids)
+    again = load_exported(Manifest.load(written))
+    before = differences(found, theirs, photos[4:], config)
+    np.testing.assert_allclose(differences(joined(again, theirs), theirs, photos[4:], config), before, rtol=0.05)
+    camera = Camera.from_fov(96, 64, 50.0)
+    depth = DepthNetwork.open(tmp_path / "c" / "both_depth.yaml").predict(photo, camera).values
+    other = DepthNetwork.open(tmp_path / "a" / f"{tiny.name}_depth.yaml").predict(photo, camera).values
+    assert np.abs(np.log(depth / other) - np.log(depth / other).mean()).mean() > 0.001
+
+
+def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Path) -> None:
+    """At its first step it gives the exported network's own labels; a checkpoint of it can be resumed."""
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.training.export import export
+    from ltm_core.training.exported import blended, load_exported
+    from ltm_core.training.loop import Run, score, train
+    from ltm_core.vision.manifest import Manifest
+
+    split, labels = read_split(frames, TINY.split, 7), LabelSet.load()
+    first, _ = train(with_steps(TINY, 8), split, 7, lambda _: None)
+    base = Manifest.load(export(first, TINY, labels, tmp_path / "base"))
+    weights = load_exported(base, fixed=1).state_dict()
+    config = with_steps(TINY, 4)
+    run = Run.start(config, 7, weights)
+    before, after = (score(network, split.test, TINY, 7) for network in (first, run.network))
+    assert np.abs(before.confusion - after.confusion).sum() < 0.01 * before.confusion.sum()
+    network, run = train(config, split, 7, lambda _: None, run, tmp_path / "checkpoint.pt", until=2)
+    assert run.losses[0] > 0
+    resumed = Run.resume(tmp_path / "checkpoint.pt", config, 7)
+    same = (torch.equal(a, b) for a, b in zip(resumed.network.parameters(), run.network.parameters(), strict=True))
+    assert all(same)
+    second = load_exported(Manifest.load(export(network, TINY, labels, tmp_path / "next")))
+    mean = blended(load_exported(base), second, 0.25).classes.bias
+    torch.testing.assert_close(mean, 0.75 * weights["classes.bias"] + 0.25 * second.classes.bias)
+    assert not torch.equal(mean, second.classes.bias)
+    wider = config.model_copy(update={"network": NetworkConfig(width=32, pretrained=False)})
+    with pytest.raises(ConfigError, match=r"another network than configured.*width 32"):
+        Run.start(wider, 7, weights)
+
+
+def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from scenes.networks import write_classifier
+
+    from ltm_core.errors import ModelError
+    from ltm_core.training.exported import load_exported
+    from ltm_core.vision.manifest import Manifest
+
+    with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
+        load_exported(Manifest.load(write_classifier(tmp_path)))
