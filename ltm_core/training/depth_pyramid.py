@@ -1,16 +1,19 @@
 """Gives a network of labels the depth of another one: one encoder then serves both, and a frame costs one run.
 
 Encoder and labels stay what they are, to the bit. A pyramid for depth alone begins with the other network's weights,
-whose encoder is an earlier state of this one's, and learns on photos without any truth to say what that one says. After
-Hinton et al. 2015 (distillation).
+whose encoder is an earlier state of this one's, and learns on photos to say what that one says (distillation: Hinton et
+al. 2015), and on rendered frames what is true, too.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from pydantic import Field
@@ -21,7 +24,7 @@ from ltm_core.strict_model import StrictModel
 from ltm_core.training.adapt import sized
 from ltm_core.training.augment import augmented
 from ltm_core.training.config import AugmentConfig, NetworkConfig
-from ltm_core.training.labelled_frames import UNKNOWN, Frame
+from ltm_core.training.labelled_frames import Frame
 from ltm_core.training.landscape_network import LandscapeNetwork, for_inference
 from ltm_core.training.loop import device, normalised
 from ltm_core.types import Float64Array, UInt8Array
@@ -31,58 +34,80 @@ _HEAD = ("own.", "depth.", "inverse.")
 
 
 class DepthPyramidConfig(StrictModel):
-    """How the pyramid is taught. `width`, `height`: of what photos are brought to; whole photos, as they are asked
-    for later, since the context of rows and columns is a whole photo's."""
+    """How the pyramid is taught. `windows`: changed copies of photos that it is taught on, drawn once, since what both
+    encoders make of them stays the same; 1.4 MB each. `width`, `height`: of what photos are brought to; whole photos,
+    as they are asked for later, since the context of rows and columns is a whole photo's."""
 
-    steps: int = Field(default=1300, ge=1)
-    batch: int = Field(default=4, ge=1)
-    learning_rate: float = Field(default=1e-3, gt=0)
+    windows: int = Field(default=2000, ge=1)
+    steps: int = Field(default=3000, ge=1)
+    batch: int = Field(default=8, ge=1)
+    learning_rate: float = Field(default=1.5e-3, gt=0)
     average: float = Field(default=0.99, ge=0, lt=1)
+    truth: float = Field(default=1.0, ge=0)  # weight of true depth, where a frame has it, beside the other network's
     seed: int = 0
     width: int = Field(default=640, ge=64, multiple_of=32)
     height: int = Field(default=352, ge=64, multiple_of=32)
-    augment: AugmentConfig = AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0)  # these need labels
+    augment: AugmentConfig = AugmentConfig(new_sky=0.1, ground_tint=0.1, snow=0.03, haze=0.1)
+
+
+class _Window(NamedTuple):
+    """What the labels' encoder makes of a photo, its maps of a quarter of the photo's size and less (C, h, w) in half
+    precision; what the other network says of depth, whether a pixel is land, and what is true (NaN: unknown), each
+    (1, h, w) of a quarter; of depth the logarithm of its inverse."""
+
+    maps: tuple[Tensor, ...]
+    wanted: Tensor
+    land: Tensor
+    true: Tensor
 
 
 def with_depth_of(
     labels: LandscapeNetwork,
     depth: LandscapeNetwork,
-    photos: list[UInt8Array],
+    frames: list[Frame],
     config: DepthPyramidConfig,
     report: Callable[[int, float], None],
 ) -> LandscapeNetwork:
-    """The labels' network with the other's depth, both in their exported form; `photos`: (H, W, 3) RGB.
+    """The labels' network with the other's depth, both in their exported form.
 
-    `report` gets step and loss. Raises ModelError without photos, and for networks of different shapes.
+    `frames`: photos, of whose labels (all UNKNOWN, where nobody gave any) only changes of their look make use; where
+    their depth is more than an order, it is learnt, too. `report` gets how many windows and steps are done, and the
+    loss (NaN before the first step). Raises ModelError without frames, and for networks of different shapes.
     """
-    if not photos:
+    if not frames:
         raise ModelError("no photos to learn on")
+    frames = [_sized(frame, config) for frame in frames]
     torch.manual_seed(config.seed)
     network = joined(labels, depth)
     network.to(device()).eval()
     teacher = depth.to(device()).eval()
+    windows = []
+    for k in range(config.windows):
+        windows.append(_window(frames, network, teacher, config, np.random.default_rng([config.seed, k])))
+        report(k + 1, math.nan)
     for name, parameter in network.named_parameters():
         parameter.requires_grad_(name.startswith(_HEAD))
     taught = [p for p in network.parameters() if p.requires_grad]
     means = [p.detach().clone() for p in taught]
     optimiser = torch.optim.AdamW(taught, lr=config.learning_rate, weight_decay=0.0)
+    rng = np.random.default_rng([config.seed, config.windows])
     for step in range(1, config.steps + 1):
         for group in optimiser.param_groups:
             group["lr"] = config.learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / config.steps))
-        rng = np.random.default_rng([config.seed, step])
-        batch = normalised([_window(photos[i], config, rng) for i in rng.integers(0, len(photos), config.batch)])
-        batch = batch.to(device())
-        with torch.no_grad():
-            _, wanted = teacher(batch)
-        logits, found = network(batch)
-        loss = land_depth_loss(found, wanted, logits.detach())
+        batch = [windows[i] for i in rng.integers(0, len(windows), config.batch)]
+        maps = [torch.stack(of_tap).float().to(device()) for of_tap in zip(*(w.maps for w in batch), strict=True)]
+        found = network.own_depth(maps)
+        wanted, land, true = (torch.stack([w[k] for w in batch]).to(device()) for k in (1, 2, 3))
+        known = torch.isfinite(true)
+        loss = land_depth_loss(found, wanted, land)
+        loss = loss + config.truth * land_depth_loss(found, torch.where(known, true, 0.0), known)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
         with torch.no_grad():
             for mean, value in zip(means, taught, strict=True):
                 mean.lerp_(value, 1.0 - min(config.average, step / (step + 10)))
-        report(step, float(loss.detach()))
+        report(config.windows + step, float(loss.detach()))
     with torch.no_grad():
         for mean, value in zip(means, taught, strict=True):
             value.copy_(mean)
@@ -123,21 +148,54 @@ def differences(
         for photo in photos:
             batch = normalised([sized(photo, config.width, config.height)])
             logits, found_here = network(batch)
-            found.append(float(land_depth_loss(found_here, depth(batch)[1], logits)))
+            found.append(float(land_depth_loss(found_here, depth(batch)[1], _land(logits))))
     return np.array(found)
 
 
-def land_depth_loss(log_inverse: Tensor, wanted: Tensor, logits: Tensor) -> Tensor:
+def land_depth_loss(log_inverse: Tensor, wanted: Tensor, land: Tensor) -> Tensor:
     """Mean |log ratio| of inverse depth (N, 1, h, w) to that wanted, after each photo's own scale (its mean), where
-    the classes of largest logits (N, K, 2 h, 2 w) are not sky, whose depth nobody asks for."""
-    land = (logits[:, :, ::2, ::2].argmax(1, keepdim=True) != Label.SKY).float()
+    `land` is true: of the sky nobody asks for depth."""
+    land = land.float()
     count = land.sum((1, 2, 3), keepdim=True).clamp(min=1.0)
     residual = (log_inverse - wanted) * land
     residual = (residual - residual.sum((1, 2, 3), keepdim=True) / count * land).abs()
     return (residual.sum((1, 2, 3), keepdim=True) / count).mean()
 
 
-def _window(photo: UInt8Array, config: DepthPyramidConfig, rng: np.random.Generator) -> UInt8Array:
-    photo = sized(photo, config.width, config.height)
-    frame = Frame(photo, np.full(photo.shape[:2], UNKNOWN, np.uint8), Path("photo"), None)
-    return augmented(frame, (config.height, config.width), config.augment, rng)[0]
+def _land(logits: Tensor) -> Tensor:
+    """(N, 1, h, w): where the classes of largest logits (N, K, 2 h, 2 w) are not sky."""
+    return logits[:, :, ::2, ::2].argmax(1, keepdim=True) != Label.SKY
+
+
+def _window(
+    frames: list[Frame],
+    network: LandscapeNetwork,
+    teacher: LandscapeNetwork,
+    config: DepthPyramidConfig,
+    rng: np.random.Generator,
+) -> _Window:
+    frame = frames[int(rng.integers(len(frames)))]
+    photo, _, inverse = augmented(frame, (config.height, config.width), config.augment, rng)
+    batch = normalised([photo]).to(device())
+    with torch.no_grad():
+        maps = network.encoder(batch)
+        logits, _ = network.heads(maps)
+        wanted = teacher(batch)[1]
+    true = np.log(inverse[2::4, 2::4]) if not frame.ordinal else np.full_like(inverse[2::4, 2::4], np.nan)
+    return _Window(
+        tuple(m[0].half().cpu() for m in maps[1:]),
+        wanted[0].cpu(),
+        _land(logits)[0].cpu(),
+        torch.from_numpy(np.asarray(true, np.float32))[None],
+    )
+
+
+def _sized(frame: Frame, config: DepthPyramidConfig) -> Frame:
+    size = (config.width, config.height)
+    inverse = frame.inverse
+    return replace(
+        frame,
+        image=sized(frame.image, *size),
+        labels=np.asarray(cv2.resize(frame.labels, size, interpolation=cv2.INTER_NEAREST), np.uint8),
+        inverse=None if inverse is None else cv2.resize(inverse, size, interpolation=cv2.INTER_NEAREST),
+    )

@@ -60,8 +60,8 @@ class Pyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
         self.steps = nn.ModuleList(PyramidStep(width, skip, width) for skip in reversed(middle))
 
     def quarter(self, maps: list[Tensor]) -> Tensor:
-        """The map of a quarter of the photo's size."""
-        _, *middle, coarse = maps
+        """The map of a quarter of the photo's size, of the encoder's maps of that size and less."""
+        *middle, coarse = maps
         x: Tensor = self.context(self.reduce(coarse))
         for step, skip in zip(self.steps, reversed(middle), strict=True):
             x = step(x, skip)
@@ -95,9 +95,17 @@ class LandscapeNetwork(Pyramid):
 
     def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits and log inverse depth from the encoder's maps."""
-        x = self.quarter(maps)
-        y = x if self.own is None else self.own.quarter(maps)
-        return self.classes(self.last(x, maps[0])), self.inverse(self.depth(y))
+        half, *rest = maps
+        x = self.quarter(rest)
+        y = x if self.own is None else self.own.quarter(rest)
+        return self.classes(self.last(x, half)), self.inverse(self.depth(y))
+
+    def own_depth(self, maps: list[Tensor]) -> Tensor:
+        """Log inverse depth by the depth's own pyramid, from the encoder's maps of a quarter of the photo's size and
+        less: what there is to learn where neither encoder nor labels do."""
+        assert self.own is not None  # nosec B101 # only where config.own_depth
+        inverse: Tensor = self.inverse(self.depth(self.own.quarter(maps)))
+        return inverse
 
 
 class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us

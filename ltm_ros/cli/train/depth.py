@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ltm_ros.cli.output import writable_folder
 
+if TYPE_CHECKING:
+    from ltm_core.training.labelled_frames import Frame
+
 
 def depth(
     labels: Annotated[str, typer.Argument(help="Network of `ltm train` whose labels stay as they are.")],
     teacher: Annotated[str, typer.Argument(help="Network of `ltm train` whose depth is learnt.")],
-    photos: Annotated[list[Path], typer.Option("--photos", help="Folder of photos to learn on; may be given again.")],
+    photos: Annotated[
+        list[Path],
+        typer.Option("--photos", help="Folder of photos or of rendered frames to learn on; may be given again."),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the model.", callback=writable_folder)],
     judged: Annotated[
         list[Path] | None, typer.Option("--judged", help="Folder of photos that judge; may be given again.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the network; default: <LABELS>_one.")] = None,
-    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 1300,
-    batch: Annotated[int, typer.Option(min=1, help="Photos a step.")] = 4,
+    windows: Annotated[
+        int, typer.Option(min=1, help="Changed copies of photos to learn on, 1.4 MB of memory each.")
+    ] = 2000,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 3000,
+    batch: Annotated[int, typer.Option(min=1, help="Windows a step.")] = 8,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
 ) -> None:
     """Teach a depth pyramid of its own to LABELS, to say what TEACHER does: one run of one file then gives both.
 
-    Photos need no truth. Labels stay as they are; heads that were taught for LABELS must be taught again.
+    Photos need no truth; of rendered frames theirs is learnt, too. Labels stay as they are; heads that were taught for
+    LABELS must be taught again.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -46,18 +56,22 @@ def depth(
 
     console, base, of = Console(), Manifest.find(labels), Manifest.find(teacher)
     network, source = load_exported(base), load_exported(of)
-    config = DepthPyramidConfig(steps=steps, batch=batch, width=base.input.width, height=base.input.height)
-    taught = [read_rgb(photo) for folder in photos for photo in photos_in(folder)]
+    config = DepthPyramidConfig(
+        windows=windows, steps=steps, batch=batch, width=base.input.width, height=base.input.height
+    )
+    taught = [frame for folder in photos for frame in _frames(folder)]
     torch.set_num_threads(threads)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
-        task = bar.add_task("learning", total=steps)
+        task = bar.add_task("", total=windows + steps)
         found = with_depth_of(
             network,
             source,
             taught,
             config,
-            lambda step, loss: bar.update(task, completed=step, description=f"loss {loss:.3f}"),
+            lambda done, loss: bar.update(
+                task, completed=done, description="windows" if np.isnan(loss) else f"loss {loss:.3f}"
+            ),
         )
     table = Table(
         title=f"mean |log ratio| of depth to that of {of.name}, land alone: median, 90th percentile of photos"
@@ -75,3 +89,17 @@ def depth(
     why = f"{base.name}, with the depth of {of.name} by `ltm train depth`"
     written = export_adapted(found, base, name or f"{base.name}_one", LabelSet.load(), out, why)
     console.print(f"{len(taught)} photos taught; wrote {written} and {written.stem}_depth.yaml, of one file")
+
+
+def _frames(folder: Path) -> list[Frame]:
+    """With labels and depth where the folder has them."""
+    import numpy as np
+
+    from ltm_core.picture_io import photos_in, read_rgb
+    from ltm_core.training.labelled_frames import UNKNOWN, Frame, holds_frames, read_frames
+    from ltm_core.vision.labels import LabelSet
+
+    if holds_frames(folder):
+        return read_frames(folder, len(LabelSet.load()))
+    photos = [(read_rgb(path), path) for path in photos_in(folder)]
+    return [Frame(photo, np.full(photo.shape[:2], UNKNOWN, np.uint8), path) for photo, path in photos]

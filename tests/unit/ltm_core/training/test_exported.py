@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -10,9 +12,30 @@ from scenes.tiny_training import TINY, drawn_frame, with_steps
 
 from ltm_core.errors import ConfigError
 from ltm_core.training.config import NetworkConfig
-from ltm_core.training.labelled_frames import read_split
+from ltm_core.training.labelled_frames import UNKNOWN, Frame, read_split
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
+
+if TYPE_CHECKING:
+    from ltm_core.training.landscape_network import LandscapeNetwork
+
+
+INVERSE = np.array([np.nan, 0.1, 0.01, 0.05, 0.003], np.float32)
+"""1 / metres by label: what a drawn frame may stand for."""
+
+
+def _error(network: LandscapeNetwork, seed: int) -> float:
+    """Mean |log ratio| of a drawn frame's inverse depth to INVERSE, after its scale."""
+    import torch
+
+    from ltm_core.training.depth_pyramid import land_depth_loss
+    from ltm_core.training.loop import normalised
+
+    photo, ids = drawn_frame(seed)
+    true = torch.from_numpy(np.log(INVERSE[ids][2::4, 2::4]))[None, None]
+    known = torch.isfinite(true)
+    with torch.inference_mode():
+        return float(land_depth_loss(network(normalised([photo]))[1], torch.where(known, true, 0.0), known))
 
 
 def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp_path: Path) -> None:
@@ -70,10 +93,23 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
     bases = [Manifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))]
     ours, theirs = (load_exported(base) for base in bases)
     photos = [drawn_frame(seed)[0] for seed in range(6)]
-    config = DepthPyramidConfig(steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
-    found = with_depth_of(ours, theirs, photos[:4], config, lambda step, loss: None)
+    config = DepthPyramidConfig(windows=24, steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
+    told: list[tuple[int, float]] = []
+    learnt = [Frame(photo, np.full(photo.shape[:2], UNKNOWN, np.uint8), Path("drawn")) for photo in photos[:4]]
+    found = with_depth_of(ours, theirs, learnt, config, lambda done, loss: told.append((done, loss)))
+    assert [done for done, _ in told] == list(range(1, 85))
+    assert [bool(np.isfinite(loss)) for _, loss in told] == [False] * 24 + [True] * 60
     before, after = (differences(n, theirs, photos[4:], config).mean() for n in (joined(ours, theirs), found))
     assert after < 0.8 * before
+
+    rendered = [replace(frame, inverse=INVERSE[drawn_frame(seed)[1]]) for seed, frame in enumerate(learnt)]
+    longer = config.model_copy(update={"steps": 150, "learning_rate": 0.02, "truth": 5.0})
+    helped = with_depth_of(ours, theirs, rendered, longer, lambda done, loss: None)
+    assert _error(helped, 4) < 0.8 * _error(found, 4)
+    order = [replace(frame, ordinal=True) for frame in rendered]
+    alike = with_depth_of(ours, theirs, order, config, lambda done, loss: None)
+    torch.testing.assert_close(alike.state_dict(), found.state_dict())
+
     written = export_adapted(found, bases[0], "both", labels, tmp_path / "c", "joined by a test")
     photo = photos[5]
     ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
