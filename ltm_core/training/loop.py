@@ -58,10 +58,13 @@ class Run:
         """From ImageNet's encoder, or from `weights` of an earlier training: of a checkpoint or of an exported file.
 
         Weights of an exported file have their batch normalisations folded in, and so has the network that goes on from
-        them. Raises ConfigError for weights of another architecture.
+        them; depth has a pyramid of its own where theirs has. Raises ConfigError for weights of another architecture.
         """
         torch.manual_seed(config.seed)
-        network = LandscapeNetwork(classes, config.network)
+        form = config.network
+        if weights is not None:
+            form = form.model_copy(update={"own_depth": any(name.startswith("own.") for name in weights)})
+        network = LandscapeNetwork(classes, form)
         if weights is not None:
             if not any(name.endswith("running_mean") for name in weights):
                 network = for_inference(network)

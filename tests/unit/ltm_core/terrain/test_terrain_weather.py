@@ -221,7 +221,7 @@ def test_weather_before_the_shipped_network_changes_nothing(
 
     changed, looked = watch.changed(photos(), shipped)
     assert np.mean(np.array(shares) > 0.02) >= 0.5, "the weather is seen"
-    assert looked > 5000
+    assert looked > 3000  # in smoke the shipped network fits the terrain in half as many looks as in clear weather
     assert not changed
 
 

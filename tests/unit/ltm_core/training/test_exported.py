@@ -82,7 +82,7 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
     from ltm_core.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
     from ltm_core.training.export import export, export_adapted
     from ltm_core.training.exported import load_exported
-    from ltm_core.training.loop import train
+    from ltm_core.training.loop import Run, train
     from ltm_core.vision.manifest import Manifest
 
     labels, split = LabelSet.load(), read_split(frames, TINY.split, 7)
@@ -115,6 +115,8 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
     ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
     np.testing.assert_array_equal(*ids)
     again = load_exported(Manifest.load(written))
+    further = Run.start(tiny, 7, again.state_dict())
+    torch.testing.assert_close(further.network.state_dict(), again.state_dict())
     before = differences(found, theirs, photos[4:], config)
     np.testing.assert_allclose(differences(joined(again, theirs), theirs, photos[4:], config), before, rtol=0.05)
     camera = Camera.from_fov(96, 64, 50.0)
