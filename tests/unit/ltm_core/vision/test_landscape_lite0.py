@@ -65,8 +65,8 @@ def test_near_and_far_are_in_order_on_a_real_glacier(shared_data: Path) -> None:
     width, height = 429, 286
     camera = Camera(width, height, 601.7, 601.7, (width - 1) / 2, (height - 1) / 2, (-0.1155, 0.0, 0.0, 0.0, 0.0))
     depth = TerrainTracer(dem).trace(camera, pose).depth()
-    # In the size that it was taken in, as a camera's pictures are: of one that was made small first the network has
-    # three hundredths more in order.
+    # In the size that it was taken in, as a camera's pictures are: one that is made small first is another picture, of
+    # which the share differs by up to three hundredths.
     photo = np.ascontiguousarray(cv2.imread(str(folder / "IMG_8902.jpg"))[..., ::-1])
     full = Camera.from_fov(photo.shape[1], photo.shape[0], camera.hfov_deg)  # a relative depth does not look at it
     found = DepthNetwork.open(f"{DEFAULT_MODEL}_depth").predict(photo, full).values
