@@ -96,7 +96,7 @@ def with_depth_of(
             group["lr"] = config.learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / config.steps))
         batch = [windows[i] for i in rng.integers(0, len(windows), config.batch)]
         maps = [torch.stack(of_tap).float().to(device()) for of_tap in zip(*(w.maps for w in batch), strict=True)]
-        found = network.own_depth(maps)
+        found = network.own_log_inverse(maps)
         wanted, land, true = (torch.stack([w[k] for w in batch]).to(device()) for k in (1, 2, 3))
         known = torch.isfinite(true)
         loss = land_depth_loss(found, wanted, land)
@@ -181,18 +181,18 @@ def _window(
         maps = network.encoder(batch)
         logits, _ = network.heads(maps)
         wanted = teacher(batch)[1]
-    true = np.log(inverse[2::4, 2::4]) if not frame.ordinal else np.full_like(inverse[2::4, 2::4], np.nan)
     return _Window(
         tuple(m[0].half().cpu() for m in maps[1:]),
         wanted[0].cpu(),
         _land(logits)[0].cpu(),
-        torch.from_numpy(np.asarray(true, np.float32))[None],
+        torch.from_numpy(np.log(inverse[2::4, 2::4]))[None],
     )
 
 
 def _sized(frame: Frame, config: DepthPyramidConfig) -> Frame:
+    """At the network's size, without a depth that is an order only."""
     size = (config.width, config.height)
-    inverse = frame.inverse
+    inverse = None if frame.ordinal else frame.inverse
     return replace(
         frame,
         image=sized(frame.image, *size),

@@ -100,7 +100,7 @@ class LandscapeNetwork(Pyramid):
         y = x if self.own is None else self.own.quarter(rest)
         return self.classes(self.last(x, half)), self.inverse(self.depth(y))
 
-    def own_depth(self, maps: list[Tensor]) -> Tensor:
+    def own_log_inverse(self, maps: list[Tensor]) -> Tensor:
         """Log inverse depth by the depth's own pyramid, from the encoder's maps of a quarter of the photo's size and
         less: what there is to learn where neither encoder nor labels do."""
         assert self.own is not None  # nosec B101 # only where config.own_depth
