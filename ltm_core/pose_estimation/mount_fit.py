@@ -19,7 +19,7 @@ from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
-from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
@@ -294,7 +294,7 @@ def _refined(
         gradient += inverse * _deviation(state)
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
+            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *MOUNT_FLOOR_DEG)[3:, 3:]
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])

@@ -114,15 +114,16 @@ class VerdictConfig(StrictModel):
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
     most_sigma_deg: float = Field(0.6, gt=0)
     """Of azimuth, pitch and roll,"""
-    most_azimuth_sigma_deg: float = Field(0.35, gt=0)
+    most_azimuth_sigma_deg: float = Field(0.3, gt=0)
     """and of an azimuth by a skyline,"""
-    gain: float = Field(0.075, ge=0)
+    gain: float = Field(0.067, ge=0)
     """or this share of what a compass states, where that is more,"""
-    loosest_azimuth_sigma_deg: float = Field(0.45, gt=0)
-    """up to here: a phone that was 6 degrees off gains by half a degree, too. Not where no heading is known."""
-    agreement: float = Field(1.0, gt=0)
+    loosest_azimuth_sigma_deg: float = Field(0.4, gt=0)
+    """up to here: a phone that was 6 degrees off gains by half a degree, too. Not where no heading is known. Of an
+    azimuth by ridges alone, always."""
+    agreement: float = Field(0.7, gt=0)
     """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e,"""
-    loose_agreement: float = Field(2.0, gt=0)
+    loose_agreement: float = Field(1.4, gt=0)
     """and the same from a place that is not exact, whose error moves all columns together."""
     same_deg: float = Field(0.1, ge=0)
     """Of azimuth, between refined poses that are one."""
@@ -144,8 +145,10 @@ class VerdictConfig(StrictModel):
         return self.least_gap * (1 + self.veil_factor * veiled)
 
 
-FLOOR_DEG = (0.05, 0.03, 0.05)
-"""Of azimuth, pitch and roll: what errors of lens, refraction and datum leave, however sharp the skyline."""
+FLOOR_DEG = 0.02
+"""Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
+MOUNT_FLOOR_DEG = (0.05, 0.03, 0.05)
+"""and for what holds in all directions: what those of a lens leave, too."""
 
 
 class PicturePoseConfig(StrictModel):

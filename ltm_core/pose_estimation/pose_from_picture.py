@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import refine, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -29,6 +29,8 @@ from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon, terrain_hor
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
+_SETTLING = ((3.0, 1.0),) * 6
+"""As `ROUNDS`: further ones."""
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 _LEAST_SUPPORT = 0.3
 """Share of the photo's skyline that must lie on the DEM's; where less does, ridges alone are tried: above trees, and
@@ -150,15 +152,25 @@ def _search_skyline(
             pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
             if all(abs(angles_between(pose, other)[0]) >= math.radians(apart_deg) for other, _ in starts):
                 starts.append((pose, camera))
-    found = []
-    for pose, camera in starts:
+
+    def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
         around = ridges.in_view(pose, camera, config.contours.most_points)
-        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config)
+        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config, rounds)
         score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
-        found.append(Hypothesis(refined, refined.cost + ridge, (score - usual) / spread))
-    found.sort(key=lambda hypothesis: hypothesis.cost)
-    return found
+        return Hypothesis(refined, refined.cost + ridge, (score - usual) / spread)
+
+    found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
+    # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
+    near = math.radians(config.verdict.alternative_deg)
+    middle = found[0].refined.pose
+    found = [
+        hypothesis_from(h.refined.pose, h.refined.camera, _SETTLING)
+        if abs(angles_between(middle, h.refined.pose)[0]) <= near
+        else h
+        for h in found
+    ]
+    return sorted(found, key=lambda hypothesis: hypothesis.cost)
 
 
 def _best_over_pitch(

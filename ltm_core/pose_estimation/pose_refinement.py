@@ -76,7 +76,7 @@ def refine(
     normal, _ = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
+    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *(FLOOR_DEG,) * 3)[3:, 3:]
     cost, support, veiled = skyline_cost(pose, camera, evidence, horizon, config)
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
     cost += 0.5 * float(deviation @ deviation)
@@ -145,8 +145,9 @@ def picture_system(
         q = 1 + (rows.error / rows.sigma) ** 2 / 4
         like = odds / rows.sigma / q**2.5
         weight = rows.weight * like / (1 + like) / rows.sigma**2
-        # In the covariance, Student's information; while iterating, the weights of its expectation maximisation.
-        weight = weight * (5 / 7 if expected else 1.25 / q)
+        # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information,
+        # 5/7 of this, would state more than pictures err by.
+        weight = weight if expected else weight * 1.25 / q
         normal += (rows.slopes.T * weight) @ rows.slopes
         gradient += rows.slopes.T @ (weight * rows.error)
     return normal, gradient

@@ -65,7 +65,8 @@ def judge(
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    if max(sigma) > v.most_sigma_deg or (azimuth > _most_azimuth_sigma(prior, v) and not by_ridges):
+    most_azimuth = v.loosest_azimuth_sigma_deg if by_ridges else _most_azimuth_sigma(prior, v)
+    if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")

@@ -25,7 +25,7 @@ _ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1
 """Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
 _ALONG = 8.0
 """Metres and pixels within which a ridge's errors are one and the same: of rock."""
-_FLOOR_DEG, _FLOOR_OF_PLANTS_DEG = (0.15, 0.05, 0.15), (0.45, 0.15, 0.2)
+_FLOOR_DEG, _FLOOR_OF_PLANTS_DEG = (0.15, 0.05, 0.15), (0.25, 0.08, 0.15)
 """Of azimuth, pitch and roll: edges along a ridge may all be of another thing; among plants, of their margins."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
@@ -42,6 +42,7 @@ _ROUNDS = (
     (4.0, 1.0),
     (4.0, 1.0),
 )
+_SETTLING = ((4.0, 1.0),) * 12
 
 
 def search_ridges(
@@ -88,24 +89,31 @@ def search_ridges(
         best = scores.argmax(axis=1)
         found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
     found.sort(key=lambda entry: -entry[0])
+
+    def hypothesis_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
+        around = ridges.in_view(start, lens, _MOST_POINTS)
+        refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, rounds)
+        covariance = refined.covariance.copy()
+        covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
+        refined = replace(refined, covariance=covariance)
+        z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
+        return Hypothesis(refined, refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2, z)
+
     hypotheses: list[Hypothesis] = []
     starts = _apart([(angles, lens) for _, angles, lens in found])
     for _ in range(3):
         for angles, lens in starts:
             start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
-            around = ridges.in_view(start, lens, _MOST_POINTS)
-            refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, _ROUNDS)
-            covariance = refined.covariance.copy()
-            covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
-            refined = replace(refined, covariance=covariance)
-            z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
-            cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
-            hypotheses.append(Hypothesis(refined, cost, z))
+            hypotheses.append(hypothesis_from(start, lens, _ROUNDS))
         hypotheses.sort(key=lambda hypothesis: hypothesis.cost)
         # Again from about the best: what a wrong roll trapped gets out.
         best = hypotheses[0].refined
         at = np.array(best.pose.angles_deg)
         starts = [(at + offset, best.camera) for offset in _restarts()]
+    # Rounds end before a pose has settled where azimuth and roll make up for each other. It is judged as it was found,
+    # as the others are.
+    settled = hypothesis_from(hypotheses[0].refined.pose, hypotheses[0].refined.camera, _SETTLING)
+    hypotheses[0] = replace(hypotheses[0], refined=settled.refined)
     kept: list[Hypothesis] = []
     for hypothesis in hypotheses:
         if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):

@@ -16,9 +16,7 @@ def test_ridges_find_the_control_points_pose_from_far_off(shared_data: Path) -> 
     real = read_real_photo(shared_data / "engabreen")
     trials = run_real_trials(real, Segmenter.open().segment(real.photo).labels)
     errors = np.abs([trial.error for trial in trials])
-    near = (errors < (0.2, 0.1, 0.4)).all(axis=1)
-    print(f"{near.sum()} of {STARTS} starts; {np.median(errors, axis=0)}")
-    assert near.sum() >= 10
-    assert np.median([trial.median for trial in trials]) < 4.0, "metres on the ground"
-    for trial, right in zip(trials, near, strict=True):
-        assert right or trial.verdict != "accepted"
+    print(f"{STARTS} starts; {np.median(errors, axis=0)}, at most {errors.max(axis=0)}")
+    assert (errors < (0.1, 0.1, 0.3)).all(), errors
+    assert np.median([trial.median for trial in trials]) < 3.0, "metres on the ground"
+    assert sum(trial.verdict == "accepted" for trial in trials) >= 10

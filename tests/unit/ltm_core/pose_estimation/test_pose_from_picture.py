@@ -23,6 +23,7 @@ from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.pose_from_picture import find_pose
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.pose_refinement import ROUNDS
 from ltm_core.pose_estimation.terrain_horizon import terrain_horizon
 from ltm_core.rotations import matrix_of_vector, vector_of_matrix
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
@@ -118,6 +119,16 @@ def test_a_disturbed_pose_is_found_again(off: tuple[float, float, float]) -> Non
     away = np.degrees(angles_between(TRUE, result.pose))
     assert np.abs(away).max() < 0.1
     assert (np.abs(away) < 4 * np.array(search.verdict.sigma_deg)).all()
+
+
+def test_a_pose_settles_where_its_rounds_end_too_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    photo, labels = view(TRUE)
+    evidence = picture_evidence(photo, labels, CAMERA)
+    prior = PosePrior(Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, (1.4, -0.5, 0.4))), 1.5, 0.6, 0.6)
+    whole = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
+    monkeypatch.setattr(pose_from_picture, "ROUNDS", ROUNDS[:1])
+    soon = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
+    assert np.abs(np.degrees(angles_between(whole, soon))).max() < 0.001
 
 
 def test_without_any_heading() -> None:
