@@ -145,7 +145,7 @@ class VerdictConfig(StrictModel):
         return self.least_gap * (1 + self.veil_factor * veiled)
 
 
-FLOOR_DEG = 0.02
+FLOOR_DEG = (0.02, 0.02, 0.02)
 """Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
 MOUNT_FLOOR_DEG = (0.05, 0.03, 0.05)
 """and for what holds in all directions: what those of a lens leave, too."""

@@ -76,7 +76,7 @@ def refine(
     normal, _ = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *(FLOOR_DEG,) * 3)[3:, 3:]
+    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
     cost, support, veiled = skyline_cost(pose, camera, evidence, horizon, config)
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
     cost += 0.5 * float(deviation @ deviation)

@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import refine
+from ltm_core.pose_estimation.pose_refinement import RefinedPose, refine
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float64Array
@@ -43,6 +43,7 @@ _ROUNDS = (
     (4.0, 1.0),
 )
 _SETTLING = ((4.0, 1.0),) * 12
+"""Both as `pose_refinement.ROUNDS`."""
 
 
 def search_ridges(
@@ -90,21 +91,22 @@ def search_ridges(
         found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
     found.sort(key=lambda entry: -entry[0])
 
-    def hypothesis_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
+    def refined_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> RefinedPose:
         around = ridges.in_view(start, lens, _MOST_POINTS)
         refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, rounds)
         covariance = refined.covariance.copy()
         covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
-        refined = replace(refined, covariance=covariance)
-        z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
-        return Hypothesis(refined, refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2, z)
+        return replace(refined, covariance=covariance)
 
     hypotheses: list[Hypothesis] = []
     starts = _apart([(angles, lens) for _, angles, lens in found])
     for _ in range(3):
         for angles, lens in starts:
             start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
-            hypotheses.append(hypothesis_from(start, lens, _ROUNDS))
+            refined = refined_from(start, lens, _ROUNDS)
+            z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
+            cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
+            hypotheses.append(Hypothesis(refined, cost, z))
         hypotheses.sort(key=lambda hypothesis: hypothesis.cost)
         # Again from about the best: what a wrong roll trapped gets out.
         best = hypotheses[0].refined
@@ -112,8 +114,7 @@ def search_ridges(
         starts = [(at + offset, best.camera) for offset in _restarts()]
     # Rounds end before a pose has settled where azimuth and roll make up for each other. It is judged as it was found,
     # as the others are.
-    settled = hypothesis_from(hypotheses[0].refined.pose, hypotheses[0].refined.camera, _SETTLING)
-    hypotheses[0] = replace(hypotheses[0], refined=settled.refined)
+    hypotheses[0] = replace(hypotheses[0], refined=refined_from(best.pose, best.camera, _SETTLING))
     kept: list[Hypothesis] = []
     for hypothesis in hypotheses:
         if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):
