@@ -33,6 +33,7 @@ class NetworkConfig(StrictModel):
     pretrained: bool = True
     fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
     own_depth: bool = False  # depth reads a pyramid of its own: see `depth_pyramid`
+    side: bool = False  # coarser maps add to the logits: see `structure_cue`
 
 
 class OptimiserConfig(StrictModel):

@@ -8,23 +8,32 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from pydantic import Field
 from scipy import optimize
 
 from ltm_core.errors import ImageError
+from ltm_core.strict_model import StrictModel
 from ltm_core.training.head_samples import PhotoSamples
 from ltm_core.types import Float64Array
 
-RIDGE: Final[Mapping[str, float]] = {"last": 0.02, "s2": 1.0, "s1": 1.0}
-"""Penalty on the squares of a map's weights, of features brought to unit spread: what draws a head to the shipped one.
-Coarse maps hold more of the place than of the plant, and lead astray elsewhere. Chosen on the five views of
-`hpwren_towers`, each site by heads that the others taught."""
-_OTHER_RIDGE: Final = 1.0
+_LAST_RIDGE: Final = 0.02
 _BIAS_RIDGE: Final = 0.1
-_RARITY: Final = 0.8
-"""A class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0, each class alike,
-a lake of a few pixels."""
 _LEAST_SPREAD: Final = 1e-3
 _STEPS: Final = 300
+
+
+class HeadFitConfig(StrictModel):
+    """How a head is drawn to the network that it corrects, and what counts.
+
+    `ridge`: penalty on the squares of the weights of coarse maps, of features brought to unit spread (of the last one,
+    0.02). They hold more of the place than of the plant, and lead astray elsewhere: few places need 1, dozens bear
+    less. `rarity`: a class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0,
+    each class alike, a lake of a few pixels. Chosen on the five views of `hpwren_towers`, each site by heads that the
+    others taught.
+    """
+
+    ridge: float = Field(default=1.0, gt=0)
+    rarity: float = Field(default=0.8, ge=0, le=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +48,26 @@ class FittedHead:
         return samples.scores + samples.features @ self.weights + self.bias
 
 
-def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> FittedHead:
+def fit_head(
+    samples: Sequence[PhotoSamples], channels: Mapping[str, int], config: HeadFitConfig | None = None
+) -> FittedHead:
     """The head that explains the samples best under the ridge. `channels`: those of each map, in the order of features.
 
     Raises ImageError where there is no sample.
     """
+    config = config or HeadFitConfig()
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
         raise ImageError("no pixel of a known class in any photo: name areas in them first")
     scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
-    weight = np.concatenate([_weights(s) for s in samples])
+    weight = np.concatenate([class_weights(s, config.rarity) for s in samples])
     weight /= weight.sum()
     mean, spread = features.mean(axis=0), features.std(axis=0) + _LEAST_SPREAD
     inputs = (features - mean) / spread
     count, size = scores.shape[1], features.shape[1]
-    ridge = np.concatenate([np.full(c, RIDGE.get(name, _OTHER_RIDGE)) for name, c in channels.items()])[:, None]
+    ridge = np.concatenate(
+        [np.full(count, _LAST_RIDGE if name == "last" else config.ridge) for name, count in channels.items()]
+    )[:, None]
     truth = np.eye(count)[labels]
 
     def cost(values: Float64Array) -> tuple[float, Float64Array]:
@@ -73,8 +87,8 @@ def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> Fi
     return FittedHead(matrix, best[-count:] - mean @ matrix)
 
 
-def _weights(samples: PhotoSamples) -> Float64Array:
+def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
     """(N,) of the samples of a photo: those of a class sum to its share's power."""
     counts = np.bincount(samples.labels, minlength=len(samples.shares))
-    each = samples.shares**_RARITY / np.maximum(counts, 1)
+    each = samples.shares**rarity / np.maximum(counts, 1)
     return np.asarray(each[samples.labels], np.float64)

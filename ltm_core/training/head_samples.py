@@ -33,12 +33,14 @@ class PhotoSamples:
     shares: Float64Array
 
 
-def photo_samples(segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator) -> PhotoSamples:
-    """At most 1,500 random pixels of each class, at the places of the network's own grid."""
+def photo_samples(
+    segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator, most: int = _MOST
+) -> PhotoSamples:
+    """At most so many random pixels of each class, at the places of the network's own grid."""
     scores, maps = segmenter.scores_and_maps(frame.image)
     count, rows, cols = scores.shape
     truth = _at_grid(frame.labels, rows, cols).reshape(-1)
-    known = [rng.permutation(np.flatnonzero(truth == k))[:_MOST] for k in range(count)]
+    known = [rng.permutation(np.flatnonzero(truth == k))[:most] for k in range(count)]
     places = np.concatenate(known)
     features = np.concatenate([_enlarged(plane, rows, cols) for plane in maps.values()]).reshape(-1, rows * cols)
     shares = np.bincount(frame.labels[frame.labels < count], minlength=count) / frame.labels.size

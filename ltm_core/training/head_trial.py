@@ -12,7 +12,7 @@ from ltm_core.errors import ModelError
 from ltm_core.evaluation.segmentation.network_score import LabelScore, score_each
 from ltm_core.training.area_folds import by_area
 from ltm_core.training.domain_fit import fit_head_domain, held_out_odds, picture_point
-from ltm_core.training.head_fit import FittedHead, fit_head
+from ltm_core.training.head_fit import FittedHead, HeadFitConfig, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.labelled_frames import Frame
 from ltm_core.training.temperature_scaling import balanced, fit_exponent, fit_temperature
@@ -63,6 +63,7 @@ def teach_head(
     withdrawal: Withdrawal | None = None,
     one_view: bool = False,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+    fit: HeadFitConfig | None = None,
 ) -> HeadTrial:
     """Teach a head to labelled photos.
 
@@ -99,7 +100,7 @@ def teach_head(
     if not counted:
         where = "areas" if one_view else "photos of two sites"
         raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
-    held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps) for g in dict.fromkeys(groups)}
+    held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps, fit) for g in dict.fromkeys(groups)}
     temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
     rules = withdrawal or Withdrawal()
     heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
@@ -118,7 +119,7 @@ def teach_head(
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
     domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
-    final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
+    final = as_head(name, fit_head(samples, manifest.maps, fit), manifest.maps, temperature, rules)
     file = HeadFile(
         name=name,
         network=manifest.name,

@@ -12,6 +12,9 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from ltm_core.training.config import NetworkConfig
 from ltm_core.training.encoder import TAPS, Lite0Encoder, convolution
 
+SIDES = ("s2", "s1")
+"""Maps that have a say in the logits beside the last one: of 1/4 and 1/8 of the photo's size (`decoder_maps`)."""
+
 
 class StripContext(nn.Module):  # type: ignore[misc]  # torch is not typed for us
     """Adds what the whole picture, each row and each column hold: rows tell ground from sky, the rest the scene.
@@ -61,11 +64,17 @@ class Pyramid(nn.Module):  # type: ignore[misc]  # torch is not typed for us
 
     def quarter(self, maps: list[Tensor]) -> Tensor:
         """The map of a quarter of the photo's size, of the encoder's maps of that size and less."""
+        return self.eighth_and_quarter(maps)[1]
+
+    def eighth_and_quarter(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
+        """That map, after the one of half its size that it is made of."""
         *middle, coarse = maps
         x: Tensor = self.context(self.reduce(coarse))
-        for step, skip in zip(self.steps, reversed(middle), strict=True):
+        *first, last = zip(self.steps, reversed(middle), strict=True)
+        for step, skip in first:
             x = step(x, skip)
-        return x
+        step, skip = last
+        return x, step(x, skip)
 
 
 class LandscapeNetwork(Pyramid):
@@ -75,7 +84,8 @@ class LandscapeNetwork(Pyramid):
     The depth head answers in logarithms, so that a slope at 5 km is told from one at 6 km as surely as a bush at 5 m
     from one at 6 m; its scale is free: photos of unknown focal length do not give it. With `config.own_depth` it reads
     a pyramid of its own, so that depth may be taught without a label that changes. The pyramid of the classes is the
-    network's own parts, by whose names exported files hold their weights.
+    network's own parts, by whose names exported files hold their weights. With `config.side` its coarser maps have a
+    say in the logits, too, as `structure_cue` fits it; before, none.
     """
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
@@ -84,6 +94,11 @@ class LandscapeNetwork(Pyramid):
         self.encoder = Lite0Encoder(config.fixed)
         self.last = PyramidStep(wide, next(iter(TAPS.values())), narrow)
         self.classes = nn.Conv2d(narrow, classes, 1)
+        self.side = (
+            nn.ModuleDict({name: nn.Conv2d(wide, classes, 1, bias=False) for name in SIDES}) if config.side else None
+        )
+        for side in () if self.side is None else self.side.values():
+            nn.init.zeros_(side.weight)
         self.own = Pyramid(wide) if config.own_depth else None
         self.depth = nn.Sequential(
             convolution(wide, wide, 3, groups=wide, relu=True), convolution(wide, narrow, relu=True)
@@ -96,9 +111,14 @@ class LandscapeNetwork(Pyramid):
     def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits and log inverse depth from the encoder's maps."""
         half, *rest = maps
-        x = self.quarter(rest)
+        eighth, x = self.eighth_and_quarter(rest)
         y = x if self.own is None else self.own.quarter(rest)
-        return self.classes(self.last(x, half)), self.inverse(self.depth(y))
+        logits: Tensor = self.classes(self.last(x, half))
+        if self.side is not None:
+            for name, coarse in (("s2", x), ("s1", eighth)):
+                said = self.side[name](coarse)
+                logits = logits + functional.interpolate(said, logits.shape[2:], mode="bilinear", align_corners=False)
+        return logits, self.inverse(self.depth(y))
 
     def own_log_inverse(self, maps: list[Tensor]) -> Tensor:
         """Log inverse depth by the depth's own pyramid, from the encoder's maps of a quarter of the photo's size and

@@ -15,6 +15,7 @@ from ltm_ros.cli.output import writable_folder
 from ltm_ros.cli.train.adapt import adapt
 from ltm_ros.cli.train.appearance import appearance
 from ltm_ros.cli.train.blend import blend
+from ltm_ros.cli.train.built import built
 from ltm_ros.cli.train.depth import depth
 from ltm_ros.cli.train.domains import domains
 from ltm_ros.cli.train.fusion import fusion
@@ -99,3 +100,4 @@ train.command()(photos)
 train.command()(appearance)
 train.command()(blend)
 train.command()(depth)
+train.command()(built)

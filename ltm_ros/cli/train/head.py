@@ -41,6 +41,15 @@ def head(
     tree_contrast: Annotated[
         float, typer.Option(min=0, help="The head withdraws tree where local contrast is lower, 8-bit steps.")
     ] = 0.0,
+    ridge: Annotated[
+        float,
+        typer.Option(
+            min=1e-6, help="Penalty on what coarse maps say of the classes: less for photos of dozens of places."
+        ),
+    ] = 1.0,
+    rarity: Annotated[
+        float, typer.Option(min=0, max=1, help="A class counts in a photo as its area's share to this power.")
+    ] = 0.8,
     diagram: Annotated[
         Path | None, typer.Option(help="Draw reliability and risk by coverage, .png or .svg.", callback=writable_file)
     ] = None,
@@ -68,6 +77,7 @@ def head(
     from ltm_core.evaluation.segmentation.network_score import score_frames
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.evenly import evenly
+    from ltm_core.training.head_fit import HeadFitConfig
     from ltm_core.training.head_trial import teach_head
     from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.head_choice import LIKELIER
@@ -88,7 +98,17 @@ def head(
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
     rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
     with console.status("teaching"):
-        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look)
+        trial = teach_head(
+            segmenter,
+            frames,
+            path.stem,
+            made,
+            licence,
+            rules,
+            one_view,
+            look,
+            HeadFitConfig(ridge=ridge, rarity=rarity),
+        )
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
