@@ -18,6 +18,9 @@ _READERS: Final = {
 }
 """Map -> the weights of the convolution that reads it (`landscape_network.LandscapeNetwork`)."""
 
+SIDES: Final = ("s2", "s1")
+"""The maps that may have a say in the logits beside the last one (`structure_cue`)."""
+
 
 def with_decoder_maps(model: Any) -> tuple[Any, dict[str, int]]:
     """The ONNX model with the outputs `last` (1/2 of the input's size), `s2` (1/4) and `s1` (1/8), and their channels.

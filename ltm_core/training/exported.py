@@ -12,6 +12,8 @@ from onnx import numpy_helper
 from ltm_core.errors import ModelError
 from ltm_core.training.config import NetworkConfig
 from ltm_core.training.landscape_network import LandscapeNetwork, for_inference
+from ltm_core.training.structure_cue import StructureCue
+from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import Manifest
 
 _PREFIX = "network."  # of the weights' names in an exported file: see landscape.Deployed
@@ -54,4 +56,18 @@ def blended(first: LandscapeNetwork, second: LandscapeNetwork, share: float) -> 
     if {name: value.shape for name, value in weights.items()} != {name: v.shape for name, v in others.items()}:
         raise ModelError("networks of different shapes have no mean; blend a network with one that went on from it")
     result.load_state_dict({name: torch.lerp(value, others[name], share) for name, value in weights.items()})
+    return result
+
+
+def with_cue(network: LandscapeNetwork, cue: StructureCue) -> LandscapeNetwork:
+    """A copy of a network in its exported form whose coarser maps say more of what is built, by so much."""
+    wide = 2 * network.classes.in_channels
+    config = NetworkConfig(width=wide, pretrained=False, fixed=16, own_depth=network.own is not None, side=True)
+    result: LandscapeNetwork = for_inference(LandscapeNetwork(network.classes.out_channels, config))
+    result.load_state_dict(result.state_dict() | network.state_dict())
+    assert result.side is not None  # nosec B101 # by the configuration
+    with torch.no_grad():
+        for name, weights in cue.weights.items():
+            result.side[name].weight[Label.BUILT, :, 0, 0] += torch.from_numpy(weights).float()
+        result.classes.bias[Label.BUILT] += cue.bias
     return result

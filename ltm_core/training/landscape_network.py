@@ -10,10 +10,8 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from ltm_core.training.config import NetworkConfig
+from ltm_core.training.decoder_maps import SIDES
 from ltm_core.training.encoder import TAPS, Lite0Encoder, convolution
-
-SIDES = ("s2", "s1")
-"""Maps that have a say in the logits beside the last one: of 1/4 and 1/8 of the photo's size (`decoder_maps`)."""
 
 
 class StripContext(nn.Module):  # type: ignore[misc]  # torch is not typed for us
@@ -115,7 +113,7 @@ class LandscapeNetwork(Pyramid):
         y = x if self.own is None else self.own.quarter(rest)
         logits: Tensor = self.classes(self.last(x, half))
         if self.side is not None:
-            for name, coarse in (("s2", x), ("s1", eighth)):
+            for name, coarse in zip(SIDES, (x, eighth), strict=True):
                 said = self.side[name](coarse)
                 logits = logits + functional.interpolate(said, logits.shape[2:], mode="bilinear", align_corners=False)
         return logits, self.inverse(self.depth(y))

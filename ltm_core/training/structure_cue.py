@@ -11,17 +11,15 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-import torch
 from pydantic import Field
 from scipy import optimize, special
 
 from ltm_core.errors import ImageError
 from ltm_core.strict_model import StrictModel
-from ltm_core.training.config import NetworkConfig
+from ltm_core.training.decoder_maps import SIDES
 from ltm_core.training.head_fit import class_weights
 from ltm_core.training.head_samples import PhotoSamples, photo_samples
 from ltm_core.training.labelled_frames import Frame
-from ltm_core.training.landscape_network import SIDES, LandscapeNetwork, for_inference
 from ltm_core.training.structures import with_structures
 from ltm_core.types import Float64Array
 from ltm_core.vision.labels import Label
@@ -96,17 +94,3 @@ def fit_cue(samples: Sequence[PhotoSamples], channels: Mapping[str, int], config
     taught = best[:-1] / spread
     parts = np.split(taught, np.cumsum([channels[name] for name in SIDES])[:-1])
     return StructureCue(dict(zip(SIDES, parts, strict=True)), float(best[-1] - mean @ taught))
-
-
-def with_cue(network: LandscapeNetwork, cue: StructureCue) -> LandscapeNetwork:
-    """A copy of a network in its exported form with that say added to the one it has; it has none, as a rule."""
-    classes, narrow = network.classes.out_channels, network.classes.in_channels
-    config = NetworkConfig(width=2 * narrow, pretrained=False, fixed=16, own_depth=network.own is not None, side=True)
-    result: LandscapeNetwork = for_inference(LandscapeNetwork(classes, config))
-    result.load_state_dict(result.state_dict() | network.state_dict())
-    assert result.side is not None  # nosec B101 # by the configuration
-    with torch.no_grad():
-        for name, weights in cue.weights.items():
-            result.side[name].weight[Label.BUILT, :, 0, 0] += torch.from_numpy(weights).float()
-        result.classes.bias[Label.BUILT] += cue.bias
-    return result

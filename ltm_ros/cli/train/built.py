@@ -39,8 +39,8 @@ def built(
 
     need_torch()
     from ltm_core.training.export import export_adapted
-    from ltm_core.training.exported import load_exported
-    from ltm_core.training.structure_cue import CueConfig, cue_samples, fit_cue, with_cue
+    from ltm_core.training.exported import load_exported, with_cue
+    from ltm_core.training.structure_cue import CueConfig, cue_samples, fit_cue
 
     console, base, labels = Console(), Manifest.find(network), LabelSet.load()
     before, config = Segmenter(base, threads, labels), CueConfig(draws=draws)

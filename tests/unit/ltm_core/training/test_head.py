@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from ltm_core.errors import ImageError, ModelError, RecordingError
 from ltm_core.training.area_folds import by_area
 from ltm_core.training.decoder_maps import with_decoder_maps
-from ltm_core.training.head_fit import fit_head
+from ltm_core.training.head_fit import FittedHead, HeadFitConfig, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.head_trial import teach_head
 from ltm_core.training.labelled_frames import Frame, read_frames
@@ -40,6 +40,20 @@ def test_a_head_tells_apart_what_its_map_does() -> None:
     np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
     np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
     np.testing.assert_array_equal(head.scores(samples).argmax(axis=1), [0, 0, 1, 1])
+
+
+def test_a_weaker_ridge_lets_coarse_maps_say_more_and_rarity_says_what_a_rare_class_weighs() -> None:
+    rng = np.random.default_rng(5)
+    labels = np.repeat(np.array([0, 1], np.uint8), (90, 30))
+    features = np.stack([rng.normal(size=120), np.where(labels == 0, 1.0, -1.0) + rng.normal(0.0, 0.8, 120)], axis=1)
+    photo = PhotoSamples("a", labels, np.zeros((120, 2)), features, np.array([0.6, 0.02]))
+
+    def fitted(**changes: float) -> FittedHead:
+        return fit_head([photo], {"last": 1, "s2": 1}, HeadFitConfig(rarity=0.5).model_copy(update=changes))
+
+    assert abs(fitted(ridge=0.03).weights[1, 0]) > 3 * abs(fitted().weights[1, 0])
+    called = [(fitted(ridge=0.03, rarity=power).scores(photo).argmax(axis=1) == 1).sum() for power in (1.0, 0.5, 0.0)]
+    assert called[0] < called[1] < called[2]
 
 
 def test_scores_that_are_right_already_are_hardly_corrected() -> None:
