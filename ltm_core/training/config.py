@@ -1,5 +1,6 @@
 """Typed configuration of a training run; YAML overrides these defaults."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -34,6 +35,14 @@ class NetworkConfig(StrictModel):
     fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
     own_depth: bool = False  # depth reads a pyramid of its own: see `depth_pyramid`
     side: bool = False  # coarser maps add to the logits: see `structure_cue`
+
+    def with_parts_of(self, weights: Iterable[str]) -> "NetworkConfig":
+        """This form with the optional parts that weights of these names belong to, and no others."""
+        names = list(weights)
+        parts = {"own_depth": "own.", "side": "side."}
+        return self.model_copy(
+            update={part: any(name.startswith(prefix) for name in names) for part, prefix in parts.items()}
+        )
 
 
 class OptimiserConfig(StrictModel):

@@ -34,9 +34,7 @@ def load_exported(manifest: Manifest, fixed: int = 0) -> LandscapeNetwork:
     }
     try:
         bias, width = weights["classes.bias"], weights["reduce.0.weight"].shape[0]
-        own = any(name.startswith("own.") for name in weights)
-        side = any(name.startswith("side.") for name in weights)
-        config = NetworkConfig(width=width, pretrained=False, fixed=fixed, own_depth=own, side=side)
+        config = NetworkConfig(width=width, pretrained=False, fixed=fixed).with_parts_of(weights)
         network = for_inference(LandscapeNetwork(len(bias), config))
         network.load_state_dict(weights)
     except (KeyError, RuntimeError) as reason:

@@ -58,12 +58,12 @@ class Run:
         """From ImageNet's encoder, or from `weights` of an earlier training: of a checkpoint or of an exported file.
 
         Weights of an exported file have their batch normalisations folded in, and so has the network that goes on from
-        them; depth has a pyramid of its own where theirs has. Raises ConfigError for weights of another architecture.
+        them; it has the optional parts that theirs has. Raises ConfigError for weights of another architecture.
         """
         torch.manual_seed(config.seed)
         form = config.network
         if weights is not None:
-            form = form.model_copy(update={"own_depth": any(name.startswith("own.") for name in weights)})
+            form = form.with_parts_of(weights)
         network = LandscapeNetwork(classes, form)
         if weights is not None:
             if not any(name.endswith("running_mean") for name in weights):

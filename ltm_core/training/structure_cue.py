@@ -32,8 +32,8 @@ _STEPS: Final = 300
 class CueConfig(StrictModel):
     """How the say is taught. `draws`: copies of each photo with structures drawn, beside the photo as it is; `pixels`:
     of one class in one copy. `rarity`: a class counts in a copy as its area's share to this power. `ridge`: penalty on
-    the squares of the weights, of features brought to unit spread. Both were chosen on photos held out: real buildings
-    among trees, and drawn structures in mountains."""
+    the squares of the weights, of features brought to unit spread. `rarity` and `ridge` were chosen on photos held
+    out: real buildings among trees, and drawn structures in mountains."""
 
     draws: int = Field(default=4, ge=1)
     pixels: int = Field(default=150, ge=1)

@@ -43,12 +43,13 @@ def built(
     from ltm_core.training.structure_cue import CueConfig, cue_samples, fit_cue
 
     console, base, labels = Console(), Manifest.find(network), LabelSet.load()
-    before, config = Segmenter(base, threads, labels), CueConfig(draws=draws)
+    weights, config = load_exported(base), CueConfig(draws=draws)
+    before = Segmenter(base, threads, labels)
     taught = [frame for folder in photos for frame in read_frames(folder, len(labels))]
     with console.status("drawing"):
         samples = cue_samples(before, taught, config)
     with console.status("teaching"):
-        found = with_cue(load_exported(base), fit_cue(samples, base.maps, config))
+        found = with_cue(weights, fit_cue(samples, base.maps, config))
     why = f"{base.name}, taught what is built by `ltm train built`"
     written = export_adapted(found, base, name or f"{base.name}_built", labels, out, why)
     after = Segmenter.open(written, threads, labels)

@@ -72,7 +72,7 @@ def test_only_what_is_built_is_told_otherwise_in_the_exported_file(frames: Path,
 
     from ltm_core.training.export import export
     from ltm_core.training.exported import load_exported
-    from ltm_core.training.loop import train
+    from ltm_core.training.loop import Run, train
     from ltm_ros.cli.main import cli
 
     torch.set_num_threads(1)
@@ -94,3 +94,5 @@ def test_only_what_is_built_is_told_otherwise_in_the_exported_file(frames: Path,
     rows = again.side["s2"].weight.detach().numpy()[:, :, 0, 0]
     assert np.abs(rows[Label.BUILT]).max() > 0
     assert not rows[: Label.BUILT].any()
+    goes_on = Run.start(TINY, 7, again.state_dict())  # and so can training
+    assert goes_on.network.side is not None
