@@ -85,10 +85,10 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
                 signal.pthread_kill(main, signal.SIGTERM)
 
     main = threading.get_ident()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    threading.Thread(target=insist, name="insist", daemon=True).start()
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)
+        threading.Thread(target=insist, name="insist", daemon=True).start()
         # rclpy's own handlers would shut the context down before the node has finished and published.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make()

@@ -152,7 +152,7 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     segments = segments_of_process(pid)
     assert segments
     graph.runner.stop()
-    assert any("SIGKILL to north/depth, still running" in line for line in graph.lines)
+    assert any("SIGKILL to north/depth, still running" in line for line in graph.lines), graph.lines
     assert "[north/capture] goodbye" in graph.lines
     # Another test's runner may be about to remove them just now.
     assert wait_gone(lambda: [name for name in segments if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
