@@ -31,10 +31,10 @@ def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: 
     trial = teach_head(Segmenter.open(), frames, "towers", "")
     before, after = trial.before.labels.f1, trial.after.labels.f1
     assert 0.70 < before[Label.SHRUB] < 0.80  # 0.61 before the photo's colour spoke against trees
-    assert before[Label.BUILT] < 0.05
+    assert 0.25 < before[Label.BUILT] < 0.50  # 0 before structures were drawn into what teaches it
     assert after[Label.SHRUB] >= 0.80
     assert after[Label.BARE] >= 0.65
-    assert after[Label.BUILT] >= 0.55
+    assert after[Label.BUILT] >= 0.70
     assert after[Label.SKY] >= 0.985
     assert trial.after.calibration.ece <= 0.08
     assert trial.after.land_calibration.ece <= 0.13
