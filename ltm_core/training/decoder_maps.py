@@ -19,7 +19,7 @@ _READERS: Final = {
 """Map -> the weights of the convolution that reads it (`landscape_network.LandscapeNetwork`)."""
 
 SIDES: Final = ("s2", "s1")
-"""The maps that may have a say in the logits beside the last one (`structure_cue`)."""
+"""The maps that may have side outputs: scores of classes that are added to those of the last one (`structure_cue`)."""
 
 
 def with_decoder_maps(model: Any) -> tuple[Any, dict[str, int]]:

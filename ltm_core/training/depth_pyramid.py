@@ -128,7 +128,7 @@ def joined(labels: LandscapeNetwork, depth: LandscapeNetwork) -> LandscapeNetwor
             elif depth.own is None and part in ("reduce", "context", "steps"):
                 state[f"own.{name}"] = value.clone()
     width = labels.inverse.in_channels * 2
-    config = NetworkConfig(width=width, pretrained=False, fixed=16, own_depth=True, side=labels.side is not None)
+    config = NetworkConfig(width=width, pretrained=False, fixed=16).with_parts_of(state)
     network: LandscapeNetwork = for_inference(LandscapeNetwork(labels.classes.out_channels, config))
     try:
         network.load_state_dict(state)

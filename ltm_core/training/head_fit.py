@@ -66,7 +66,7 @@ def fit_head(
     inputs = (features - mean) / spread
     count, size = scores.shape[1], features.shape[1]
     ridge = np.concatenate(
-        [np.full(count, _LAST_RIDGE if name == "last" else config.ridge) for name, count in channels.items()]
+        [np.full(width, _LAST_RIDGE if name == "last" else config.ridge) for name, width in channels.items()]
     )[:, None]
     truth = np.eye(count)[labels]
 

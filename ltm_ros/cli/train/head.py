@@ -96,19 +96,12 @@ def head(
     made = f"ltm train head {photos.resolve().name}, {len(frames)} photos, numpy {np.__version__}"
     tag = f"{path.stem}_held_out"
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
-    rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
+    rules, fit = (
+        Withdrawal(confidence=confidence, tree_contrast=tree_contrast),
+        HeadFitConfig(ridge=ridge, rarity=rarity),
+    )
     with console.status("teaching"):
-        trial = teach_head(
-            segmenter,
-            frames,
-            path.stem,
-            made,
-            licence,
-            rules,
-            one_view,
-            look,
-            HeadFitConfig(ridge=ridge, rarity=rarity),
-        )
+        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look, fit)
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
