@@ -12,12 +12,16 @@ from ltm_ros.health.machine import KEPT_S, ProcessMemory, processes_of
 
 
 def test_memory_of_processes_by_name_and_not_looked_at_at_each_question() -> None:
-    command = [sys.executable, "-c", "input()", "ltm_ros.launching.supervised"]
+    command = [sys.executable, "-c", "print(flush=True); input()", "ltm_ros.launching.supervised"]
     north = ["ltm_ros.nodes.depth", "--ros-args", "-r", "__ns:=/ridge/north"]
     children = [
-        subprocess.Popen([*command, *words], stdin=subprocess.PIPE) for words in (["ltm_ros.nodes.fuel_map"], north)
+        subprocess.Popen([*command, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for words in (["ltm_ros.nodes.fuel_map"], north)
     ]
     try:
+        for child in children:  # until its interpreter is up, it holds next to nothing
+            assert child.stdout is not None
+            child.stdout.readline()
         wait_for(lambda: len(processes_of(os.getpid())) == 2, "both")
         memory = ProcessMemory(os.getpid())
         used = memory.used(100.0)
