@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -34,14 +35,18 @@ def ports_of_domain(domain: int) -> list[str]:
     return [name for name in names if first <= int(name.removeprefix("fastrtps_port")) < first + 250]
 
 
-def segments_of_process(pid: int) -> set[str]:
-    """Shared-memory segments that a process has mapped (its own, and those of its peers)."""
+def owned_by_process(pid: int) -> set[str]:
+    """Shared-memory segments and ports that a process owns: it has their lock files open. What it has only mapped may
+    be of another domain, whose processes go on sending to a port by its number when its owner has changed."""
     names = set()
-    for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
-        path = Path(line.split()[-1])
-        if path.parent == shared_memory.SHM_FOLDER and path.name.startswith("fastrtps_") and "port" not in path.name:
-            names.add(path.name)
-    return names
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # one that the process has closed meanwhile
+            names.add(link.readlink().name)
+    return {name[:-3] for name in names if name.startswith("fastrtps_") and name.endswith("_el")}
+
+
+def segments(names: set[str]) -> set[str]:
+    return {name for name in names if "port" not in name}
 
 
 def ports_of_process(pid: int) -> list[str]:

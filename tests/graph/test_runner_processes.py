@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from leftovers import processes_of_domain, segments_of_process, wait_gone
+from leftovers import owned_by_process, processes_of_domain, segments, wait_gone
 from scenes.waiting import wait_for
 
 from ltm_ros.launching import shared_memory
@@ -149,13 +149,13 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     graph.runner.wait_until_ready(30)
     pid = graph.runner.processes["north/depth"].pid
     assert pid is not None
-    segments = segments_of_process(pid)
-    assert segments
+    owned = segments(owned_by_process(pid))
+    assert owned
     graph.runner.stop()
     assert any("SIGKILL to north/depth, still running" in line for line in graph.lines), graph.lines
     assert "[north/capture] goodbye" in graph.lines
     # Another test's runner may be about to remove them just now.
-    assert wait_gone(lambda: [name for name in segments if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
+    assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
 
 
 def test_ends_what_a_dead_node_had_started(start: Callable[..., Started]) -> None:
@@ -243,8 +243,8 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     monkeypatch.setenv("TMPDIR", str(temporary))
     pids: dict[str, int] = {}
     runner = _run_in_process(tmp_path, 3, pids)
-    segments = set().union(*map(segments_of_process, pids.values()))
-    assert len(segments) >= 3
+    owned = segments(set().union(*map(owned_by_process, pids.values())))
+    assert len(owned) >= 3
     assert list(temporary.glob("ltm-run-*/*.yaml"))
     (cleanup,) = part_of(ros_domain, "orphan_cleanup")
     os.kill(cleanup, signal.SIGSTOP)  # it goes on when the runner ends
@@ -255,7 +255,7 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
     assert list(temporary.glob("ltm-run-*")) == []
     # A runner elsewhere on this machine may be about to remove them just now.
-    assert wait_gone(lambda: [name for name in segments if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
+    assert wait_gone(lambda: [name for name in owned if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
 
 
 def test_runner_and_cleanup_killed_at_once_leave_no_process(ros_domain: int, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from leftovers import segments_of_process, wait_gone
+from leftovers import owned_by_process, segments, wait_gone
 from scenes.waiting import wait_for
 
 from ltm_core.resources import config_path
@@ -78,7 +77,7 @@ def test_profile_is_the_one_in_use(ros_domain: int) -> None:
     """A participant has the big segment: a profile that Fast DDS cannot read would be passed over with a warning."""
     subscriber = _end("subscribe")
     _wait_until_ready(subscriber)
-    sizes = [(shared_memory.SHM_FOLDER / name).stat().st_size for name in segments_of_process(subscriber.pid)]
+    sizes = [(shared_memory.SHM_FOLDER / name).stat().st_size for name in segments(owned_by_process(subscriber.pid))]
     subscriber.terminate()
     subscriber.communicate()
     # The file says 64 MiB; Fast DDS adds its own book-keeping.
@@ -90,7 +89,7 @@ def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None
     killed, living = _end("subscribe"), _end("subscribe")
     for one in (killed, living):
         _wait_until_ready(one)
-    of_killed, of_living = locked_by(killed.pid), locked_by(living.pid)
+    of_killed, of_living = owned_by_process(killed.pid), owned_by_process(living.pid)
     assert of_killed
     assert of_living
     # What is younger than a second is not judged yet.
@@ -114,16 +113,3 @@ def removed(names: set[str]) -> list[str]:
         return [name for name in sorted(names) if (shared_memory.SHM_FOLDER / name).exists()]
 
     return wait_gone(left)
-
-
-def locked_by(pid: int) -> set[str]:
-    """Segments and ports that a process owns: it has their lock files open."""
-    names = set()
-    for link in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(FileNotFoundError):  # one that the process has closed meanwhile
-            names.add(link.readlink().name)
-    return {name[:-3] for name in names if name.startswith("fastrtps_") and name.endswith("_el")}
-
-
-def segments(names: set[str]) -> set[str]:
-    return {name for name in names if "port" not in name}
