@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ltm_core.pose_estimation.picture_pose_config import MOUNT_FLOOR_DEG, Pictur
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
-from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, SkylineFit, picture_system, skyline_fit
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
 from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
 from ltm_core.types import Float64Array
@@ -121,22 +121,22 @@ def fit_mount(
         math.inf,
     )
     states = np.array([state for _, state, _ in fits])
-    agreement = v.agreement if sigma[0] == 0 else v.loose_agreement
-    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, agreement, v)
+    variance = _skyline(pictures, states[0], config).variance
+    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
     shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
     covariance = fits[0][2] + spread
     found = tuple(_posed(p.prior.pose, mean) for p in pictures)
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
-    support, veiled = _seen(pictures, mean, config)
+    seen = _skyline(pictures, mean, config)
     away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
-    if turns.max() > v.most_sigma_deg or turns[2] > v.most_azimuth_sigma_deg:
+    if turns.max() > v.most_sigma_deg or turns[2] > v.mount_azimuth_sigma_deg:
         word, reason = "ambiguous", f"the pictures leave the mount open by {turns.max():.2f} deg"
-    elif gap < _gap_asked(pictures, veiled, v):
+    elif gap < _gap_asked(pictures, seen, v):
         word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
-    elif support < v.least_support:
-        word, reason = "ambiguous", f"only {support:.0%} of the photos' skylines lies on the terrain's"
+    elif seen.support < v.least_support:
+        word, reason = "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
     elif away.max() > v.contradiction:
         word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
@@ -235,32 +235,28 @@ def _cost(pictures: list[_Picture], state: Float64Array, sigma: Float64Array, co
     for p in pictures:
         pose, camera = _posed(p.prior.pose, state), p.camera(float(state[7]))
         evidence, horizon = p.search.evidence, p.search.horizon
-        cost = skyline_cost(pose, camera, evidence, horizon, config)[0]
+        cost = skyline_fit(pose, camera, evidence, horizon, config).cost
         z = ridge_strength(pose, p.ridges, horizon.step, camera, evidence.edges)
         cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
         total += cost / _alike(p, pictures)
     return total
 
 
-def _seen(pictures: list[_Picture], state: Float64Array, config: PicturePoseConfig) -> tuple[float, float]:
-    """Of pictures that have a skyline: the share of it that lies on the terrain's, that which plants may hide; each the
-    median."""
-    shares = [
-        skyline_cost(
-            _posed(p.prior.pose, state), p.camera(float(state[7])), p.search.evidence, p.search.horizon, config
-        )[1:]
+def _skyline(pictures: list[_Picture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
+    """Of pictures that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
+    fits = [
+        skyline_fit(_posed(p.prior.pose, state), p.camera(float(state[7])), p.search.evidence, p.search.horizon, config)
         for p in pictures
         if p.search.evidence.skyline is not None
     ]
-    support, veiled = np.median(np.array(shares), axis=0) if shares else (1.0, 0.0)
-    return float(support), float(veiled)
+    return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
 
 
-def _gap_asked(pictures: list[_Picture], veiled: float, config: VerdictConfig) -> float:
+def _gap_asked(pictures: list[_Picture], seen: SkylineFit, config: VerdictConfig) -> float:
     """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
     evidences = [p.search.evidence for p in pictures]
     if any(evidence.skyline is not None for evidence in evidences):
-        return config.gap_asked(veiled)
+        return config.gap_asked(seen.veiled, seen.variance)
     plants = float(np.median([evidence.plants for evidence in evidences]))
     return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap
 

@@ -27,7 +27,7 @@ from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_fit
 from ltm_core.pose_estimation.skyline_turns import SkylineTurns
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.pose_estimation.turn_search import clearer_turn, skyline_turns
@@ -133,7 +133,7 @@ class MountWatch:
     def _support(self, search: PictureSearch) -> float:
         """Share of the picture's skyline that lies on the terrain's, from the best pose."""
         best, evidence = search.hypotheses[0].refined.pose, search.evidence
-        return skyline_cost(best, evidence.camera, evidence, search.horizon, self._search)[1]
+        return skyline_fit(best, evidence.camera, evidence, search.horizon, self._search).support
 
     def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         """Whether a picture is clear that shows nothing from near the stated pose."""
@@ -195,8 +195,8 @@ class MountWatch:
             if start is not None
         ]
         found = min(begun, key=lambda refined: refined.cost)
-        here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
-        refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
+        here = skyline_fit(pose, evidence.camera, evidence, horizon, self._search).support
+        refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.skyline.support
         least = self._search.verdict.clear_support
         if max(here, support) < least:
             # Far off, or fog: only a search of its own tells.

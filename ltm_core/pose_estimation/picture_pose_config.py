@@ -46,6 +46,8 @@ class SkylineConfig(StrictModel):
     """Metres along a crest within which these errors are one and the same,"""
     independent: float = Field(24.0, gt=0)
     """and how many independent places a skyline has at most that goes all through a picture: it is smooth."""
+    stated: float = Field(2.0, gt=0)
+    """Independent places as which these sigmas count beside those where a photo shows how far its skyline lies off."""
     outliers: float = Field(0.15, gt=0, lt=1)
     """Share of columns whose skyline is something else: near trees, masts, clouds, wrong labels."""
     outlier_span: float = Field(0.2, gt=0)
@@ -114,17 +116,13 @@ class VerdictConfig(StrictModel):
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
     most_sigma_deg: float = Field(0.6, gt=0)
     """Of azimuth, pitch and roll,"""
-    most_azimuth_sigma_deg: float = Field(0.3, gt=0)
-    """and of an azimuth by a skyline,"""
-    gain: float = Field(0.067, ge=0)
-    """or this share of what a compass states, where that is more,"""
-    loosest_azimuth_sigma_deg: float = Field(0.4, gt=0)
-    """up to here: a phone that was 6 degrees off gains by half a degree, too. Not where no heading is known. Of an
-    azimuth by ridges alone, always."""
-    agreement: float = Field(0.7, gt=0)
-    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e,"""
-    loose_agreement: float = Field(1.4, gt=0)
-    """and the same from a place that is not exact, whose error moves all columns together."""
+    close_azimuth_sigma_deg: float = Field(0.4, gt=0)
+    """and of an azimuth by ridges alone, or where nearly all that is seen are plants: their tops are the horizon."""
+    mount_azimuth_sigma_deg: float = Field(0.3, gt=0)
+    """Of the azimuth of a mount that many pictures decide together."""
+    agreement: float = Field(1.0, gt=0)
+    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e, times the
+    variance of the skyline's misfits: small ones tell poses apart by more than is stated, large ones by less."""
     same_deg: float = Field(0.1, ge=0)
     """Of azimuth, between refined poses that are one."""
     least_support: float = Field(0.75, ge=0, le=1)
@@ -137,12 +135,15 @@ class VerdictConfig(StrictModel):
     """and where trees and shrubs are half of the land in the picture or more, whose margins look like ridges;"""
     plants_score: float = 8.0
     """then ridges must also lie on edges so many times more than chance."""
+    ridges_variance: float = 1.4
+    """Of a skyline's misfits where ridges alone are known; beyond it terrain stands where the photo has sky."""
     contradiction: float = Field(4.0, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one."""
 
-    def gap_asked(self, veiled: float) -> float:
-        """By how much an alternative must cost more, where plants may hide such a share of the skyline."""
-        return self.least_gap * (1 + self.veil_factor * veiled)
+    def gap_asked(self, veiled: float, variance: float) -> float:
+        """By how much an alternative must cost more, where plants may hide such a share of the skyline. Misfits of a
+        small `variance` tell poses apart by more than is stated; large ones make no pose unlikelier than its cost."""
+        return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
 FLOOR_DEG = (0.02, 0.02, 0.02)

@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_fit
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -89,14 +89,12 @@ def find_pose(
     if evidence.skyline is not None and not horizon.open.all():
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
-        found = terrain.above(merged_with_others(found, not prior.sigmas[:3].any(), config.verdict))
-    if found:  # a mean lies where none of those fits that it is of: does the photo's skyline, there?
-        mean = found[0].refined
-        _, support, veiled = skyline_cost(mean.pose, mean.camera, evidence, horizon, config)
-        found[0] = replace(found[0], refined=replace(mean, support=support, veiled=veiled))
-    verdict = judge(found, False, prior, config)
-    if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
+        found = terrain.above(merged_with_others(found, config.verdict))
+    found = _on_skyline(found, evidence, horizon, config)
+    verdict = judge(found, False, prior, config, evidence.plants)
+    if not found or (verdict.word != "accepted" and found[0].refined.skyline.support < _LEAST_SUPPORT):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
+        by_ridges = _on_skyline(by_ridges, evidence, horizon, config)
         other = judge(by_ridges, True, prior, config, evidence.plants)
         if other.word == "accepted" or not found:
             found, verdict = by_ridges, other
@@ -171,6 +169,18 @@ def _search_skyline(
         for h in found
     ]
     return sorted(found, key=lambda hypothesis: hypothesis.cost)
+
+
+def _on_skyline(
+    hypotheses: list[Hypothesis], evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
+) -> list[Hypothesis]:
+    """The same, the first one with how the photo's skyline lies there: a mean lies where none of those fits that it is
+    of, and ridges are sought without a skyline."""
+    if not hypotheses:
+        return hypotheses
+    best, *others = hypotheses
+    fit = skyline_fit(best.refined.pose, best.refined.camera, evidence, horizon, config)
+    return [replace(best, refined=replace(best.refined, skyline=fit)), *others]
 
 
 def _best_over_pitch(

@@ -29,18 +29,18 @@ class Hypothesis:
     about: Pose | None = None
 
 
-def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: VerdictConfig) -> list[Hypothesis]:
+def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
     """The same, from the best down, the first one's pose the mean of those about it, each with its weight by cost, and
     as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
-    (`pose_verdict`). `place_held`: the place is exact.
+    (`pose_verdict`).
     """
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
     changes = np.array([_change(best.refined, other.refined) for other in hypotheses])
     azimuths = np.array([angles_between(best.refined.pose, other.refined.pose)[0] for other in hypotheses])
-    agreement = config.agreement if place_held else config.loose_agreement
-    mean, spread = mean_about_best([other.cost for other in hypotheses], azimuths, changes, agreement, config)
+    costs, variance = [other.cost for other in hypotheses], best.refined.skyline.variance
+    mean, spread = mean_about_best(costs, azimuths, changes, variance, config)
     refined = best.refined
     factor = math.exp(mean[6])
     merged = replace(
@@ -53,16 +53,16 @@ def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: V
 
 
 def mean_about_best(
-    costs: Sequence[float], azimuths: Float64Array, states: Float64Array, agreement: float, config: VerdictConfig
+    costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
     """Mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are near that of
-    the first, the best."""
+    the first, the best. `variance`: of the skyline's misfits."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.
         if all(abs(azimuths[j] - azimuths[k]) > math.radians(config.same_deg) for j in near):
             near.append(int(k))
-    weights = np.exp((costs[0] - np.array(costs)[near]) / agreement)
+    weights = np.exp((costs[0] - np.array(costs)[near]) / (config.agreement * variance))
     weights /= weights.sum()
     mean = weights @ states[near]
     away = states[near] - mean

@@ -29,21 +29,34 @@ MOST_FOCAL_STEP = 0.05
 """Of the focal length's logarithm, in one round."""
 _TELLING = 0.02
 """Radians: columns of a larger sigma do not support a pose."""
+_MOST_SQUARE = 9.0
+"""Of a column's error in its sigma, squared: what is further off is another thing."""
+
+
+@dataclass(frozen=True)
+class SkylineFit:
+    """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit; `veiled`: that where a
+    nearer crest may hide the horizon. `variance`: the square of what columns that fit err by, over that of their
+    sigmas.
+    """
+
+    cost: float = 0.0
+    support: float = 0.0
+    veiled: float = 0.0
+    variance: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
     """`covariance`: (7, 7) of x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
-    skyline and prior. `support`: the share of the skyline that fits; `veiled`: the share where a nearer crest may hide
-    the horizon.
+    skyline and prior. `skyline`: how that of the photo lies on the terrain's.
     """
 
     pose: Pose
     camera: Camera
     covariance: Float64Array
     cost: float
-    support: float
-    veiled: float
+    skyline: SkylineFit
 
 
 def refine(
@@ -73,34 +86,37 @@ def refine(
     normal, gradient = picture_system(
         pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True
     )
-    normal, _ = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
+    fit = skyline_fit(pose, camera, evidence, horizon, config)
+    normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
     covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
-    cost, support, veiled = skyline_cost(pose, camera, evidence, horizon, config)
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
-    cost += 0.5 * float(deviation @ deviation)
-    return RefinedPose(pose, camera, covariance, cost, support, veiled)
+    return RefinedPose(pose, camera, covariance, fit.cost + 0.5 * float(deviation @ deviation), fit)
 
 
-def skyline_cost(
+def skyline_fit(
     pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
-) -> tuple[float, float, float]:
-    """Cost of the skyline alone, the share of its columns that fit, and that where a crest may hide the horizon."""
+) -> SkylineFit:
+    """Of a photo's skyline alone."""
     rows = skyline_observations(pose, camera, evidence, horizon, 1.0, config)
     if rows is None:
-        return 0.0, 0.0, 0.0
+        return SkylineFit()
     noise = config.skyline
-    q = 1 + (rows.error / rows.sigma) ** 2 / 4
+    square = (rows.error / rows.sigma) ** 2
+    q = 1 + square / 4
     odds = noise.odds * camera.fy / rows.sigma
     like = odds / q**2.5
     fits = rows.weight > 0
     share = column_weight(evidence.skyline, camera, noise) if evidence.skyline is not None else 0.0
     cost = -share * float(np.log1p(like)[fits].sum())
+    inlier = like / (1 + like)
     # A crest so near, or so uncertain, that anything fits says nothing.
-    inlier = like / (1 + like) * (rows.sigma < _TELLING * camera.fy)
+    supports = inlier * (rows.sigma < _TELLING * camera.fy)
     total = len(evidence.skyline.u) if evidence.skyline is not None else 1
-    return cost, float(inlier[fits].sum()) / max(total, 1), rows.veiled
+    counted = rows.weight * inlier
+    variance = (noise.stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (noise.stated + counted.sum())
+    return SkylineFit(cost, float(supports[fits].sum()) / max(total, 1), rows.veiled, float(variance))
 
 
 def _with_prior(

@@ -9,12 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 
 MANY_PLANTS = 0.5
-"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's."""
+"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's,"""
+OVERGROWN = 0.85
+"""and from which on hardly anything else is in the picture."""
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 
@@ -37,7 +39,7 @@ def judge(
     by_ridges: bool,
     prior: PosePrior,
     config: PicturePoseConfig,
-    plants: float = 0.0,
+    plants: float,
 ) -> Verdict:
     """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
     the share of trees and shrubs in the picture's land.
@@ -60,22 +62,24 @@ def judge(
         if away > math.radians(v.alternative_deg):
             gap, other = hypothesis.cost - best.cost, hypothesis.refined.pose.angles_deg[0]
             break
-    support = best.refined.support
+    support = best.refined.skyline.support
 
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    most_azimuth = v.loosest_azimuth_sigma_deg if by_ridges else _most_azimuth_sigma(prior, v)
+    most_azimuth = v.close_azimuth_sigma_deg if by_ridges or plants >= OVERGROWN else v.most_sigma_deg
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
-    veiled = best.refined.veiled
-    least = v.gap_asked(veiled)
+    veiled, variance = best.refined.skyline.veiled, best.refined.skyline.variance
+    least = v.gap_asked(veiled, variance)
     if by_ridges:
         least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
         if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
             return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
+        if variance > v.ridges_variance:
+            return verdict("ambiguous", "where ridges lie on edges, the terrain stands over the photo's skyline")
     if gap < least:
         return verdict(
             "ambiguous",
@@ -89,9 +93,3 @@ def judge(
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
         return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
     return verdict("accepted", f"the next best azimuth costs {gap:.1f} more" if other is not None else "no alternative")
-
-
-def _most_azimuth_sigma(prior: PosePrior, config: VerdictConfig) -> float:
-    """Degrees."""
-    gained = config.gain * prior.azimuth_sigma_deg if prior.heading_known else 0.0
-    return max(config.most_azimuth_sigma_deg, min(gained, config.loosest_azimuth_sigma_deg))

@@ -17,7 +17,7 @@ from ltm_core.pose_estimation.image_skyline import ImageSkyline
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior
-from ltm_core.pose_estimation.pose_refinement import skyline_cost
+from ltm_core.pose_estimation.pose_refinement import skyline_fit
 from ltm_core.pose_estimation.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
@@ -62,6 +62,6 @@ def skyline_turns(
     best = int(np.argmin(found.cost))
     up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
     there = Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
-    if skyline_cost(there, camera, evidence, horizon, config)[1] < config.verdict.clear_support:
+    if skyline_fit(there, camera, evidence, horizon, config).support < config.verdict.clear_support:
         return None
     return SkylineTurns(stamp_ns, math.radians(azimuth), math.radians(camera.hfov_deg), -found.cost[::-1])

@@ -117,7 +117,7 @@ def run_trial(
         _three(after / sigma),
         search.verdict.gap,
         search.verdict.support,
-        0.0 if found is None else found.veiled,
+        0.0 if found is None else found.skyline.veiled,
         _three(sigma),
         prepared_frame.open_share,
         traced_error(frame, near, prior.pose, tracer),

@@ -14,38 +14,36 @@ from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
-from ltm_core.pose_estimation.pose_refinement import RefinedPose
+from ltm_core.pose_estimation.pose_refinement import RefinedPose, SkylineFit
 from ltm_core.pose_estimation.pose_verdict import judge
 
 CONFIG = VerdictConfig(
     alternative_deg=2.5,
     agreement=2.0,
-    loose_agreement=4.0,
     same_deg=0.1,
-    most_azimuth_sigma_deg=0.35,
-    gain=0.1,
-    loosest_azimuth_sigma_deg=0.5,
+    most_sigma_deg=0.6,
+    close_azimuth_sigma_deg=0.4,
 )
 
 
-def hypothesis(azimuth_deg: float, cost: float) -> Hypothesis:
+def hypothesis(azimuth_deg: float, cost: float, variance: float = 1.0) -> Hypothesis:
     """Of a level camera, its angles sure to 0.1, 0.05 and 0.2 degrees, on a skyline that fits."""
     pose = Pose.from_angles((10.0, 20.0, 300.0), azimuth_deg, 0.0)
     covariance = np.zeros((7, 7))
     covariance[:6, :6] = pose_covariance(pose, 0.0, 0.0, 0.1, 0.05, 0.2)
     camera = Camera.from_fov(640, 360, 50.0)
-    return Hypothesis(RefinedPose(pose, camera, covariance, cost, support=0.95, veiled=0.0), cost, 1.0)
+    return Hypothesis(RefinedPose(pose, camera, covariance, cost, SkylineFit(support=0.95, variance=variance)), cost, 1.0)
 
 
 def azimuth_sigma_deg(best: Hypothesis) -> float:
     return math.degrees(math.sqrt(best.refined.covariance[5, 5]))
 
 
-@pytest.mark.parametrize(("place_held", "agreement"), [(True, 2.0), (False, 4.0)])
-def test_poses_that_cost_the_same_are_one_that_is_unsure(place_held: bool, agreement: float) -> None:
+@pytest.mark.parametrize("variance", [0.5, 1.0, 2.0])
+def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> None:
     others = [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0), hypothesis(70.0, -99.9)]
-    best, *rest = merged_with_others([hypothesis(60.0, -100.0), *others], place_held, CONFIG)
-    weight = math.exp(-2.0 / agreement)  # the one 10 degrees off is an alternative
+    best, *rest = merged_with_others([hypothesis(60.0, -100.0, variance), *others], CONFIG)
+    weight = math.exp(-2.0 / (2.0 * variance))  # the one 10 degrees off is an alternative
     mean = (1.2 + weight * 0.6) / (2 + weight)
     spread = (mean**2 + (1.2 - mean) ** 2 + weight * (0.6 - mean) ** 2) / (2 + weight)
     assert best.refined.pose.angles_deg[0] == pytest.approx(60.0 + mean, abs=1e-6)
@@ -56,7 +54,7 @@ def test_poses_that_cost_the_same_are_one_that_is_unsure(place_held: bool, agree
 def test_starts_that_end_in_one_place_count_once() -> None:
     apart = [hypothesis(60.0, -100.0), hypothesis(61.2, -100.0)]
     (once, *_), (thrice, *_) = (
-        merged_with_others(found, True, CONFIG)
+        merged_with_others(found, CONFIG)
         for found in (apart, [*apart, hypothesis(61.21, -99.999), hypothesis(61.19, -99.998)])
     )
     assert thrice.refined.pose.angles_deg[0] == pytest.approx(once.refined.pose.angles_deg[0], abs=1e-6)
@@ -65,12 +63,12 @@ def test_starts_that_end_in_one_place_count_once() -> None:
 
 def test_poses_that_cost_much_more_change_nothing() -> None:
     first = hypothesis(60.0, -100.0)
-    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], True, CONFIG)
+    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], CONFIG)
     assert np.abs(angles_between(first.refined.pose, best.refined.pose)).max() < 1e-6
     assert azimuth_sigma_deg(best) == pytest.approx(0.1, rel=1e-3)
-    (alone,) = merged_with_others([first], True, CONFIG)
+    (alone,) = merged_with_others([first], CONFIG)
     assert azimuth_sigma_deg(alone) == pytest.approx(0.1)
-    assert merged_with_others([], True, CONFIG) == []
+    assert merged_with_others([], CONFIG) == []
 
 
 def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
@@ -78,7 +76,7 @@ def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
     pose = Pose(other.refined.pose.position + np.array([4.0, -2.0, 1.0]), other.refined.pose.rotation)
     camera = replace(other.refined.camera, fx=other.refined.camera.fx * 1.02, fy=other.refined.camera.fy * 1.02)
     other = replace(other, refined=replace(other.refined, pose=pose, camera=camera))
-    best, _ = merged_with_others([first, other], False, CONFIG)
+    best, _ = merged_with_others([first, other], CONFIG)
     np.testing.assert_allclose(best.refined.pose.position, (12.0, 19.0, 300.5), atol=1e-9)
     assert best.refined.camera.fx == pytest.approx(first.refined.camera.fx * math.sqrt(1.02))
     assert best.refined.covariance[0, 0] == pytest.approx(4.0)
@@ -86,25 +84,48 @@ def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("second", "stated_deg", "word"),
+    ("second", "plants", "word"),
     [
-        (60.3, 1.5, "accepted"),
-        (60.8, 1.5, "ambiguous"),  # half of 0.8 degrees besides 0.1 is 0.41
-        (60.8, 6.0, "accepted"),  # which a compass gains by
-        (61.2, 60.0, "ambiguous"),  # but 0.61 is too much whatever was stated
-        (60.8, UNKNOWN_DEG, "ambiguous"),
+        (60.7, 0.9, "accepted"),
+        (60.8, 0.9, "ambiguous"),  # half of 0.8 degrees besides 0.1 is 0.41
+        (60.8, 0.8, "accepted"),
+        (61.2, 0.0, "ambiguous"),  # but 0.61 is too much whatever is seen
     ],
 )
-def test_an_open_azimuth_is_not_accepted(second: float, stated_deg: float, word: str) -> None:
-    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], True, CONFIG)
+@pytest.mark.parametrize("stated_deg", [1.5, UNKNOWN_DEG])
+def test_an_open_azimuth_is_not_accepted(second: float, plants: float, word: str, stated_deg: float) -> None:
+    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], CONFIG)
     prior = PosePrior(found[0].refined.pose, stated_deg, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG)).word == word
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), plants).word == word
+
+
+@pytest.mark.parametrize(
+    ("gap", "variance", "word"),
+    [
+        (3.9, 1.0, "ambiguous"),
+        (4.1, 1.0, "accepted"),
+        (2.1, 0.5, "accepted"),  # small misfits tell poses apart by more
+        (1.9, 0.5, "ambiguous"),
+        (4.1, 3.0, "accepted"),  # large ones have made the pose unsure already
+    ],
+)
+def test_an_alternative_must_cost_more_than_misfits_explain(gap: float, variance: float, word: str) -> None:
+    found = [hypothesis(60.0, -100.0, variance), hypothesis(75.0, gap - 100.0)]
+    prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == word
+
+
+@pytest.mark.parametrize(("variance", "word"), [(1.0, "accepted"), (1.5, "ambiguous")])
+def test_ridges_do_not_speak_for_terrain_in_the_sky(variance: float, word: str) -> None:
+    found = [hypothesis(60.0, -100.0, variance)]
+    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
+    assert judge(found, True, prior, PicturePoseConfig(), 0.3).word == word
 
 
 @pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
 def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) -> None:
     """60.0 and 60.6 make 60.3, from which 62.6 is less than 2.5 degrees away, but it is no part of it."""
     apart = [hypothesis(60.0, -100.0), hypothesis(60.6, -100.0), hypothesis(third, -99.9)]
-    found = merged_with_others(apart, True, CONFIG)
+    found = merged_with_others(apart, CONFIG)
     prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG)).word == "ambiguous"
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == "ambiguous"
