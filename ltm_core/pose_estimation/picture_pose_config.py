@@ -137,8 +137,9 @@ class VerdictConfig(StrictModel):
     """then ridges must also lie on edges so many times more than chance."""
     ridges_variance: float = 1.4
     """Of a skyline's misfits where ridges alone are known; beyond it terrain stands where the photo has sky."""
-    contradiction: float = Field(4.0, gt=0)
-    """Sigmas by which an otherwise good pose may differ from the prior one."""
+    contradiction: float = Field(3.5, gt=0)
+    """Sigmas by which an otherwise good pose may differ from the prior one: fewer than `SearchConfig.reach_sigmas`, for
+    of a pose at the search's edge the alternatives beyond it are not known."""
 
     def gap_asked(self, veiled: float, variance: float) -> float:
         """By how much an alternative must cost more, where plants may hide such a share of the skyline. Misfits of a

@@ -150,6 +150,7 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         "gap": verdict.gap if math.isfinite(verdict.gap) else None,
         "runner_up_azimuth_deg": verdict.alternative_deg,
         "skyline_that_fits": verdict.support,
+        "variance_of_misfits": search.hypotheses[0].refined.skyline.variance if search.hypotheses else None,
         "crs": frame.crs,
         "given": described(prior.pose, prior.covariance),
         "result": described(result.pose, result.covariance),

@@ -13,7 +13,7 @@ from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others
-from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose, SkylineFit
 from ltm_core.pose_estimation.pose_verdict import judge
 
@@ -32,7 +32,9 @@ def hypothesis(azimuth_deg: float, cost: float, variance: float = 1.0) -> Hypoth
     covariance = np.zeros((7, 7))
     covariance[:6, :6] = pose_covariance(pose, 0.0, 0.0, 0.1, 0.05, 0.2)
     camera = Camera.from_fov(640, 360, 50.0)
-    return Hypothesis(RefinedPose(pose, camera, covariance, cost, SkylineFit(support=0.95, variance=variance)), cost, 1.0)
+    return Hypothesis(
+        RefinedPose(pose, camera, covariance, cost, SkylineFit(support=0.95, variance=variance)), cost, 1.0
+    )
 
 
 def azimuth_sigma_deg(best: Hypothesis) -> float:
@@ -120,6 +122,14 @@ def test_ridges_do_not_speak_for_terrain_in_the_sky(variance: float, word: str) 
     found = [hypothesis(60.0, -100.0, variance)]
     prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
     assert judge(found, True, prior, PicturePoseConfig(), 0.3).word == word
+
+
+@pytest.mark.parametrize(("away_deg", "word"), [(20.0, "accepted"), (22.0, "contradicts_prior")])
+def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: str) -> None:
+    """A compass good to 6 degrees is searched to 24."""
+    found = [hypothesis(60.0, -100.0)]
+    prior = PosePrior(turned(found[0].refined.pose, np.radians([0.0, 0.0, away_deg])), 6.0, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
 
 
 @pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
