@@ -1,0 +1,61 @@
+"""How sure a pose is, by what its skyline's misfits are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.mountain_view import CAMERA, eye, terrain, view
+
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.pose_from_picture import PictureSearch, find_pose
+from ltm_core.pose_estimation.pose_observations import skyline_observations
+from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.types import Float64Array
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 63.4, 2.3, 1.0), 1.5, 0.6, 0.6)
+
+
+@pytest.fixture(scope="module")
+def exact() -> PictureEvidence:
+    return picture_evidence(*view(TRUE), CAMERA)
+
+
+def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
+    """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
+    horizon = terrain().horizon_for(evidence.camera, PRIOR, PicturePoseConfig())
+    rows = skyline_observations(TRUE, evidence.camera, evidence, horizon, 1.0, PicturePoseConfig())
+    assert rows is not None
+    assert evidence.skyline is not None
+    sign = np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0)
+    return replace(evidence, skyline=replace(evidence.skyline, v=evidence.skyline.v + sigmas * sign * rows.sigma))
+
+
+def sigmas(search: PictureSearch) -> Float64Array:
+    return np.asarray(np.sqrt(np.diag(search.hypotheses[0].refined.covariance)[3:6]), np.float64)
+
+
+def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_a_pose_less_sure(
+    exact: PictureEvidence,
+) -> None:
+    found = {size: find_pose(uneven(exact, size), terrain(), PRIOR) for size in (0.0, 1.0, 2.0)}
+    variance = {size: search.hypotheses[0].refined.skyline.variance for size, search in found.items()}
+    assert variance[0.0] < 0.5
+    assert variance[1.0] == pytest.approx(1.0, abs=0.25)
+    assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
+    assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
+    assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
+
+
+def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureEvidence) -> None:
+    """A picture of few places, near a crest, is not believed at once."""
+    variances = []
+    for places in (1.0, 1000.0):
+        config = PicturePoseConfig(skyline=SkylineConfig(stated=places))
+        variances.append(find_pose(exact, terrain(), PRIOR, config).hypotheses[0].refined.skyline.variance)
+    assert variances[0] < 0.5
+    assert variances[1] == pytest.approx(1.0, abs=0.03)
