@@ -136,7 +136,8 @@ class VerdictConfig(StrictModel):
     plants_score: float = 8.0
     """then ridges must also lie on edges so many times more than chance."""
     ridges_variance: float = 1.4
-    """Of a skyline's misfits where ridges alone are known; beyond it terrain stands where the photo has sky."""
+    """Of a skyline's misfits where ridges are taken alone: beyond it what skyline there is speaks against them, most
+    often by terrain where the photo has sky."""
     contradiction: float = Field(3.5, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one: fewer than `SearchConfig.reach_sigmas`, for
     of a pose at the search's edge the alternatives beyond it are not known."""

@@ -79,13 +79,13 @@ def judge(
         if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
             return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
         if variance > v.ridges_variance:
-            return verdict("ambiguous", "where ridges lie on edges, the terrain stands over the photo's skyline")
+            return verdict(
+                "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
+            )
     if gap < least:
-        return verdict(
-            "ambiguous",
-            f"azimuth {other:.1f} deg costs only {gap:.1f} more"
-            + (f", and plants on near crests may hide {veiled:.0%} of the horizon" if veiled > 0.03 else ""),
-        )
+        hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
+        told = hidden if veiled > 0.03 and not by_ridges else ""
+        return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
     if not by_ridges and support < v.least_support:
         return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
