@@ -121,7 +121,7 @@ class MountWatch:
         search = self._find(evidence, prior)
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
-        if evidence.skyline is not None and self._support(search) < self._search.verdict.clear_support:
+        if evidence.skyline is not None and search.verdict.support < self._search.verdict.clear_support:
             # What is stated as sure holds a search by force: does the picture show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
@@ -129,11 +129,6 @@ class MountWatch:
         if len(self._searches) >= self._config.gather:
             self._fit()
         return True
-
-    def _support(self, search: PictureSearch) -> float:
-        """Share of the picture's skyline that lies on the terrain's, from the best pose."""
-        best, evidence = search.hypotheses[0].refined.pose, search.evidence
-        return skyline_fit(best, evidence.camera, evidence, search.horizon, self._search).support
 
     def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         """Whether a picture is clear that shows nothing from near the stated pose."""
