@@ -59,14 +59,11 @@ class FusingStep:
     """Fuses a camera's frames. Raises ConfigError without a depth network, ModelError for one that cannot be taken."""
 
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
-        model = config.model or site.depth_model
-        if not model:
-            raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
         self._config, self._site = config, site
         self._scene = SceneFilter.of(site, camera)
-        self.label_columns = label_columns(config.label_model or site.model)
+        self.label_columns = label_columns(site, camera, config)
         """Of the network that makes the labels; 0: not known."""
-        self.network = DepthNetwork.open(model, config.threads)
+        self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
         # Bare earth is asked for only where depth is traced to something else.
         self.trace_to(None if site.surface is None else site.open_dem())
@@ -145,9 +142,18 @@ class FusingStep:
             fuse(traced, network, rgb, given, self._classes, config=self.network.fusion).measured()
 
 
-def label_columns(model: str) -> int:
-    """Of the network of this name or manifest; 0 where it is not known here: another computer may run it."""
+def depth_manifest(site: Site, camera: str, config: FusingConfig) -> Manifest:
+    """The depth network of a camera: one with a head has that of the network which the head corrects, so that the
+    encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
+    model = config.model or site.depth_model
+    if not model:
+        raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
+    return Manifest.find(model).serving(site.camera(camera).head)
+
+
+def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
+    """Of the network that labels a camera's pictures; 0 where it is not known here: another computer may run it."""
     try:
-        return Manifest.find(model).label_columns
+        return Manifest.find(config.label_model or site.model).serving(site.camera(camera).head).label_columns
     except ModelError:
         return 0

@@ -89,7 +89,7 @@ class Site(StrictModel):
     """Where given, what is marked in the cameras' pictures is located on the map."""
     labels: str = "labels.yaml"
     """Label set in config/."""
-    model: str = "landscape_lite0"
+    model: str = "landscape_v2"
     """Segmentation manifest: a name in config/models/ or a path."""
     heads: Path | None = None
     """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""

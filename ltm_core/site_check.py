@@ -213,7 +213,7 @@ def _heads(site: Site) -> Iterator[Finding]:
             continue
         doubt = ""
         try:
-            manifest = Manifest.find(site.model)
+            manifest = Manifest.find(site.model).serving(head)
             file = find_head(head, manifest, site.heads)
             if file is not None:
                 found, content = read_head(file, manifest)
@@ -231,7 +231,7 @@ def _heads(site: Site) -> Iterator[Finding]:
 def _chosen_heads(site: Site, cameras: list[str]) -> Finding:
     """Among which heads pictures choose, and which are passed over."""
     try:
-        heads, passed = heads_to_choose(Manifest.find(site.model), site.heads)
+        heads, passed = heads_to_choose(Manifest.find(site.model).serving(AUTO_HEAD), site.heads)
     except LtmError as error:
         return Finding.of("networks", f"head {AUTO_HEAD}", error)
     among = ", ".join([SHIPPED_HEAD, *(f"{h.name} ({h.doubt})" if h.doubt else h.name for h in heads.values())])

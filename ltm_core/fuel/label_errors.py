@@ -153,7 +153,7 @@ class LabelErrors:
         How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
         these. Raises ConfigError, ModelError as `find_head` and `read_head`.
         """
-        assumed, manifest = cls.assumed(), Manifest.find(model)
+        assumed, manifest = cls.assumed(), Manifest.find(model).serving(head)
         file = find_head(head, manifest, heads)
         if file is None:
             return cls.of_model(model)

@@ -29,7 +29,9 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
         if head != AUTO_HEAD:
             known[head] = LabelErrors.of_head(site.model, head, site.heads)
-        elif files := list(heads_to_choose(Manifest.find(site.model), site.heads)[0]):
+            continue
+        network = Manifest.find(site.model)
+        if files := list(heads_to_choose(network.serving(head), site.heads)[0]):
             every = [LabelErrors.of_head(site.model, str(file.absolute())) for file in files]
-            known[head] = LabelErrors.mean([LabelErrors.of_model(site.model), *every])
+            known[head] = LabelErrors.mean([LabelErrors.of_model(network.heads_of or site.model), *every])
     return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}

@@ -108,6 +108,7 @@ class TrainingConfig(StrictModel):
     augment: AugmentConfig = AugmentConfig()
     offsets: dict[str, float] = Field(default_factory=dict)  # of the exported network's logits: see manifest.OutputSpec
     redness: dict[str, float] = Field(default_factory=dict)  # likewise
+    heads_of: str = ""  # of the exported manifests: see manifest.Manifest; depth: that name with `_depth`
     licence: str = "Apache-2.0"
 
     @model_validator(mode="after")

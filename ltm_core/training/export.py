@@ -144,6 +144,7 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         | ({"redness": config.redness} if config.redness else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
+        **({"heads_of": config.heads_of} if config.heads_of else {}),
     }
 
 
@@ -152,4 +153,5 @@ def _depth_manifest(file: Path, config: TrainingConfig) -> dict[str, Any]:
         "name": f"{config.name}_depth",
         **_common(file, config),
         "output": {"name": "inverse_depth", "kind": "relative_inverse", "layout": "NCHW"},
+        **({"heads_of": f"{config.heads_of}_depth"} if config.heads_of else {}),
     }

@@ -6,15 +6,18 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltm_core.strict_model import StrictModel
+from ltm_core.training.labelled_frames import LAND
 from ltm_core.training.teachers import TAG_LABELS
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
+
+_BOX_LABELS = {label.name.lower(): int(label) for label in Label} | {"land": LAND}
 
 
 class PhotoSets(StrictModel):
     """`photos`: file name without ending -> tag of its slopes (see `teachers`); photos not named are not used.
     `held_out`: set -> photos of it; the others are in `train`. `boxes`: photo -> areas whose class a person gives:
-    (class, left, top, right, bottom), in percent of the photo's sides."""
+    (class, left, top, right, bottom), in percent of the photo's sides; `land`: ground, not told what grows there."""
 
     size: tuple[int, int]  # width, height in pixels that photos are brought to
     train: str = "photos"
@@ -34,7 +37,7 @@ class PhotoSets(StrictModel):
         for name, boxes in self.boxes.items():
             for label, left, top, right, bottom in boxes:
                 inside = 0 <= left < right <= 100 and 0 <= top < bottom <= 100
-                if name not in self.photos or label.upper() not in Label.__members__ or not inside:
+                if name not in self.photos or label not in _BOX_LABELS or not inside:
                     raise ValueError(
                         f"boxes: {name}: {label} {left}, {top}, {right}, {bottom}: expected one of photos, a class and "
                         "left < right, top < bottom in percent"
@@ -47,7 +50,7 @@ class PhotoSets(StrictModel):
         labels = np.full((height, width), UNLABELLED, np.uint8)
         for label, left, top, right, bottom in self.boxes.get(name, ()):
             rows = slice(round(top * height / 100), round(bottom * height / 100))
-            labels[rows, round(left * width / 100) : round(right * width / 100)] = Label[label.upper()]
+            labels[rows, round(left * width / 100) : round(right * width / 100)] = _BOX_LABELS[label]
         return labels
 
     def set_of(self, name: str) -> str:

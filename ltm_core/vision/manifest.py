@@ -159,6 +159,8 @@ class Manifest(StrictModel):
     text: TextSpec | None = None
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
     maps: dict[str, int] = Field(default_factory=dict)
+    # The network, by name or path, that answers in this one's place where a camera has a head.
+    heads_of: str = ""
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
@@ -219,6 +221,13 @@ class Manifest(StrictModel):
             names = ", ".join([*shipped_names(), *added_names()]) or "none"
             raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
         return cls.load(path)
+
+    def serving(self, head: str) -> "Manifest":
+        """The network that answers where a camera has this head: itself, or the one whose heads it takes (`heads_of`).
+
+        Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
+        """
+        return Manifest.find(self.heads_of) if self.heads_of and head != SHIPPED_HEAD else self
 
     @property
     def folder(self) -> Path:

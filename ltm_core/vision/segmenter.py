@@ -30,7 +30,7 @@ from ltm_core.vision.withdrawal import withdraw
 if TYPE_CHECKING:
     from ltm_core.site import Site
 
-DEFAULT_MODEL = "landscape_lite0"
+DEFAULT_MODEL = "landscape_v2"
 
 
 @dataclass(frozen=True)
@@ -98,11 +98,11 @@ class Segmenter:
     ) -> "Segmenter":
         """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
 
-        Head `auto` is chosen by the picture.
+        With a head, the network is the one that `Manifest.serving` names. Head `auto` is chosen by the picture.
         `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_head`, `read_head`,
         and for `auto` of a network whose domains nobody measured.
         """
-        manifest = Manifest.find(path_or_name)
+        manifest = Manifest.find(path_or_name).serving(head)
         if head == AUTO_HEAD:
             return cls(manifest, threads, labels, choice=open_choice(manifest, heads))
         file = find_head(head, manifest, heads)

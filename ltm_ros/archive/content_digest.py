@@ -27,10 +27,9 @@ from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.fuel.burns_io import Burn
 from ltm_core.fuel.site_label_errors import camera_label_errors, site_label_errors
-from ltm_core.fusing_step import FusingConfig, label_columns
+from ltm_core.fusing_step import FusingConfig, depth_manifest, label_columns
 from ltm_core.resources import config_path
 from ltm_core.site import Site
-from ltm_core.vision.manifest import Manifest
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
@@ -122,12 +121,12 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
     return digest(_by_content(settings))
 
 
-def measured_digest(site: Site, votes: str, fusing: FusingConfig) -> str:
+def measured_digest(site: Site, camera: str, votes: str, fusing: FusingConfig) -> str:
     """Of what measures a camera's frames, besides the frames. `votes`: `votes_digest` of the camera, which has what
     they are traced to and labelled with. Raises LtmError for files that are not there."""
-    network = Manifest.find(fusing.model or site.depth_model)
+    network = depth_manifest(site, camera, fusing)
     constants = load_fusion_config(network).model_dump(mode="json")
-    labels = label_columns(fusing.label_model or site.model)
+    labels = label_columns(site, camera, fusing)
     return digest(votes, network.model_dump(mode="json"), constants, labels, fusing.angle_sigma_deg, fusing.dem_sigma)
 
 

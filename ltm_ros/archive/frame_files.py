@@ -235,6 +235,6 @@ def _steps(
     found = load_site(site)
     if votes_digest(found, camera, tracing, labelling) != key:
         raise other_files(site)
-    if fusing is not None and measured_digest(found, key, fusing) != fusing_key:
+    if fusing is not None and measured_digest(found, camera, key, fusing) != fusing_key:
         raise other_files(site)
     return FrameSteps(found, camera, tracing, labelling, fusing)

@@ -88,7 +88,7 @@ def plan(
         name: votes_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
     }
     of_measured = {
-        name: "" if settings.fusing is None else measured_digest(site, votes, settings.fusing)
+        name: "" if settings.fusing is None else measured_digest(site, name, votes, settings.fusing)
         for name, votes in of_votes.items()
     }
     of_evidence = evidence_digest(site)

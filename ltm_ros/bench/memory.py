@@ -103,7 +103,7 @@ def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
             "crs": CRS,
             "origin": list(CORNER),
             "dem": {"path": "dem.tif"},
-            "depth_model": "landscape_lite0_depth",
+            "depth_model": "landscape_v2_depth",
             "cameras": cameras,
             "nodes": {"fuel_map": {"folder": str(folder / "state")}},
         },

@@ -23,7 +23,7 @@ def segmentation(
     threads: Annotated[str, typer.Option(help="CPU threads of the network, with commas.")] = "1,2",
     depth_model: Annotated[
         str, typer.Option(help="Depth network that is timed beside it, by name or manifest.")
-    ] = "landscape_lite0_depth",
+    ] = "landscape_v2_depth",
     frames: Annotated[int, typer.Option(help="Photos that a node labels.", min=5)] = 40,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,

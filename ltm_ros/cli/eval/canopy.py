@@ -23,7 +23,7 @@ def canopy(
         list[Path] | None,
         typer.Option(help="Instead: a folder of `ltm simulate`, of which trees are taken for new; repeatable."),
     ] = None,
-    model: Annotated[str, typer.Option(help="With --frames: the network that labels.")] = "landscape_lite0",
+    model: Annotated[str, typer.Option(help="With --frames: the network that labels.")] = "landscape_v2",
     depth: Annotated[
         str, typer.Option(help="With --frames: where heights come from: none, true (with noise), or a depth network.")
     ] = "none",

@@ -19,8 +19,8 @@ def gallery(
         "out/gallery"
     ),
     part: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
-    model: Annotated[str, typer.Option(help="Label network, by name or manifest.")] = "landscape_lite0",
-    depth_model: Annotated[str, typer.Option(help="Depth network, by name or manifest.")] = "landscape_lite0_depth",
+    model: Annotated[str, typer.Option(help="Label network, by name or manifest.")] = "landscape_v2",
+    depth_model: Annotated[str, typer.Option(help="Depth network, by name or manifest.")] = "landscape_v2_depth",
     json_path: JsonFile = None,
 ) -> None:
     """A page of real photos, chosen by rule: traced and fused depth, labels, terrain change, and what is wrong.

@@ -15,7 +15,7 @@ def heads(
     heads_folder: Annotated[
         Path | None, typer.Option("--heads", help="A folder of heads that is looked in first, as a site's.")
     ] = None,
-    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = "landscape_lite0",
+    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = "landscape_v2",
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
     overlays: Annotated[
@@ -34,12 +34,12 @@ def heads(
     from ltm_core.evenly import evenly
     from ltm_core.picture_io import read_rgb
     from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
-    from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest
+    from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
     from ltm_ros.recordings.camera_pictures import pictures_in
 
-    console, manifest = Console(), Manifest.find(model)
+    console, manifest = Console(), Manifest.find(model).serving(AUTO_HEAD)
     choice = open_choice(manifest, heads_folder)
     for path, reason in heads_to_choose(manifest, heads_folder)[1].items():
         console.print(f"passed over: {path}: {reason}", highlight=False)

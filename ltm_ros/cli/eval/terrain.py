@@ -75,7 +75,7 @@ def terrain(
         terrain_tables.real_site(canyon, network or [], pictures, json_path)
         return
     if frames is not None and alike:
-        terrain_tables.repeated_errors(frames, network or ["landscape_lite0_depth"])
+        terrain_tables.repeated_errors(frames, network or ["landscape_v2_depth"])
         return
     if frames is not None:
         terrain_tables.simulated_frames(frames, date, share, looks or 1, watched, network or [], pictures, json_path)

@@ -14,7 +14,7 @@ def fusion(
     frames: Annotated[
         list[Path], typer.Argument(help="Folders of `ltm simulate`; DIR:RASTER: with a raster of what stands or stood.")
     ],
-    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "landscape_lite0_depth",
+    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "landscape_v2_depth",
     segmentation: Annotated[str, typer.Option(help="Network of the labels; default: the shipped one.")] = "",
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: beside the network's manifest.", callback=writable_file)

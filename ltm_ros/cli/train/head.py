@@ -18,7 +18,7 @@ def head(
         ),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="Name of the head, or the path of its file (.yaml).")],
-    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = "landscape_lite0",
+    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = "landscape_v2",
     also: Annotated[
         list[Path] | None,
         typer.Option(help="Labelled frames of other places: what the head forgets there; again for more."),
@@ -82,13 +82,13 @@ def head(
     from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.head_choice import LIKELIER
     from ltm_core.vision.label_head_io import heads_folder, read_head, write_head
-    from ltm_core.vision.manifest import Withdrawal
+    from ltm_core.vision.manifest import Manifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
 
     console, start = Console(), time.perf_counter()
-    segmenter = Segmenter.open(model, threads)
+    segmenter = Segmenter(Manifest.find(model).serving(out), threads)
     manifest, names = segmenter.manifest, segmenter.labels.names
     path = Path(out) if out.endswith((".yaml", ".yml")) else heads_folder(manifest) / f"{out}.yaml"
     left_out = [segmenter.labels.id_of(n.strip()) for n in ignore.split(",") if n.strip()]

@@ -323,12 +323,16 @@ def test_what_a_person_says_of_boxes_is_kept_apart_by_sets() -> None:
 
     photos = {"one": "BT", "two": "--"}
     sets = PhotoSets(
-        size=(60, 40), photos=photos, held_out={"kept": ("two",)}, boxes={"two": (("shrub", 50, 25, 100, 75),)}
+        size=(60, 40),
+        photos=photos,
+        held_out={"kept": ("two",)},
+        boxes={"two": (("shrub", 50, 25, 100, 75), ("land", 0, 80, 10, 100))},
     )
     assert [sets.set_of(name) for name in photos] == ["photos", "kept"]
     labels = sets.by_hand("two")
     assert np.all(labels[10:30, 30:] == Label.SHRUB)
-    assert np.count_nonzero(labels != UNLABELLED) == 20 * 30
+    assert np.all(labels[32:, :6] == LAND)
+    assert np.count_nonzero(labels != UNLABELLED) == 20 * 30 + 8 * 6
     assert np.all(sets.by_hand("one") == UNLABELLED)
     with pytest.raises(ValueError, match=r"boxes: one: bush"):
         PhotoSets(size=(60, 40), photos=photos, boxes={"one": (("bush", 0, 0, 10, 10),)})

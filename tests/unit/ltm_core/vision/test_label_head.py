@@ -16,6 +16,8 @@ from scenes.networks import COLORS, changed, write_classifier, write_swapping_he
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fusing_step import FusingConfig, depth_manifest
+from ltm_core.site import Site
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import load_calibration
 from ltm_core.vision.label_head import LabelHead
@@ -193,10 +195,38 @@ def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> 
 
 
 def test_the_shipped_network_was_scored_on_photographs() -> None:
-    calibration = load_calibration(Manifest.find("landscape_lite0"))
+    calibration = load_calibration(Manifest.find("landscape_v2"))
     assert calibration is not None
-    assert calibration.photographs == 15
+    assert calibration.photographs == 32
     assert "never" not in Segmenter.open().described
+
+
+def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> None:
+    photo = np.random.default_rng(3).integers(0, 255, (72, 128, 3), np.uint8)
+    by_default, of_it = (Segmenter.open(name, head="near") for name in ("landscape_v2", "landscape_lite0"))
+    assert by_default.described == of_it.described
+    np.testing.assert_array_equal(by_default.segment(photo).labels, of_it.segment(photo).labels)
+    assert Segmenter.open("landscape_v2").model_path != by_default.model_path
+    errors = [LabelErrors.of_head(name, "near") for name in ("landscape_v2", "landscape_lite0")]
+    np.testing.assert_array_equal(errors[0].shares, errors[1].shares)
+
+
+def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
+    cameras = {"north": {}, "east": {"head": "near"}}
+    site = Site.model_validate(
+        {
+            "name": "s",
+            "crs": "EPSG:32611",
+            "origin": [346000, 3783000],
+            "dem": {"path": "dem.tif"},
+            "depth_model": "landscape_v2_depth",
+            "cameras": cameras,
+        }
+    )
+    for camera, network in (("north", "landscape_v2"), ("east", "landscape_lite0")):
+        depth = depth_manifest(site, camera, FusingConfig())
+        assert depth.name == f"{network}_depth"
+        assert depth.model_file() == Segmenter.of(site, camera).model_path
 
 
 def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:

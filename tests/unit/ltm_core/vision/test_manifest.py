@@ -63,6 +63,21 @@ def test_an_unknown_name_lists_the_models_that_ship() -> None:
         Manifest.find("spline")
 
 
+def test_a_network_that_takes_heads_of_another_leaves_cameras_with_a_head_to_it() -> None:
+    for suffix in ("", "_depth"):
+        network, taught = Manifest.find(f"landscape_v2{suffix}"), Manifest.find(f"landscape_lite0{suffix}")
+        assert network.serving("landscape") is network
+        assert network.serving("near").sha256 == network.serving("auto").sha256 == taught.sha256 != network.sha256
+        assert taught.serving("near") is taught
+
+
+def test_an_absent_network_of_heads_is_told(manifest_path: Path) -> None:
+    network = Manifest.load(changed(manifest_path, heads_of="elsewhere"))
+    assert network.serving("landscape") is network
+    with pytest.raises(ModelError, match=r"no model is called 'elsewhere'"):
+        network.serving("near")
+
+
 def test_every_shipped_manifest_loads_and_has_its_card() -> None:
     for name in shipped_names():
         manifest = Manifest.find(name)
