@@ -198,6 +198,9 @@ def _networks(site: Site) -> Iterator[Finding]:
             yield Finding.of("networks", key, error)
         else:
             yield Finding("networks", key, Verdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
+            if key == "model" and model.manifest.heads_of and site.depth_model == f"{model.manifest.heads_of}_depth":
+                told = f"{site.depth_model} shares an encoder with the labels of heads alone: {name}_depth costs less"
+                yield Finding("networks", "depth_model", Verdict.DOUBTFUL, told)
     yield from _heads(site)
 
 

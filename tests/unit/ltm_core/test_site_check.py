@@ -51,6 +51,14 @@ def test_a_site_as_it_should_be(tmp_path: Path) -> None:
     assert ("north", "calibration and pose come as topics") in said(check, Verdict.OK)
 
 
+def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> None:
+    assert not said(checked(tmp_path, 890.0, depth_model="landscape_v2_depth"), Verdict.DOUBTFUL)
+    ((name, message),) = said(checked(tmp_path, 890.0, depth_model="landscape_lite0_depth"), Verdict.DOUBTFUL)
+    assert (name, message.partition(": ")[2]) == ("depth_model", "landscape_v2_depth costs less")
+    both = {"model": "landscape_lite0", "depth_model": "landscape_lite0_depth"}
+    assert not said(checked(tmp_path, 890.0, **both), Verdict.DOUBTFUL)
+
+
 def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890 / 0.3048), Verdict.WRONG)
     assert name == "dem"
