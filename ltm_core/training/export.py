@@ -72,6 +72,8 @@ def export_adapted(
     content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
     content["output"]["temperature"] = base.output.temperature
     content["source"] = source
+    if base.heads_of:  # of the labels alone: depth that a site has taught serves cameras with a head as well
+        content["heads_of"] = base.heads_of
     _write(manifest, content)
     calibration = base.folder / f"{base.name}{CALIBRATION_SUFFIX}"
     if calibration.is_file():

@@ -51,9 +51,12 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     labels = LabelSet.load()
     torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
     # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
-    tiny = TINY.model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
+    form = NetworkConfig(width=32, pretrained=False, fixed=0)
+    tiny = TINY.model_copy(update={"network": form, "heads_of": "taught"})
     start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
     base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
+    assert base.heads_of == "taught"
+    assert Manifest.load(tmp_path / "base" / f"{tiny.name}_depth.yaml").heads_of == "taught_depth"
     network = load_exported(base)
     metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
     views = [drawn_frame(seed) for seed in range(4)]
@@ -65,6 +68,8 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     taught = adapted(network, posed, config, lambda step, loss: None)
     assert depth_error(taught, posed, config) < 0.7 * before
     written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
+    assert Manifest.load(written).heads_of == "taught"
+    assert not Manifest.load(tmp_path / "adapted" / "tiny_north_depth.yaml").heads_of
     photo, truth = drawn_frame(40)
     first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
     np.testing.assert_array_equal(first.labels, second.labels)
