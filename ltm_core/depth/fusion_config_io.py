@@ -34,4 +34,6 @@ def write_fusion_config(path: Path, config: FusionConfig, source: str) -> None:
         for name, value, origin, meaning in constants:
             text = f"{'  ' * len(parts)}{name.rpartition('.')[2]}: {json.dumps(value)}"
             lines.append(f"{text:<28} # {origin}; {meaning}")
+    if path.is_symlink():  # to another network's: that one keeps its own
+        path.unlink()
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -43,6 +43,16 @@ def test_an_unknown_constant_in_the_file_is_named(tmp_path: Path) -> None:
         load_yaml(tmp_path / "net_fusion.yaml", FusionConfig)
 
 
+def test_constants_of_one_network_are_not_written_through_a_link_to_anothers(tmp_path: Path) -> None:
+    own, other = tmp_path / "net_fusion.yaml", tmp_path / "longer_fusion.yaml"
+    write_fusion_config(own, FusionConfig(), "a test")
+    other.symlink_to(own.name)
+    write_fusion_config(other, FusionConfig(), "another test")
+    assert not other.is_symlink()
+    assert "another" not in own.read_text()
+    assert "another test" in other.read_text()
+
+
 def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:
     manifest = Manifest.find("landscape_lite0_depth")
     assert fusion_path(manifest).is_file()
