@@ -63,7 +63,7 @@ def living(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pyte
 
 @pytest.fixture
 def survives(living: Living) -> Callable[..., None]:
-    """Call it with what must have been counted, `{node: {counter: increase}}`, after sending, and what may be instead.
+    """Call it, after sending, with what must have been counted, `{node: {counter: increase}}`, or if busy `instead`.
 
     A good frame comes through, nothing else has been counted, and every node is still the same process.
     """
@@ -82,7 +82,9 @@ def survives(living: Living) -> Callable[..., None]:
             if grown == expected or time.monotonic() > deadline:
                 break
         living.counted = now
-        assert grown in (expected, instead)
+        # `capture` has awaited some node in vain before, so it may have let this frame in without it.
+        busy = now["tower/capture"]["noted.unfinished"] > 0
+        assert grown == expected or (busy and grown == instead)
         assert living.pids() == pids
         assert all(process.starts == 1 for process in living.runner.processes.values())
 
