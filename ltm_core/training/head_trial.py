@@ -15,7 +15,7 @@ from ltm_core.training.domain_fit import fit_head_domain, held_out_odds, picture
 from ltm_core.training.head_fit import FittedHead, HeadFitConfig, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.labelled_frames import Frame
-from ltm_core.training.temperature_scaling import balanced, fit_exponent, fit_temperature
+from ltm_core.training.temperature_scaling import balanced, fit_exponent
 from ltm_core.types import BoolArray, Float64Array
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import Calibration
@@ -30,7 +30,6 @@ from ltm_core.vision.segmenter import Segmentation, Segmenter
 AGREEMENT: Final = Agreement(reach=0.006)
 """Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
 _SEED = 0
-_DRAWN = 20_000  # pixels that the temperature is fitted on
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +66,8 @@ def teach_head(
 ) -> HeadTrial:
     """Teach a head to labelled photos.
 
-    Each site's photos are labelled by a head that the other sites taught; from these answers come scores, temperature,
-    agreement and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
+    Each site's photos are labelled by a head that the other sites taught; from these answers come scores, agreement
+    and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
     held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
     `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
     photos are of one view, which the head is for alone: areas are held out in their stead, and it is never chosen by
@@ -100,12 +99,13 @@ def teach_head(
     if not counted:
         where = "areas" if one_view else "photos of two sites"
         raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
-    held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps, fit) for g in dict.fromkeys(groups)}
-    temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
     rules = withdrawal or Withdrawal()
-    heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
-    judged = _judged_by_others(segmenter, samples, frames, heads, held_out, rng)
-    alike = _agreement([_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)])
+
+    def taught(by: Sequence[PhotoSamples]) -> LabelHead:
+        return as_head(name, fit_head(by, manifest.maps, fit, one_view), manifest.maps, rules)
+
+    heads = {g: taught([s for s in samples if s.site != g]) for g in dict.fromkeys(groups)}
+    judged, alike = _judged_by_others(segmenter, frames, groups, heads)
     with_heads = [_with_head(segmenter, judged[g]) for g in groups]
     before = score_each([segmenter] * len(frames), frames, macro=counted)
     after = score_each(with_heads, frames, macro=counted, look=look)
@@ -119,7 +119,7 @@ def teach_head(
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
     domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
-    final = as_head(name, fit_head(samples, manifest.maps, fit), manifest.maps, temperature, rules)
+    final = taught(samples)
     file = HeadFile(
         name=name,
         network=manifest.name,
@@ -127,7 +127,7 @@ def teach_head(
         made=made,
         licence=licence,
         classes=names,
-        temperature=round(temperature, 4),
+        temperature=final.temperature,
         withdraw=rules,
         agreement=alike,
         bias=tuple(map(float, final.bias)),
@@ -155,42 +155,17 @@ def _domain(
     return fit_head_domain(there, [sites[k] for k in known], space.checksum), odds
 
 
-def _temperature(samples: Sequence[PhotoSamples], scores: Sequence[Float64Array], rng: np.random.Generator) -> float:
-    """Of scores by heads that did not learn from these photos; land alone counts, by its area: sky is easy."""
-    labels = np.concatenate([s.labels for s in samples])
-    area = np.concatenate([(s.shares / np.maximum(np.bincount(s.labels, minlength=len(s.shares)), 1))[s.labels]
-                           for s in samples])  # fmt: skip
-    area[labels == Label.SKY] = 0.0
-    if area.sum() == 0:
-        return 1.0
-    drawn = rng.choice(len(labels), _DRAWN, p=area / area.sum())
-    return fit_temperature(np.concatenate(scores)[drawn].astype(np.float32), labels[drawn])
-
-
 def _judged_by_others(
-    segmenter: Segmenter,
-    samples: Sequence[PhotoSamples],
-    frames: Sequence[Frame],
-    heads: Mapping[str, LabelHead],
-    held_out: Mapping[str, FittedHead],
-    rng: np.random.Generator,
-) -> dict[str, LabelHead]:
-    """The heads of the groups held out as they are scored: with the temperature and the agreement that the photos of
-    the other groups gave, so that no photo had a part in how sure the head is that labels it."""
-    scores = [held_out[s.site].scores(s) for s in samples]
-    warm = {}
-    for group, head in heads.items():
-        others = [k for k, s in enumerate(samples) if s.site != group]
-        warm[group] = replace(
-            head, temperature=_temperature([samples[k] for k in others], [scores[k] for k in others], rng)
-        )
-    surety = [_surety(segmenter, warm[s.site], frame) for s, frame in zip(samples, frames, strict=True)]
-    return {
-        group: replace(
-            head, agreement=_agreement([pair for s, pair in zip(samples, surety, strict=True) if s.site != group])
-        )
-        for group, head in warm.items()
+    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
+) -> tuple[dict[str, LabelHead], Agreement]:
+    """The heads of the groups held out as they are scored, with the agreement that the photos of the other groups gave,
+    so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
+    surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
+    judged = {
+        group: replace(head, agreement=_agreement([s for g, s in zip(groups, surety, strict=True) if g != group]))
+        for group, head in heads.items()
     }
+    return judged, _agreement(surety)
 
 
 def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float64Array, BoolArray]:
@@ -202,10 +177,7 @@ def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float6
 
 def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> Agreement:
     """With the exponent that makes it the share of right labels."""
-    sure, right = (np.concatenate(values) for values in zip(*surety, strict=True))
-    if len(sure) == 0:
-        return AGREEMENT
-    return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(sure, right), 3)})
+    return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(surety), 3)})
 
 
 def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
@@ -217,15 +189,14 @@ def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
     return tuple(sorted(k for k, names in groups.items() if len(names) > 1))
 
 
-def as_head(
-    name: str, fitted: FittedHead, channels: Mapping[str, int], temperature: float, withdrawal: Withdrawal
-) -> LabelHead:
-    """A fitted head as it runs, before it has a file."""
+def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
+    """A fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the exponent
+    of agreement, says how sure a label is; a second one follows their chances."""
     weights, start = {}, 0
     for key, count in channels.items():
         weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)
         start += count
-    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), temperature, withdrawal)
+    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), 1.0, withdrawal)
 
 
 def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:

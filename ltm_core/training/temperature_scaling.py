@@ -36,15 +36,18 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
-def fit_exponent(sure: Float64Array, right: BoolArray) -> float:
-    """The exponent that makes `sure` (N,), 0 to 1, explain best which labels are `right` (N,); 1 where N is 0."""
-    if not len(sure):
+def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
+    """The exponent that makes how sure labels are (N,), 0 to 1, explain best which are right (N,), in photos that
+    count alike, whatever their number of pixels; 1 where no photo has any."""
+    known = [(np.log(np.clip(sure, 1e-3, 1 - 1e-3)), right) for sure, right in photos if len(sure)]
+    if not known:
         return 1.0
-    logs = np.log(np.clip(sure, 1e-3, 1 - 1e-3))
 
     def cost(log_exponent: float) -> float:
-        scaled = np.exp(log_exponent) * logs
-        return float(-np.where(right, scaled, np.log(-np.expm1(scaled))).mean())
+        exponent = np.exp(log_exponent)
+        return float(
+            -sum(np.where(right, exponent * logs, np.log(-np.expm1(exponent * logs))).mean() for logs, right in known)
+        )
 
     bounds = (float(np.log(_RANGE[0])), float(np.log(_EXPONENTS)))
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))

@@ -61,7 +61,7 @@ def head(
 ) -> None:
     """Teach a head to PHOTOS, judge it by sites that did not teach it, and install it where it is better.
 
-    Its temperature and its label errors are measured on the photos held out, and written with it. Without --out as a
+    How sure its labels are and how they err is measured on the photos held out, and written with it. Without --out as a
     path it is kept among the user's own models, where a camera's `head: NAME` finds it.
     """
     import platform

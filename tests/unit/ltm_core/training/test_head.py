@@ -56,6 +56,26 @@ def test_a_weaker_ridge_lets_coarse_maps_say_more_and_rarity_says_what_a_rare_cl
     assert called[0] < called[1] < called[2]
 
 
+def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
+    rng = np.random.default_rng(7)
+    labels = np.repeat(np.array([0, 1], np.uint8), (90, 60))
+    shares = np.array([0.6, 0.4])
+
+    def photo(told_by: int) -> PhotoSamples:
+        features = rng.normal(0.0, 0.5, (150, 2))
+        features[:, told_by] += np.where(labels == 0, 1.0, -1.0)
+        return PhotoSamples("a", labels, np.zeros((150, 2)), features, shares)
+
+    usual, odd, channels = photo(0), photo(1), {"last": 1, "s2": 1}
+    both = PhotoSamples(
+        "a", np.tile(labels, 2), np.zeros((300, 2)), np.concatenate([usual.features, odd.features]), shares
+    )
+    without, with_odd = fit_head([usual], channels), fit_head([both], channels)
+    found = fit_head([usual, usual, odd], channels)
+    np.testing.assert_allclose(found.weights, (without.weights + 2 * with_odd.weights) / 3, atol=1e-3)
+    assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
+
+
 def test_scores_that_are_right_already_are_hardly_corrected() -> None:
     rng = np.random.default_rng(2)
     labels = rng.integers(0, 2, 300).astype(np.uint8)

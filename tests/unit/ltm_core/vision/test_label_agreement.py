@@ -34,5 +34,10 @@ def test_the_exponent_makes_it_the_share_of_right_labels() -> None:
     rng = np.random.default_rng(4)
     sure = rng.uniform(0.05, 0.99, 20_000)
     right = rng.uniform(size=len(sure)) < sure**0.6
-    assert fit_exponent(sure, right) == pytest.approx(0.6, abs=0.03)
-    assert fit_exponent(np.zeros(0), np.zeros(0, np.bool_)) == 1.0
+    nothing = np.zeros(0), np.zeros(0, np.bool_)
+    assert fit_exponent([(sure, right), nothing]) == pytest.approx(0.6, abs=0.03)
+    assert fit_exponent([nothing]) == 1.0
+    few = sure[:2000], rng.uniform(size=2000) < sure[:2000] ** 1.8
+    middle = fit_exponent([(sure, right), few])
+    assert middle == pytest.approx(fit_exponent([(sure[:2000], right[:2000]), few]), abs=0.1)  # photos count alike
+    assert 0.9 < middle < 1.3
