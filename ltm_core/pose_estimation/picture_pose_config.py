@@ -2,35 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
+from ltm_core.pose_estimation.crest_cover import BARE_EARTH, CrestCover
 from ltm_core.strict_model import StrictModel
-from ltm_core.types import Float64Array
-from ltm_core.vision.labels import Label
-
-
-class CrestCover(StrictModel):
-    """Metres by which a crest of each class stands over the DEM's bare earth, and their standard deviation."""
-
-    tree: tuple[float, float] = (5.0, 3.5)
-    shrub: tuple[float, float] = (1.2, 0.8)
-    grass: tuple[float, float] = (0.3, 0.3)
-    bare: tuple[float, float] = (0.1, 0.3)
-    other: tuple[float, float] = (1.0, 2.0)
-
-    def table(self) -> Float64Array:
-        """(256, 2) metres by label: how high, and its sigma."""
-        table = np.tile(np.array(self.other), (256, 1))
-        for label, values in ((Label.TREE, self.tree), (Label.SHRUB, self.shrub), (Label.GRASS, self.grass)):
-            table[label] = values
-        table[[Label.BARE, Label.WATER]] = self.bare
-        return table
-
-
-BARE_EARTH = CrestCover()
-CANOPY_SURFACE = CrestCover(tree=(0.0, 1.0), shrub=(0.0, 0.5), grass=(0.1, 0.3), bare=(0.1, 0.3), other=(0.0, 1.0))
-"""For a DEM that holds the tops of the canopy already."""
 
 
 class SkylineConfig(StrictModel):

@@ -104,25 +104,26 @@ def skyline_observations(
     ranges, cells = r[near], horizon.cell[seen][near]
     v = pixels[left, 1] + part * (pixels[right, 1] - pixels[left, 1])
     down = slopes[left] + part[:, None, None] * (slopes[right] - slopes[left])
-    cover = noise.cover.table()[skyline.cover]
+    height, cover_sigma = noise.cover.at(skyline.cover, ranges)
     metre = camera.fy / ranges
     lift, uneven = noise.cell_lift * cells, noise.cell_share * cells
-    v = v - (cover[:, 0] + lift) * metre
+    v = v - (height + lift) * metre
     # Negative: terrain where the photo has sky. Positive: open land may stand there instead.
     error = v - skyline.v
-    above = np.maximum(0.0, (horizon.bound[seen][near] - t[near]) * camera.fy - (cover[:, 0] + lift) * metre)
+    above = np.maximum(0.0, (horizon.bound[seen][near] - t[near]) * camera.fy - (height + lift) * metre)
     error = np.where(error < 0, error, np.maximum(0.0, error - above))
     free = (error == 0.0) & (above > 0)
     sigma = np.sqrt(
         skyline.sigma_px**2 * (1 + np.minimum(steep, 3.0) ** 2)
-        + (noise.dem_sigma**2 + cover[:, 1] ** 2 + uneven**2) * metre**2
+        + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
     # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
     front = horizon.front_range[seen][near]
     over = camera.fy / np.where(front > 0, front, 1.0)
-    fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (cover[:, 0] + lift) * metre
-    behind = v + fallen - cover[:, 0] * over - skyline.v
-    spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, cover[:, 1]) * over)
+    fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (height + lift) * metre
+    before, before_sigma = noise.cover.at(skyline.cover, front)
+    behind = v + fallen - before * over - skyline.v
+    spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
     error, sigma, metre = (
         np.where(hidden, behind, error),
@@ -166,12 +167,13 @@ def ridge_observations(
     normal = np.column_stack([-line[:, 1], line[:, 0]]) / np.maximum(length, 1e-9)[:, None]
     unit = camera.width / 640.0
     below = np.clip(np.rint(pixels[:, 1] + 2 * unit), 0, camera.height - 1).astype(np.intp)
-    cover = config.skyline.cover.table()[evidence.labels[below, np.rint(pixels[:, 0]).astype(np.intp)]]
+    labels = evidence.labels[below, np.rint(pixels[:, 0]).astype(np.intp)]
+    height, cover_sigma = config.skyline.cover.at(labels, ranges)
     metre = camera.fy / ranges
-    pixels = pixels - np.column_stack([np.zeros(len(kept)), (cover[:, 0] + lift) * metre])
+    pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
     sigma = np.sqrt(
-        (noise.sigma_px * unit) ** 2 + (config.skyline.dem_sigma**2 + cover[:, 1] ** 2 + uneven**2) * metre**2
+        (noise.sigma_px * unit) ** 2 + (config.skyline.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
     correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)

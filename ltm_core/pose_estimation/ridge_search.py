@@ -11,8 +11,9 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, ridge_strength
+from ltm_core.pose_estimation.crest_cover import CoverHeights, everywhere
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
-from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.pose_refinement import RefinedPose, refine
@@ -21,7 +22,7 @@ from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float64Array
 
 _KEPT = 18
-_ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
+_ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
 """Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
 _ALONG = 8.0
 """Metres and pixels within which a ridge's errors are one and the same: of rock."""

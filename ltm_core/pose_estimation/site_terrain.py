@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.crest_cover import CANOPY_SURFACE
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.pose_from_picture import Terrain
 from ltm_core.site import Site
 

@@ -17,6 +17,7 @@ from numba import njit
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
+from ltm_core.pose_estimation.crest_cover import farness
 from ltm_core.pose_estimation.image_skyline import ImageSkyline
 from ltm_core.pose_estimation.picture_pose_config import SkylineConfig
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
@@ -59,14 +60,23 @@ def search_azimuths(
     small = 0.05
     by_pitch = (_level(rays, pitch_deg + small, roll_deg)[1] - tangent) / np.radians(small)
     by_roll = (_level(rays, pitch_deg, roll_deg + small)[1] - tangent) / np.radians(small)
-    cover = config.cover.table()[skyline.cover]
+    cover = config.cover.of(skyline.cover)
     columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
     out = np.empty((len(azimuths), 3))
     _search(
         columns,
         np.column_stack(
-            [horizon.tangent, horizon.range, horizon.cell, horizon.bound, horizon.front_tangent, horizon.front_range]
+            [
+                horizon.tangent,
+                horizon.range,
+                horizon.cell,
+                horizon.bound,
+                horizon.front_tangent,
+                horizon.front_range,
+                farness(horizon.range),
+                farness(horizon.front_range),
+            ]
         ),
         horizon.start,
         horizon.step,
@@ -136,17 +146,21 @@ def _search(
             t = (1 - part) * horizon[i, 0] + part * horizon[i1, 0]
             slope = (horizon[i1, 0] - horizon[i, 0]) / step
             cell = cell_share * horizon[i, 2]
-            rise = columns[k, 5] + cell_lift * horizon[i, 2]
+            far = horizon[i, 6] if horizon[i, 1] <= horizon[i1, 1] else horizon[i1, 6]
+            rise = (1 - far) * columns[k, 5] + far * columns[k, 7] + cell_lift * horizon[i, 2]
             error[k] = columns[k, 1] - t - rise / r
-            s = dem_sigma**2 + columns[k, 6] ** 2 + cell * cell + position_sigma**2
+            cover = (1 - far) * columns[k, 6] + far * columns[k, 8]
+            s = dem_sigma**2 + cover * cover + cell * cell + position_sigma**2
             sigma[k] = np.sqrt(columns[k, 4] ** 2 + (slope * half_step) ** 2 + s / (r * r))
             gap[k] = max(0.0, max(horizon[i, 3], horizon[i1, 3]) - t - rise / r)
             weight[k] = min(share, spacing * r / correlation)
             front_sigma[k] = 0.0
             r = horizon[i, 5]
             if r > 0.0:
-                front[k] = columns[k, 1] - horizon[i, 4] - columns[k, 5] / r
-                s = dem_sigma**2 + columns[k, 6] ** 2 + position_sigma**2
+                far = horizon[i, 7]
+                front[k] = columns[k, 1] - horizon[i, 4] - ((1 - far) * columns[k, 5] + far * columns[k, 7]) / r
+                cover = (1 - far) * columns[k, 6] + far * columns[k, 8]
+                s = dem_sigma**2 + cover * cover + position_sigma**2
                 front_sigma[k] = np.sqrt(columns[k, 4] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
         out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0

@@ -117,7 +117,8 @@ def _rendered(
     from ltm_core.evaluation.truth_frames_io import read_truth_frames
     from ltm_core.pictures import to_png
     from ltm_core.pictures.pose_fit import pose_fit_picture
-    from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+    from ltm_core.pose_estimation.crest_cover import CANOPY_SURFACE
+    from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
     from ltm_core.tracing import TerrainTracer
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
