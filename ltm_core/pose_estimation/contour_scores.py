@@ -18,7 +18,7 @@ _MOST_POINTS = 4000
 _ONE_EDGE = 8.0
 """Pixels of the edges' picture along a ridge within which an edge goes on."""
 _SPREAD = 0.7
-"""Standard deviation of a pixel's response."""
+"""Standard deviation of a pixel's response, and so of the scores that chance gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,13 @@ def contour_scores(
     """Scores (P,) of rotations (P, 3, 3), optical to map, of an undistorted camera of the photo's size: the sum of
     responses over what they are in the mean of the picture, by the root of their number."""
     return scores_and_counts(rotations, directions, camera, edges)[0]
+
+
+def usual_score(scores: Float64Array) -> tuple[float, float]:
+    """Median and robust standard deviation of the scores (P,) of many poses. Where most have no ridge in view they
+    score alike, and yet chance spreads those of the others."""
+    middle = float(np.median(scores))
+    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
 
 
 def ridge_strength(

@@ -89,7 +89,7 @@ class VerdictConfig(StrictModel):
     """By which its cost must be higher,"""
     veil_factor: float = Field(10.0, ge=0)
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
-    most_sigma_deg: float = Field(0.6, gt=0)
+    most_sigma_deg: float = Field(0.65, gt=0)
     """Of azimuth, pitch and roll,"""
     close_azimuth_sigma_deg: float = Field(0.4, gt=0)
     """and of an azimuth by ridges alone, or where nearly all that is seen are plants: their tops are the horizon."""

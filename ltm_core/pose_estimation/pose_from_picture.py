@@ -16,7 +16,7 @@ import numpy as np
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
-from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores
+from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, usual_score
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
@@ -136,7 +136,7 @@ def _search_skyline(
         scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))
     everything = np.concatenate([scores for *_, scores in candidates])
-    usual, spread = _usual(everything)
+    usual, spread = usual_score(everything)
     ranked: list[tuple[float, Float64Array, Camera]] = []
     for camera, angles, cost, scores in candidates:
         total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
@@ -196,11 +196,6 @@ def _best_over_pitch(
         up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
         best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges))
     return best
-
-
-def _usual(scores: Float64Array) -> tuple[float, float]:
-    middle = float(np.median(scores))
-    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), 1e-3)
 
 
 def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
