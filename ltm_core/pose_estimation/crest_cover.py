@@ -5,6 +5,8 @@ Labels of far crests are the more often wrong, so that heights by them draw toge
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ltm_core.strict_model import StrictModel
@@ -41,13 +43,19 @@ class CrestCover(StrictModel):
 
     def of(self, labels: UInt8Array) -> Float64Array:
         """(N, 4) of labels (N,): near height and sigma, far height and sigma."""
-        return np.column_stack([self.near.table()[labels], self.far.table()[labels]])
+        return np.asarray(_table(self)[labels], np.float64)
 
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         both, far = self.of(labels), farness(ranges)
         height, sigma = ((1 - far) * both[:, k] + far * both[:, k + 2] for k in (0, 1))
         return height, sigma
+
+
+@lru_cache(maxsize=8)
+def _table(cover: CrestCover) -> Float64Array:
+    """(256, 4) by label: a search asks for it hundreds of times."""
+    return np.column_stack([cover.near.table(), cover.far.table()])
 
 
 def farness(ranges: Float64Array) -> Float64Array:

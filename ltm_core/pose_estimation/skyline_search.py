@@ -109,6 +109,12 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
     return np.arctan2(x, y), z / np.hypot(x, y)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _cover(column: Float64Array, far: float) -> tuple[float, float]:
+    """Height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
+    return (1 - far) * column[5] + far * column[7], (1 - far) * column[6] + far * column[8]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _search(
     columns: Float64Array,
@@ -147,20 +153,19 @@ def _search(
             slope = (horizon[i1, 0] - horizon[i, 0]) / step
             cell = cell_share * horizon[i, 2]
             far = horizon[i, 6] if horizon[i, 1] <= horizon[i1, 1] else horizon[i1, 6]
-            rise = (1 - far) * columns[k, 5] + far * columns[k, 7] + cell_lift * horizon[i, 2]
+            height, cover_sigma = _cover(columns[k], far)
+            rise = height + cell_lift * horizon[i, 2]
             error[k] = columns[k, 1] - t - rise / r
-            cover = (1 - far) * columns[k, 6] + far * columns[k, 8]
-            s = dem_sigma**2 + cover * cover + cell * cell + position_sigma**2
+            s = dem_sigma**2 + cover_sigma**2 + cell * cell + position_sigma**2
             sigma[k] = np.sqrt(columns[k, 4] ** 2 + (slope * half_step) ** 2 + s / (r * r))
             gap[k] = max(0.0, max(horizon[i, 3], horizon[i1, 3]) - t - rise / r)
             weight[k] = min(share, spacing * r / correlation)
             front_sigma[k] = 0.0
             r = horizon[i, 5]
             if r > 0.0:
-                far = horizon[i, 7]
-                front[k] = columns[k, 1] - horizon[i, 4] - ((1 - far) * columns[k, 5] + far * columns[k, 7]) / r
-                cover = (1 - far) * columns[k, 6] + far * columns[k, 8]
-                s = dem_sigma**2 + cover * cover + position_sigma**2
+                height, cover_sigma = _cover(columns[k], horizon[i, 7])
+                front[k] = columns[k, 1] - horizon[i, 4] - height / r
+                s = dem_sigma**2 + cover_sigma**2 + position_sigma**2
                 front_sigma[k] = np.sqrt(columns[k, 4] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
         out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0

@@ -61,9 +61,13 @@ def fit_head(
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample.
     """
-    parts = 1 if one_view else min(_PARTS, len(samples))
-    taught = [[s for k, s in enumerate(samples) if parts == 1 or k % parts != part] for part in range(max(parts, 1))]
-    heads = [_best_head(some, channels, config or HeadFitConfig()) for some in taught]
+    config = config or HeadFitConfig()
+    parts = min(_PARTS, len(samples))
+    if one_view or parts < 2:
+        return _best_head(samples, channels, config)
+    heads = [
+        _best_head([s for k, s in enumerate(samples) if k % parts != part], channels, config) for part in range(parts)
+    ]
     return FittedHead(np.mean([h.weights for h in heads], axis=0), np.mean([h.bias for h in heads], axis=0))
 
 

@@ -74,6 +74,8 @@ def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
     found = fit_head([usual, usual, odd], channels)
     np.testing.assert_allclose(found.weights, (without.weights + 2 * with_odd.weights) / 3, atol=1e-3)
     assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
+    of_one_view = fit_head([usual, odd], channels, one_view=True)  # areas of one photo are no photos
+    np.testing.assert_allclose(of_one_view.weights, with_odd.weights, atol=1e-3)
 
 
 def test_scores_that_are_right_already_are_hardly_corrected() -> None:
