@@ -21,7 +21,7 @@ _BIAS_RIDGE: Final = 0.1
 _LEAST_SPREAD: Final = 1e-3
 _STEPS: Final = 300
 _PARTS: Final = 3
-"""Of the photos; chosen on 21 mountain photos with areas by hand, some of which taught heads for the others."""
+"""Of the photos; the best where five of 21 mountain photos with areas by hand taught heads for the others."""
 
 
 class HeadFitConfig(StrictModel):
