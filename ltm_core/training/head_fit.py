@@ -45,10 +45,6 @@ class FittedHead:
     weights: Float64Array
     bias: Float64Array
 
-    def scores(self, samples: PhotoSamples) -> Float64Array:
-        """Corrected scores (N, K) of a photo's samples."""
-        return samples.scores + samples.features @ self.weights + self.bias
-
 
 def fit_head(
     samples: Sequence[PhotoSamples],
