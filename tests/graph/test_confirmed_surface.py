@@ -64,10 +64,13 @@ def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_t
 
         def look(hours: int) -> str:
             stamp = BEGIN_NS + hours * HOUR
-            for topic, message in measured_messages(small, sunk(small), stamp).items():
-                if topic in PARTS:
-                    bystander.send(camera_topic(NAME, "mast", topic), message)
-            wait_for(lambda: stamp in versions(), f"depth of {stamp}", lambda: bystander.summaries)
+            messages = measured_messages(small, sunk(small), stamp)
+
+            def send() -> None:
+                for topic in PARTS:
+                    bystander.send(camera_topic(NAME, "mast", topic), messages[topic])
+
+            bystander.send_until(send, lambda: stamp in versions(), f"depth of {stamp}")
             return versions()[stamp]
 
         def told() -> str:

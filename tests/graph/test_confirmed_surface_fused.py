@@ -105,8 +105,8 @@ def test_any_process_may_be_killed_while_the_surface_changes(
         bystander.forget()
         bystander.wait_for_wiring(len(labels))
         counts = version()
-        stamp = look(number + 1)
-        wait_for(lambda: fused(stamp), "a frame fused after the kill", lambda: bystander.summaries)
+        stamp = BEGIN_NS + (number + 1) * 2 * HOUR
+        bystander.send_until(lambda: look(number + 1), lambda: fused(stamp), "a frame fused after the kill")
         wait_for(
             lambda: bystander.count(f"/{NAME}/fuel_map", "frames") > 0, "labels in its map", lambda: bystander.summaries
         )

@@ -229,8 +229,9 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
         region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
         bystander.forget()
         bystander.wait_for_wiring(1)
-        bystander.send(regions, region)
-        wait_for(lambda: bystander.call(f"{NODE}/burn")[0], "the region to burn")
+        bystander.send_until(
+            lambda: bystander.send(regions, region), lambda: bystander.call(f"{NODE}/burn")[0], "the region to burn"
+        )
         expected = np.where(stand, int(LifeForm.GRASS), int(LifeForm.TREE))
         expected[2:9, 2:10] = LifeForm.BURNED
         wait_for(lambda: np.array_equal(msg_to_classes(bystander.heard[maps][-1])[0], expected), "both in the map")

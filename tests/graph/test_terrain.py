@@ -208,10 +208,14 @@ def test_what_was_told_of_outlives_kills(living: Living, tmp_path: Path) -> None
         wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
         bystander.forget()
         bystander.wait_for_wiring(1)
+
         # All frames come again: those that were told of are known, the others are counted now.
-        for look in (0, 2, *range(10, 11 + kill)):
-            living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
-        living.wait_frames(3 + kill)
+        def send_all(kill: int = kill) -> None:
+            for look in (0, 2, *range(10, 11 + kill)):
+                living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
+
+        frames = 3 + kill
+        bystander.send_until(send_all, lambda n=frames: bystander.count(NODE, "frames") == n, f"{frames} frames")
         assert living.counted()["dropped.duplicate"] >= 2
     told: dict[tuple[int, int], int] = {}
     for message in bystander.heard[UPDATE]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -68,9 +69,12 @@ def test_a_stopped_node_comes_back_and_its_camera_delivers_again(
         wait_for(lambda: victim.starts == 2 and victim.running, "the node again", lambda: lines)
         bystander.forget()
         bystander.wait_for_wiring(len(graph))
-        after = send()
-        for topic in depths.values():
-            bystander.wait_for_stamp(topic, after)
+        after = time.time_ns()
+        bystander.send_until(
+            send,
+            lambda: all(max(bystander.stamps(topic), default=0) > after for topic in depths.values()),
+            "depths of both after the restart",
+        )
         assert meanwhile not in bystander.stamps(depths["tower"]), "that one hung with the node"
         hung = [line for line in lines if "hangs: " in line]
         assert len(hung) == 1
@@ -110,14 +114,9 @@ def test_a_worker_that_stands_is_noticed_though_its_node_answers(
         bystander.forget()
         bystander.wait_for_wiring(2)
         for node in nodes:
-            said = bystander.heard[f"{node.namespace}/{SAID.name}"]
-
-            def answered(heard: str = f"{node.namespace}/{HEARD.name}", said: list[Header] = said) -> bool:
-                """Asks again and again: DDS counts a killed process as a listener until its lease is over."""
-                bystander.send(heard, Header(frame_id="well"))
-                return bool(said)
-
-            wait_for(answered, "its answer", lambda: lines)
+            heard, said = f"{node.namespace}/{HEARD.name}", bystander.heard[f"{node.namespace}/{SAID.name}"]
+            ask = partial(bystander.send, heard, Header(frame_id="well"))
+            bystander.send_until(ask, partial(bool, said), "its answer")
             assert {message.frame_id for message in said} == {"well"}
             process = runner.processes[node.label]
             assert process.hangs == 1
