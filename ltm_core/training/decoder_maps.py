@@ -36,7 +36,7 @@ def with_decoder_maps(model: Any) -> tuple[Any, dict[str, int]]:
             raise ModelError(f"the network has no convolution of {weights}; it is not one of `ltm train`")
         tensor = reader.input[0]
         if name not in present:
-            dims = [d.dim_value for d in shapes[tensor].dim]
+            dims = [d.dim_value or None for d in shapes[tensor].dim]  # sides are free in a file of any size
             _rename(model.graph, tensor, name)
             model.graph.output.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, dims))
         output = next(o for o in model.graph.output if o.name == name)

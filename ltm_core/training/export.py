@@ -24,6 +24,7 @@ from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
 
 OPSET = 17
 TOLERANCE = 0.02  # of logits and relative depth: ONNX Runtime with weights of half precision against PyTorch, median
+_TENSORS = ("image", "logits", "inverse_depth")
 _SMALL = 256  # elements: smaller constants stay as they are
 
 
@@ -46,8 +47,10 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
             file,
             opset_version=OPSET,
             dynamo=False,
-            input_names=["image"],
-            output_names=["logits", "inverse_depth"],
+            input_names=_TENSORS[:1],
+            output_names=_TENSORS[1:],
+            # Of any size whose sides are multiples of 32: a coarse look is of another.
+            dynamic_axes={name: {2: f"{name}_height", 3: f"{name}_width"} for name in _TENSORS},
         )
     model, maps = with_decoder_maps(halved(onnx.load(file)))
     onnx.save(model, file)
@@ -65,9 +68,8 @@ def export_adapted(
     its manifest says of where it comes from."""
     split = SplitConfig(test=("none",))
     size = {"deploy_width": base.input.width, "deploy_height": base.input.height}
-    config = TrainingConfig(
-        name=name, split=split, licence=base.licence, offsets=base.output.offsets, redness=base.output.redness, **size
-    )
+    own = {"offsets": base.output.offsets, "redness": base.output.redness, "coarse_look": base.coarse_look}
+    config = TrainingConfig(name=name, split=split, licence=base.licence, **own, **size)
     manifest = export(network, config, labels, folder)
     content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
     content["output"]["temperature"] = base.output.temperature
@@ -102,8 +104,11 @@ def halved(model: Any) -> Any:
 def _compare(network: Deployed, file: Path, config: TrainingConfig) -> None:
     session = ort.InferenceSession(file, providers=["CPUExecutionProvider"])
     rng = np.random.default_rng(config.seed)
-    for _ in range(3):
-        photo = rng.normal(0.0, 1.0, (1, 3, config.deploy_height, config.deploy_width)).astype(np.float32)
+    looks = [(config.deploy_height, config.deploy_width)] * 3
+    if config.coarse_look:
+        looks.append((config.coarse_look.height, config.coarse_look.width))
+    for height, width in looks:
+        photo = rng.normal(0.0, 1.0, (1, 3, height, width)).astype(np.float32)
         with torch.inference_mode():
             logits, inverse = (output.numpy() for output in network(torch.from_numpy(photo)))
         found = session.run(["logits", "inverse_depth"], {"image": photo})
@@ -146,6 +151,7 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         | ({"redness": config.redness} if config.redness else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
+        **({"coarse_look": config.coarse_look.model_dump()} if config.coarse_look else {}),
         **({"heads_of": config.heads_of} if config.heads_of else {}),
     }
 

@@ -68,6 +68,15 @@ class InputSpec(StrictModel):
         return (1, self.height, self.width, 3)
 
 
+class CoarseLook(StrictModel):
+    """A second look at the whole picture, at this size, whose scores of land count by `share` (`coarse_look`). The
+    network's file must take inputs of both sizes."""
+
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    share: float = Field(gt=0, lt=1)
+
+
 class Withdrawal(StrictModel):
     """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
     *tree* where the photo's local contrast is lower (`withdrawal.contrast`), as of hazy far slopes. 0: none."""
@@ -159,6 +168,7 @@ class Manifest(StrictModel):
     text: TextSpec | None = None
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
     maps: dict[str, int] = Field(default_factory=dict)
+    coarse_look: CoarseLook | None = None
     # The network, by name or path, that answers in this one's place where a camera has a head.
     heads_of: str = ""
     _folder: Path = PrivateAttr(default=Path())
@@ -177,6 +187,8 @@ class Manifest(StrictModel):
             raise ValueError(
                 f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
             )
+        if self.coarse_look is not None and self.output.kind != "logits":
+            raise ValueError(f"coarse_look belongs to output kind logits; remove it for {self.output.kind}")
         if min(self.maps.values(), default=1) < 1:
             raise ValueError("maps: each has at least one channel")
         if self.text is not None:
@@ -233,6 +245,12 @@ class Manifest(StrictModel):
     def folder(self) -> Path:
         """Folder of the manifest file: where its relative paths start."""
         return self._folder
+
+    @property
+    def coarse_input(self) -> InputSpec | None:
+        """The image of the coarse look; None where there is none."""
+        size = self.coarse_look
+        return None if size is None else self.input.model_copy(update={"width": size.width, "height": size.height})
 
     @property
     def label_columns(self) -> int:

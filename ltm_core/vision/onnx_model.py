@@ -85,8 +85,8 @@ class OnnxModel:
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
 
-        `part`: of a picture, which nobody else will ask for. Raises ModelError where the file gives something else by
-        such a name.
+        `part`: of a picture, or another size of it, which nobody else will ask for. Raises ModelError where the file
+        gives something else by such a name.
         """
         names = [self._output_name, *maps]
         output, *found = self._run(names, {self._input_name: tensor}) if part else self._shared(tensor, names)
@@ -123,9 +123,10 @@ class OnnxModel:
         node = nodes[name]
         if node.type != _ELEMENT_TYPES[spec.dtype]:
             raise self._wrong(f"input {name!r}: type", _ELEMENT_TYPES[spec.dtype], node.type)
-        if not _fits(node.shape, spec.shape):
-            expected = f"{list(spec.shape)} ({spec.layout}, {spec.width} x {spec.height})"
-            raise self._wrong(f"input {name!r}: shape", expected, node.shape)
+        for image in filter(None, (spec, self.manifest.coarse_input)):
+            if not _fits(node.shape, image.shape):
+                expected = f"{list(image.shape)} ({image.layout}, {image.width} x {image.height})"
+                raise self._wrong(f"input {name!r}: shape", expected, node.shape)
         return name
 
     def _checked_output(self) -> str:

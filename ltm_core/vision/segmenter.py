@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.coarse_look import with_coarse_look
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import open_choice
 from ltm_core.vision.input_tensor import as_tensor, fitted, input_tensor
@@ -19,7 +20,7 @@ from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_cali
 from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest, Withdrawal
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, InputSpec, Manifest, Withdrawal
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.photo_colour import against_green
 from ltm_core.vision.text_io import load_text
@@ -76,6 +77,7 @@ class Segmenter:
         class_labels = _class_labels(manifest, self.classes, self.labels)
         # group of each network class, and the label of each group
         self._group_labels, self._group_of_class = np.unique(class_labels, return_inverse=True)
+        self._sky_classes = tuple(np.flatnonzero(class_labels == Label.SKY).tolist())
         self._label_of_group = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_group[: len(self._group_labels)] = self._group_labels
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
@@ -163,7 +165,7 @@ class Segmenter:
         if self.choice is not None:
             odds = self.choice.odds(maps, self.land(scores))
             self.head = self.choice.alone(odds) if seconds is None else self.choice.look(odds, seconds)
-        probabilities = self._label_probabilities(self._corrected(scores, maps))
+        probabilities = self._label_probabilities(self._of_whole(image, scores, maps))
         if zoom > 1.0 and Label.SKY in self._group_labels:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
             probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile)
@@ -190,14 +192,14 @@ class Segmenter:
 
     def logits(self, image: UInt8Array) -> Float32Array:
         """The scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by the head
-        and before any temperature, at the network's resolution.
+        and averaged with the coarse look's, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
-        return self._corrected(*self._answer(image))
+        return self._of_whole(image, *self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
@@ -207,8 +209,7 @@ class Segmenter:
 
     def land(self, scores: Float32Array) -> BoolArray:
         """(h, w) where the likeliest of the network's own classes, by scores (K, h, w), is not sky."""
-        sky = np.flatnonzero(self._group_labels == Label.SKY)
-        return ~np.isin(self._group_of_class[scores.argmax(axis=0)], sky)
+        return ~np.isin(scores.argmax(axis=0), self._sky_classes)
 
     def head_odds(self, image: UInt8Array) -> Float64Array | None:
         """Of a segmenter that chooses its head: a photo's log odds (`HeadChoice.odds`). Raises as `logits` does."""
@@ -225,11 +226,22 @@ class Segmenter:
         return self._run(image, names, part)
 
     def _run(
-        self, image: UInt8Array, names: Sequence[str], part: bool = False
+        self, image: UInt8Array, names: Sequence[str], part: bool = False, size: InputSpec | None = None
     ) -> tuple[Float32Array, dict[str, Float32Array]]:
-        small = fitted(image, self.manifest.input)
-        output, maps = self._model.run_with_maps(as_tensor(small, self.manifest.input), names, part)
+        spec = size or self.manifest.input
+        small = fitted(image, spec)
+        output, maps = self._model.run_with_maps(as_tensor(small, spec), names, part)
         return self._scores(output, small), dict(zip(names, maps, strict=True))
+
+    def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
+        """Scores (K, h, w) of a whole picture, corrected by its head and averaged with the coarse look's."""
+        scores = self._corrected(scores, maps)
+        look, size = self.manifest.coarse_look, self.manifest.coarse_input
+        if look is None or size is None:
+            return scores
+        names = () if self.head is None else self.head.maps
+        coarse = self._corrected(*self._run(image, names, part=True, size=size))
+        return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
         """Scores (K, h, w), corrected in place by the head where there is one."""

@@ -31,9 +31,11 @@ def write_classifier(
     stride: int = 2,
     gain: float = 40.0,
     maps: bool = False,
+    any_size: bool = False,
     **manifest_changes: Any,
 ) -> Path:
     """Write `colors.onnx` and its manifest; gives the manifest's path. `maps`: with the map `mean`, for heads to read.
+    `any_size`: it takes photos of any size, for a coarse look.
 
     Score of a class is -|rgb - colour|^2 plus a term that all share, of the photo averaged over `stride` pixels:
     linear, so one 1x1 convolution. Output is at 1/stride of the input.
@@ -69,7 +71,12 @@ def write_classifier(
         nodes.append(helper.make_node("Transpose", [last], ["last"], perm=[0, 2, 3, 1]))
         last, shape = "last", [1, rows, cols, count]
     element = TensorProto.UINT8 if dtype == "uint8" else TensorProto.FLOAT
-    image_shape = [1, 3, HEIGHT, WIDTH] if layout == "NCHW" else [1, HEIGHT, WIDTH, 3]
+    if any_size:
+        rows = cols = None
+        shape = [1, count, rows, cols]
+    image_shape = (
+        [1, 3, *(("height", "width") if any_size else (HEIGHT, WIDTH))] if layout == "NCHW" else [1, HEIGHT, WIDTH, 3]
+    )
     graph = helper.make_graph(
         nodes,
         "colors",

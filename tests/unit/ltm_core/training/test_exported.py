@@ -46,13 +46,14 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     from ltm_core.training.export import export, export_adapted
     from ltm_core.training.exported import load_exported
     from ltm_core.training.loop import train
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import CoarseLook, Manifest
 
     labels = LabelSet.load()
     torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
     # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
     form = NetworkConfig(width=32, pretrained=False, fixed=0)
-    tiny = TINY.model_copy(update={"network": form, "heads_of": "taught"})
+    look = CoarseLook(width=64, height=32, share=0.4)
+    tiny = TINY.model_copy(update={"network": form, "heads_of": "taught", "coarse_look": look})
     start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
     base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
     assert base.heads_of == "taught"
@@ -69,6 +70,7 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     assert depth_error(taught, posed, config) < 0.7 * before
     written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
     assert Manifest.load(written).heads_of == "taught"
+    assert base.coarse_look == Manifest.load(written).coarse_look == look
     assert not Manifest.load(tmp_path / "adapted" / "tiny_north_depth.yaml").heads_of
     photo, truth = drawn_frame(40)
     first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)

@@ -197,7 +197,7 @@ def test_samples_are_the_network_s_own_at_named_pixels(tmp_path: Path) -> None:
     assert samples.features.shape == (len(samples.labels), 32 + 64 + 64)
     assert set(np.unique(samples.labels)) == {Label.SKY, Label.BARE, Label.BUILT}
     assert samples.shares[Label.SKY] == pytest.approx(50 / 176)
-    own = segmenter.logits(photo).reshape(7, -1).T
+    own = segmenter.scores_and_maps(photo)[0].reshape(7, -1).T
     assert all((own == row.astype(np.float32)).all(axis=1).any() for row in samples.scores[::400])
 
 

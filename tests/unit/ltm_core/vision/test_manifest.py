@@ -163,6 +163,13 @@ def test_a_network_unlike_its_manifest_is_refused_with_expected_and_found(
         OnnxModel(Manifest.load(changed(manifest_path, **changes)))
 
 
+def test_a_network_of_one_size_cannot_look_twice(tmp_path: Path) -> None:
+    manifest = Manifest.load(write_classifier(tmp_path, coarse_look={"width": 24, "height": 16, "share": 0.5}))
+    expected = r"input 'image': shape: expected \[1, 3, 16, 24\] \(NCHW, 24 x 16\), found \[1, 3, 32, 48\]"
+    with pytest.raises(ModelError, match=expected):
+        OnnxModel(manifest)
+
+
 @pytest.mark.parametrize("part", ["input", "output"])
 def test_a_network_without_an_input_or_an_output_is_refused(manifest_path: Path, tmp_path: Path, part: str) -> None:
     """The runtime loads both."""

@@ -1,0 +1,108 @@
+"""The coarse look: what the mean of two looks is, that sky keeps its probability, and that heads correct both looks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
+
+from ltm_core.errors import ModelError
+from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.vision.coarse_look import with_coarse_look
+from ltm_core.vision.label_head_io import read_head
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.segmenter import Segmenter
+
+LOOK = {"width": 20, "height": 14, "share": 0.3}
+SKY = (0,)
+
+
+def probabilities(scores: Float32Array) -> Float32Array:
+    odds = np.exp(scores - scores.max(axis=0))
+    return np.asarray(odds / odds.sum(axis=0), np.float32)
+
+
+def planes(values: list[float], size: tuple[int, int]) -> Float32Array:
+    return np.broadcast_to(np.array(values, np.float32)[:, None, None], (len(values), *size)).copy()
+
+
+def test_land_is_the_geometric_mean_and_sky_is_the_first_look_s() -> None:
+    fine, coarse = planes([1.0, 2.0, 0.5, -1.0], (6, 10)), planes([3.0, -1.0, 2.5, 0.0], (3, 4))
+    found = probabilities(with_coarse_look(fine, coarse, 0.25, SKY))
+    p, q = probabilities(fine)[1:, 0, 0], probabilities(coarse)[1:, 0, 0]
+    land = p**0.75 * q**0.25
+    expected = np.array([probabilities(fine)[0, 0, 0], *(land / land.sum() * p.sum())])
+    np.testing.assert_allclose(found, np.broadcast_to(expected[:, None, None], found.shape), rtol=1e-5)
+
+
+def test_scores_of_a_network_without_sky_are_averaged_all() -> None:
+    fine, coarse = planes([1.0, 2.0], (4, 6)), planes([3.0, -1.0], (4, 6))
+    found = probabilities(with_coarse_look(fine, coarse, 0.5, ()))
+    np.testing.assert_allclose(found, probabilities(planes([2.0, 0.5], (4, 6))), rtol=1e-5)
+
+
+@given(arrays(np.float32, (5, 4, 7), elements=st.floats(-20, 20, width=32)), st.floats(0.05, 0.95))
+def test_a_second_look_that_says_the_same_changes_nothing(scores: Float32Array, share: float) -> None:
+    np.testing.assert_allclose(with_coarse_look(scores, scores, share, SKY), scores, atol=1e-4)
+
+
+@given(
+    arrays(np.float32, (5, 4, 7), elements=st.floats(-20, 20, width=32)),
+    arrays(np.float32, (5, 2, 3), elements=st.floats(-20, 20, width=32)),
+)
+def test_sky_is_as_likely_as_it_was_whatever_the_second_look_says(fine: Float32Array, coarse: Float32Array) -> None:
+    found = probabilities(with_coarse_look(fine, coarse, 0.5, SKY))
+    np.testing.assert_allclose(found[0], probabilities(fine)[0], atol=1e-4)
+
+
+def photo() -> UInt8Array:
+    """Sky above stripes of red and lime that a coarse look cannot tell apart, and one broad field of each."""
+    image = np.empty((96, 144, 3), np.uint8)
+    image[:40] = COLORS["blue"]
+    image[40:, :60], image[40:, 60:90] = COLORS["red"], COLORS["lime"]
+    image[40:, 90:] = [COLORS["red" if x // 4 % 2 else "lime"] for x in range(54)]
+    return image
+
+
+@pytest.mark.parametrize("headed", [False, True])
+def test_a_network_looks_twice_where_its_manifest_says_so(tmp_path: Path, headed: bool) -> None:
+    """And a head corrects what it sees both times."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    size = {"width": LOOK["width"], "height": LOOK["height"]}
+    paths = [write_classifier(to, any_size=True, gain=3.0, maps=True) for to in (tmp_path, folder)]
+    once, small = Manifest.load(paths[0]), Manifest.load(changed(paths[1], input=size))
+    head = read_head(write_swapping_head(tmp_path / "swap.yaml", paths[0]), once)[0] if headed else None
+    twice = Manifest.load(write_classifier(tmp_path, any_size=True, gain=3.0, maps=True, coarse_look=LOOK))
+    plain, smaller = (Segmenter(manifest, head=head).logits(photo()) for manifest in (once, small))
+    assert (plain.shape[1:], smaller.shape[1:]) == ((16, 24), (7, 10))
+    found = Segmenter(twice, head=head).logits(photo())
+    np.testing.assert_array_equal(found, with_coarse_look(plain, smaller, LOOK["share"], SKY))
+    assert np.abs(found - plain).max() > 0.1, "the stripes are another colour from afar"
+    own = Segmenter(once).logits(photo())
+    np.testing.assert_array_equal(Segmenter(twice).scores_and_maps(photo())[0], own)  # what heads are taught by
+
+
+@pytest.mark.parametrize(
+    ("look", "message"),
+    [
+        (LOOK | {"share": 1.0}, r"share.*less than 1"),
+        (LOOK | {"width": 0}, r"width.*greater than 0"),
+        ({"width": 20, "share": 0.5}, r"height.*missing"),
+    ],
+)
+def test_a_look_that_cannot_be_is_refused(tmp_path: Path, look: dict[str, float], message: str) -> None:
+    path = write_classifier(tmp_path, coarse_look=look)
+    with pytest.raises(ModelError, match=message):
+        Manifest.load(path)
+
+
+def test_only_scores_can_be_averaged(tmp_path: Path) -> None:
+    path = write_classifier(tmp_path, "probabilities", coarse_look=LOOK)
+    with pytest.raises(ModelError, match=r"coarse_look belongs to output kind logits; remove it for probabilities"):
+        Manifest.load(path)
