@@ -40,6 +40,22 @@ def test_land_is_the_geometric_mean_and_sky_is_the_first_look_s() -> None:
     np.testing.assert_allclose(found, np.broadcast_to(expected[:, None, None], found.shape), rtol=1e-5)
 
 
+def test_the_crest_keeps_its_classes_and_a_cloud_does_not() -> None:
+    """160 columns: two rows below the sky are as they were, the next two half and half, then the mean as elsewhere."""
+    fine, coarse = planes([-3.0, 2.0, 0.5], (20, 160)), planes([-3.0, -1.0, 2.5], (10, 80))
+    fine[0, :8] = 9.0
+    fine[0, 3:5, 40:60] = -3.0  # a cloud that is no sky
+    fine[:, :, 100:] = planes([-3.0, 2.0, 0.5], (20, 60))  # no sky above at all
+    moved = with_coarse_look(fine, coarse, 0.5, SKY) - fine
+    odds = moved[1] - moved[2]  # of the first class of land
+    full = 0.5 * ((-1.0 - 2.0) - (2.5 - 0.5))
+    np.testing.assert_allclose(odds[[8, 9]][:, :100], 0.0, atol=1e-5)
+    np.testing.assert_allclose(odds[10, :100], 0.5 * full, rtol=1e-5)
+    np.testing.assert_allclose(odds[11:], full, rtol=1e-5)
+    np.testing.assert_allclose(odds[3:5, 40:60], full, rtol=1e-5)
+    np.testing.assert_allclose(odds[:, 100:], full, rtol=1e-5)
+
+
 def test_scores_of_a_network_without_sky_are_averaged_all() -> None:
     fine, coarse = planes([1.0, 2.0], (4, 6)), planes([3.0, -1.0], (4, 6))
     found = probabilities(with_coarse_look(fine, coarse, 0.5, ()))
