@@ -6,7 +6,7 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from ltm_core.strict_model import StrictModel
-from ltm_core.vision.manifest import CoarseLook
+from ltm_core.vision.manifest import CoarseLook, Withdrawal
 
 
 class SplitConfig(StrictModel):
@@ -109,7 +109,8 @@ class TrainingConfig(StrictModel):
     augment: AugmentConfig = AugmentConfig()
     offsets: dict[str, float] = Field(default_factory=dict)  # of the exported network's logits: see manifest.OutputSpec
     redness: dict[str, float] = Field(default_factory=dict)  # likewise
-    coarse_look: CoarseLook | None = None  # likewise, of the manifest of labels
+    withdraw: Withdrawal = Withdrawal()  # likewise
+    coarse_look: CoarseLook | None = None  # of the manifest of labels
     heads_of: str = ""  # of the exported manifests: see manifest.Manifest; depth: that name with `_depth`
     licence: str = "Apache-2.0"
 

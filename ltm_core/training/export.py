@@ -68,8 +68,10 @@ def export_adapted(
     its manifest says of where it comes from."""
     split = SplitConfig(test=("none",))
     size = {"deploy_width": base.input.width, "deploy_height": base.input.height}
-    own = {"offsets": base.output.offsets, "redness": base.output.redness, "coarse_look": base.coarse_look}
-    config = TrainingConfig(name=name, split=split, licence=base.licence, **own, **size)
+    output = {key: getattr(base.output, key) for key in ("offsets", "redness", "withdraw")}
+    config = TrainingConfig(
+        name=name, split=split, licence=base.licence, coarse_look=base.coarse_look, **output, **size
+    )
     manifest = export(network, config, labels, folder)
     content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
     content["output"]["temperature"] = base.output.temperature
@@ -148,7 +150,8 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         **_common(file, config),
         "output": {"name": "logits", "kind": "logits", "layout": "NCHW"}
         | ({"offsets": config.offsets} if config.offsets else {})
-        | ({"redness": config.redness} if config.redness else {}),
+        | ({"redness": config.redness} if config.redness else {})
+        | ({"withdraw": config.withdraw.model_dump()} if config.withdraw.any else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
         **({"coarse_look": config.coarse_look.model_dump()} if config.coarse_look else {}),

@@ -1,6 +1,7 @@
 """Withdraws labels that are better left out: those of low probability, and *tree* where the photo shows no texture.
 
-On real towers hazy far slopes are called tree whatever grows there, with confidence; what marks them is their contrast.
+On real towers hazy far slopes of shrub are called tree, with confidence; what marks them is their contrast. Forests on
+mountains have as little of it, so that it speaks against trees only where the picture shows more shrub than tree.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
     out = confidence < np.uint8(round(255 * rules.confidence))
     if rules.tree_contrast > 0:
         trees = labels == Label.TREE
-        if trees.any():
+        if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
             low = (contrast(image) < rules.tree_contrast).astype(np.uint8)
             height, width = labels.shape
             out |= trees & (cv2.resize(low, (width, height), interpolation=cv2.INTER_NEAREST) > 0)

@@ -46,14 +46,16 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     from ltm_core.training.export import export, export_adapted
     from ltm_core.training.exported import load_exported
     from ltm_core.training.loop import train
-    from ltm_core.vision.manifest import CoarseLook, Manifest
+    from ltm_core.vision.manifest import CoarseLook, Manifest, Withdrawal
 
     labels = LabelSet.load()
     torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
     # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
     form = NetworkConfig(width=32, pretrained=False, fixed=0)
     look = CoarseLook(width=64, height=32, share=0.4)
-    tiny = TINY.model_copy(update={"network": form, "heads_of": "taught", "coarse_look": look})
+    tiny = TINY.model_copy(
+        update={"network": form, "heads_of": "taught", "coarse_look": look, "withdraw": Withdrawal(tree_contrast=6)}
+    )
     start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
     base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
     assert base.heads_of == "taught"
@@ -71,6 +73,7 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
     assert Manifest.load(written).heads_of == "taught"
     assert base.coarse_look == Manifest.load(written).coarse_look == look
+    assert base.output.withdraw.tree_contrast == Manifest.load(written).output.withdraw.tree_contrast == 6
     assert not Manifest.load(tmp_path / "adapted" / "tiny_north_depth.yaml").heads_of
     photo, truth = drawn_frame(40)
     first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)

@@ -20,7 +20,7 @@ def _answer() -> tuple[UInt8Array, UInt8Array, UInt8Array]:
     image = np.full((300, 640, 3), 120, np.uint8)
     image[:, 320::2], image[:, 321::2] = 0, 200
     labels = np.full((300, 640), Label.TREE, np.uint8)
-    labels[150:] = Label.SHRUB
+    labels[140:] = Label.SHRUB
     confidence = np.tile(np.linspace(0, 255, 300).astype(np.uint8)[:, None], (1, 640))
     return image, labels, confidence
 
@@ -45,10 +45,23 @@ def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
     image, labels, confidence = _answer()
     before = labels.copy()
     withdraw(image, labels, confidence, Withdrawal(tree_contrast=11))
-    assert (labels[:150, :300] == UNLABELLED).all()
-    assert (confidence[:150, :300] == 0).all()
-    np.testing.assert_array_equal(labels[:150, 330:], before[:150, 330:])
-    np.testing.assert_array_equal(labels[150:], before[150:])
+    assert (labels[:140, :300] == UNLABELLED).all()
+    assert (confidence[:140, :300] == 0).all()
+    np.testing.assert_array_equal(labels[:140, 330:], before[:140, 330:])
+    np.testing.assert_array_equal(labels[140:], before[140:])
+
+
+@pytest.mark.parametrize("others", [Label.TREE, Label.BARE])
+def test_a_forest_keeps_its_flat_trees(others: Label) -> None:
+    """Where there is no more shrub than tree."""
+    image, labels, confidence = _answer()
+    labels[150 if others == Label.TREE else 140 :] = others
+    labels[:150][labels[:150] == Label.SHRUB] = Label.TREE
+    labels[290:] = Label.SHRUB
+    before = labels.copy(), confidence.copy()
+    withdraw(image, labels, confidence, Withdrawal(tree_contrast=11))
+    np.testing.assert_array_equal(labels, before[0])
+    np.testing.assert_array_equal(confidence, before[1])
 
 
 def test_labels_of_low_probability_are_withdrawn() -> None:
