@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ltm_core.errors import LtmError
+from ltm_core.vision.segmenter import DEFAULT_MODEL
 from ltm_core.vision.usable import judge
 from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
 from ltm_ros.cli.bench.segmentation import segmentation
@@ -23,7 +24,7 @@ def test_a_node_labels_as_many_photos_as_it_is_sent(
     report = tmp_path / "new" / "rate.json"
     segmentation(width=320, height=192, threads="1", frames=6, repeats=1, domain=ros_domain, json_path=report)
     (row,) = json.loads(report.read_text())["rows"]
-    assert (row["model"], row["node"]["frames"]) == ("landscape_lite0", 6)
+    assert (row["model"], row["node"]["frames"]) == (DEFAULT_MODEL, 6)
     assert all(row["node"][key] > 0 for key in ("hz", "cpu_ms", "latency_ms"))
     assert "labels of a 320 x 192 photo" in capsys.readouterr().out
 

@@ -30,13 +30,13 @@ def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: 
     frames = read_frames(shared_data / "hpwren_towers", 7)
     trial = teach_head(Segmenter.open("landscape_lite0"), frames, "towers", "")
     before, after = trial.before.labels.f1, trial.after.labels.f1
-    assert 0.70 < before[Label.SHRUB] < 0.80  # 0.61 before the photo's colour spoke against trees
-    assert 0.25 < before[Label.BUILT] < 0.50  # 0 before structures were drawn into what teaches it
-    assert after[Label.SHRUB] >= 0.87
-    assert after[Label.BARE] >= 0.65
-    assert after[Label.BUILT] >= 0.67
+    assert 0.74 < before[Label.SHRUB] < 0.84  # 0.61 before the photo's colour spoke against trees
+    assert 0.20 < before[Label.BUILT] < 0.50  # 0 before structures were drawn into what teaches it
+    assert after[Label.SHRUB] >= 0.89
+    assert after[Label.BARE] >= 0.75
+    assert after[Label.BUILT] >= 0.70
     assert after[Label.SKY] >= 0.985
     assert trial.after.calibration.ece <= 0.08
     assert trial.after.land_calibration.ece <= 0.08
-    assert trial.after.land_risk.risk(0.8) <= 0.75 * trial.after.land_risk.risk()
+    assert trial.after.land_risk.risk(0.8) <= 0.8 * trial.after.land_risk.risk()
     assert trial.sites == ("highpoint", "redmtn", "santaynez")
