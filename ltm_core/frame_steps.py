@@ -51,7 +51,8 @@ class LabellingConfig(StrictModel):
     confidence: float | None = Field(None, ge=0, lt=1)
     """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
     tree_contrast: float | None = Field(None, ge=0)
-    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps): hazy far slopes are called so."""
+    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps) and the picture shows more shrub:
+    hazy far slopes are called so. None: as the network's manifest or the camera's head says."""
 
 
 @dataclass(frozen=True, eq=False)

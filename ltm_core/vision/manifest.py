@@ -79,7 +79,8 @@ class CoarseLook(StrictModel):
 
 class Withdrawal(StrictModel):
     """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
-    *tree* where the photo's local contrast is lower (`withdrawal.contrast`), as of hazy far slopes. 0: none."""
+    *tree* where the photo's local contrast is lower (`withdrawal.contrast`), as of hazy far slopes, where the
+    picture shows more shrub than tree. 0: none."""
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
     tree_contrast: float = Field(default=0.0, ge=0)

@@ -40,7 +40,7 @@ def segmentation(
         typer.Option(min=0, max=0.99, help="Withdraw labels of lower probability. Default: the network's."),
     ] = None,
     tree_contrast: Annotated[
-        float | None, typer.Option(min=0, help="Withdraw tree where local contrast is lower, 8-bit steps.")
+        float | None, typer.Option(min=0, help="Withdraw tree of lower contrast, 8-bit steps, among more shrub.")
     ] = None,
     diagram: Annotated[
         Path | None,

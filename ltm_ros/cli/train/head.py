@@ -39,7 +39,7 @@ def head(
         float, typer.Option(min=0, max=0.99, help="The head leaves pixels of lower probability unlabelled.")
     ] = 0.4,
     tree_contrast: Annotated[
-        float, typer.Option(min=0, help="The head withdraws tree where local contrast is lower, 8-bit steps.")
+        float, typer.Option(min=0, help="The head withdraws tree of lower contrast, 8-bit steps, among more shrub.")
     ] = 0.0,
     ridge: Annotated[
         float,
