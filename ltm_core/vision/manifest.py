@@ -76,6 +76,10 @@ class CoarseLook(StrictModel):
     height: int = Field(gt=0)
     share: float = Field(gt=0, lt=1)
 
+    def image(self, first: InputSpec) -> InputSpec:
+        """What the network takes for it, where it takes `first` for the first look."""
+        return first.model_copy(update={"width": self.width, "height": self.height})
+
 
 class Withdrawal(StrictModel):
     """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
@@ -246,12 +250,6 @@ class Manifest(StrictModel):
     def folder(self) -> Path:
         """Folder of the manifest file: where its relative paths start."""
         return self._folder
-
-    @property
-    def coarse_input(self) -> InputSpec | None:
-        """The image of the coarse look; None where there is none."""
-        size = self.coarse_look
-        return None if size is None else self.input.model_copy(update={"width": size.width, "height": size.height})
 
     @property
     def label_columns(self) -> int:

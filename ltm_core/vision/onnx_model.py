@@ -123,7 +123,8 @@ class OnnxModel:
         node = nodes[name]
         if node.type != _ELEMENT_TYPES[spec.dtype]:
             raise self._wrong(f"input {name!r}: type", _ELEMENT_TYPES[spec.dtype], node.type)
-        for image in filter(None, (spec, self.manifest.coarse_input)):
+        coarse = self.manifest.coarse_look
+        for image in (spec,) if coarse is None else (spec, coarse.image(spec)):
             if not _fits(node.shape, image.shape):
                 expected = f"{list(image.shape)} ({image.layout}, {image.width} x {image.height})"
                 raise self._wrong(f"input {name!r}: shape", expected, node.shape)

@@ -236,11 +236,11 @@ class Segmenter:
     def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
         """Scores (K, h, w) of a whole picture, corrected by its head and averaged with the coarse look's."""
         scores = self._corrected(scores, maps)
-        look, size = self.manifest.coarse_look, self.manifest.coarse_input
-        if look is None or size is None:
+        look = self.manifest.coarse_look
+        if look is None:
             return scores
         names = () if self.head is None else self.head.maps
-        coarse = self._corrected(*self._run(image, names, part=True, size=size))
+        coarse = self._corrected(*self._run(image, names, part=True, size=look.image(self.manifest.input)))
         return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
