@@ -37,7 +37,8 @@ def test_a_head_of_zeros_leaves_the_shipped_network_s_answers_equal_to_the_bit()
     plain = Segmenter.open()
     manifest = plain.manifest
     zeros = {name: np.zeros((len(manifest.classes), count), np.float32) for name, count in manifest.maps.items()}
-    head = LabelHead("zeros", "zeros", zeros, np.zeros(len(manifest.classes), np.float32), manifest.output.temperature)
+    bias, output = np.zeros(len(manifest.classes), np.float32), manifest.output
+    head = LabelHead("zeros", "zeros", zeros, bias, output.temperature, output.withdraw)
     photo = _photo()
     bare, headed = plain.segment(photo), Segmenter(manifest, head=head).segment(photo)
     assert len(np.unique(bare.labels)) > 1
