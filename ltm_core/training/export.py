@@ -113,7 +113,7 @@ def _compare(network: Deployed, file: Path, config: TrainingConfig) -> None:
         photo = rng.normal(0.0, 1.0, (1, 3, height, width)).astype(np.float32)
         with torch.inference_mode():
             logits, inverse = (output.numpy() for output in network(torch.from_numpy(photo)))
-        found = session.run(["logits", "inverse_depth"], {"image": photo})
+        found = session.run(_TENSORS[1:], {"image": photo})
         error = max(
             float(np.median(np.abs(found[0] - logits))), float(np.median(np.abs(np.log(found[1]) - np.log(inverse))))
         )

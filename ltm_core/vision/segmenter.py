@@ -226,9 +226,9 @@ class Segmenter:
         return self._run(image, names, part)
 
     def _run(
-        self, image: UInt8Array, names: Sequence[str], part: bool = False, size: InputSpec | None = None
+        self, image: UInt8Array, names: Sequence[str], part: bool = False, spec: InputSpec | None = None
     ) -> tuple[Float32Array, dict[str, Float32Array]]:
-        spec = size or self.manifest.input
+        spec = spec or self.manifest.input
         small = fitted(image, spec)
         output, maps = self._model.run_with_maps(as_tensor(small, spec), names, part)
         return self._scores(output, small), dict(zip(names, maps, strict=True))
@@ -240,7 +240,7 @@ class Segmenter:
         if look is None:
             return scores
         names = () if self.head is None else self.head.maps
-        coarse = self._corrected(*self._run(image, names, part=True, size=look.image(self.manifest.input)))
+        coarse = self._corrected(*self._run(image, names, part=True, spec=look.image(self.manifest.input)))
         return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
