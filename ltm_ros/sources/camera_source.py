@@ -267,18 +267,20 @@ class CameraSource:
             except CameraError as error:
                 self._refuse("zoom", str(error))
                 return
-        stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
+        estimated_ns = stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
         # Equal stamps are one frame to all that listen. Where the clock was set back, what came before was wrong, and
         # to go on from there would make all frames come from the future until the clock has caught up.
         if stamp_ns <= self._stamp_ns < stamp_ns + SET_BACK_NS:
             stamp_ns = self._stamp_ns + 1
         self._stamp_ns = stamp_ns
+        # A picture behind one whose time was put too late, when less was known, is late by that much itself.
+        uncertainty = exposure.uncertainty + (stamp_ns - estimated_ns) / 1e9
         self._health.gauge("stamp_told_by", exposure.by)
-        self._health.gauge("stamp_uncertainty_s", round(exposure.uncertainty, 3))
+        self._health.gauge("stamp_uncertainty_s", round(uncertainty, 3))
         self._deliver(
             Frame(
-                self._stamp_ns,
-                exposure.uncertainty,
+                stamp_ns,
+                uncertainty,
                 exposure.by,
                 synchronised,
                 picture.jpeg,

@@ -64,8 +64,9 @@ def test_the_stamp_is_the_lists_less_its_servers_clock(listed: tuple[HttpCamera,
         entry["last_frame_ts"] = taken[-1] + 37.0
         sourced.steps(1)
     errors = [frame.stamp_ns / 1e9 - true for frame, true in zip(sourced.frames, taken, strict=True)]
-    # Stated is what holds in 95 of 100 cases; twice as much holds in all.
-    assert all(abs(error) <= 2 * frame.uncertainty for error, frame in zip(errors, sourced.frames, strict=True)), errors
+    told = [frame.uncertainty for frame in sourced.frames]
+    # A busy machine may leave this process between two looks at its own clocks.
+    assert all(abs(error) <= most + 0.05 for error, most in zip(errors, told, strict=True)), (errors, told)
     assert sourced.frames[-1].told_by == "list"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import random
 import time
 
@@ -16,7 +17,7 @@ from ltm_core.vision.dirty_lens import AGREEING, APART_S, LEAST_HISTORY
 from ltm_ros.sources.backoff import Backoff
 from ltm_ros.sources.direction import Reading, Tolerance, at_rest
 from ltm_ros.sources.lens_watch import LensWatch
-from ltm_ros.sources.picture import Nothing, Picture, Timing
+from ltm_ros.sources.picture import CameraTime, Nothing, Picture, Timing
 from ltm_ros.sources.stuck_picture import StuckPicture
 from ltm_ros.sources.system_clock import SystemClock
 from ltm_ros.sources.thumbnail import difference_hash, is_night, same_share, thumbnail_of_bytes, thumbnail_of_rgb
@@ -156,6 +157,28 @@ def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is
     assert fourth == third + 1, "a little back is no other time"
     assert fifth - first == pytest.approx(-3601e9, abs=1e4), "frames of the right time, not of one hours ahead"
     assert sixth == fifth + 1
+
+
+def test_a_stamp_that_keeps_its_order_says_what_that_costs() -> None:
+    clock, reader = TurnedClock(wall=1_790_000_000.95), Pictures()
+    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
+    # Asked just before and just after the camera's second turned: its clock is known by the second picture, of which
+    # the first was put half a second behind where it belongs.
+    taken = []
+    for pause in (0.0, 0.1, 0.2, 2.0):
+        clock.turn(pause)
+        now, wall = clock.monotonic(), clock.wall()
+        taken.append(wall - 20.0)
+        stated, answered = CameraTime(taken[-1], 0.0, "list"), CameraTime(math.floor(wall), 1.0, "date")
+        reader.next = Picture(Timing(now, now, 30.0, stated, answered), jpeg=jpeg(scene()))
+        sourced.steps(1)
+    stamps = np.array([frame.stamp_ns for frame in sourced.frames])
+    late = stamps / 1e9 - taken
+    assert (np.diff(stamps) > 0).all()
+    assert late == pytest.approx([0.45, 0.35, 0.15, 0.0], abs=0.06)
+    told = np.array([frame.uncertainty for frame in sourced.frames])
+    assert (np.abs(late) <= told + 1e-3).all(), (late, told)
+    assert told[-1] < 0.1
 
 
 def detailed(wet: bool, seed: int = 1) -> bytes:
