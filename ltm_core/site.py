@@ -29,6 +29,7 @@ from ltm_core.site_sections import (
 from ltm_core.strict_model import StrictModel
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.uplink.config import UplinkConfig
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 
 
 def _ros_name(name: str) -> str:
@@ -89,7 +90,7 @@ class Site(StrictModel):
     """Where given, what is marked in the cameras' pictures is located on the map."""
     labels: str = "labels.yaml"
     """Label set in config/."""
-    model: str = "landscape_v2"
+    model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
     heads: Path | None = None
     """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""

@@ -238,10 +238,10 @@ def check_shared_memory() -> Iterator[Finding]:
 
 
 def check_models() -> Iterator[Finding]:
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
     from ltm_core.vision.manifest import Manifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
 
     names = shipped_names()
     for name in dict.fromkeys([DEFAULT_MODEL, *names]):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.coarse_look import with_coarse_look
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import open_choice
 from ltm_core.vision.input_tensor import as_tensor, fitted, input_tensor
@@ -30,8 +31,6 @@ from ltm_core.vision.withdrawal import withdraw
 
 if TYPE_CHECKING:
     from ltm_core.site import Site
-
-DEFAULT_MODEL = "landscape_v2"
 
 
 @dataclass(frozen=True)

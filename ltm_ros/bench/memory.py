@@ -19,6 +19,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import LtmError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL
 
 CORNER = (300_000.0, 3_800_000.0)
 """Lower left of the terrain, in CRS."""
@@ -103,7 +104,7 @@ def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
             "crs": CRS,
             "origin": list(CORNER),
             "dem": {"path": "dem.tif"},
-            "depth_model": "landscape_v2_depth",
+            "depth_model": DEFAULT_DEPTH_MODEL,
             "cameras": cameras,
             "nodes": {"fuel_map": {"folder": str(folder / "state")}},
         },

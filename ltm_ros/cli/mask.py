@@ -62,9 +62,10 @@ def mask(
     from ltm_core.pictures.mask_proposals import mask_picture
     from ltm_core.site_io import load_site
     from ltm_core.vision.camera_mask_io import write_mask
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
     from ltm_core.vision.polygons_io import read_areas, write_areas
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
 
     if (site is None) != (not camera):

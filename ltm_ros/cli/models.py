@@ -51,8 +51,8 @@ def models(
         return
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_folder
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.manifest import Manifest
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
     from ltm_ros.cli.models_check import check, check_depth
 
     require_folder(out)
@@ -83,9 +83,9 @@ def _list(console: Console) -> None:
     from rich.table import Table
 
     from ltm_core.errors import ModelError
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.manifest import Manifest, added_names, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
 
     table = Table("model", "input", "output", "licence", "sha256", "state")
     faults = []

@@ -75,8 +75,9 @@ def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOpti
     """Search the pose of each photo; with `mount`, one correction for all of them."""
     from ltm_core.pose_estimation.crest_cover import CANOPY_SURFACE
     from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.scene_view import SceneFilter
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
 
     config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if options.canopy else PicturePoseConfig()
     segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)

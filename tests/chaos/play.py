@@ -104,7 +104,6 @@ class Stage:
             missed.append(f"the graph stopped with exit code {status}")
         if left := self.site.left:
             missed.append(f"processes left behind: {', '.join(left)}")
-        shared_memory.remove_stale()  # of strangers that were ended, who had no runner to clean up after them
         time.sleep(1.0)  # the last acknowledgements
         return missed
 
@@ -149,6 +148,9 @@ def on_stage(
             raise
         found.content["counted"] = dict(stage.heartbeats.counted())
         found.missed += stage.end()
+    # Of strangers that were ended, who had no runner to clean up after them, and of killed nodes: a port that this
+    # process sent to counts as one in use until its bystander is gone.
+    shared_memory.remove_stale()
     stage.judge(found)
     for disk in stage.disks.values():
         unmount_disk(disk)

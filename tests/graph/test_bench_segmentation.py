@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltm_core.errors import LtmError
-from ltm_core.vision.segmenter import DEFAULT_MODEL
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_core.vision.usable import judge
 from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
 from ltm_ros.cli.bench.segmentation import segmentation

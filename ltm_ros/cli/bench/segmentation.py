@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_core.types import UInt8Array
+from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def segmentation(
     threads: Annotated[str, typer.Option(help="CPU threads of the network, with commas.")] = "1,2",
     depth_model: Annotated[
         str, typer.Option(help="Depth network that is timed beside it, by name or manifest.")
-    ] = "landscape_v2_depth",
+    ] = DEFAULT_DEPTH_MODEL,
     frames: Annotated[int, typer.Option(help="Photos that a node labels.", min=5)] = 40,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
@@ -39,7 +40,7 @@ def segmentation(
     from ltm_core.bench.measure import conditions, least_cost
     from ltm_core.camera import Camera
     from ltm_core.depth.monocular import DepthNetwork
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
     from ltm_ros.evaluation.figures_io import write_figures
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def canopy(
         list[Path] | None,
         typer.Option(help="Instead: a folder of `ltm simulate`, of which trees are taken for new; repeatable."),
     ] = None,
-    model: Annotated[str, typer.Option(help="With --frames: the network that labels.")] = "landscape_v2",
+    model: Annotated[str, typer.Option(help="With --frames: the network that labels.")] = DEFAULT_MODEL,
     depth: Annotated[
         str, typer.Option(help="With --frames: where heights come from: none, true (with noise), or a depth network.")
     ] = "none",

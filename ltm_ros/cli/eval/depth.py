@@ -79,8 +79,9 @@ def depth(
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.resources import project_path
     from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     console = Console()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_core.evaluation.gallery.parts import Part
+from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile, writable_folder
 
 
@@ -19,8 +20,8 @@ def gallery(
         "out/gallery"
     ),
     part: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
-    model: Annotated[str, typer.Option(help="Label network, by name or manifest.")] = "landscape_v2",
-    depth_model: Annotated[str, typer.Option(help="Depth network, by name or manifest.")] = "landscape_v2_depth",
+    model: Annotated[str, typer.Option(help="Label network, by name or manifest.")] = DEFAULT_MODEL,
+    depth_model: Annotated[str, typer.Option(help="Depth network, by name or manifest.")] = DEFAULT_DEPTH_MODEL,
     json_path: JsonFile = None,
 ) -> None:
     """A page of real photos, chosen by rule: traced and fused depth, labels, terrain change, and what is wrong.

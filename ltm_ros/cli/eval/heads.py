@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile, writable_folder
 
 
@@ -15,7 +16,7 @@ def heads(
     heads_folder: Annotated[
         Path | None, typer.Option("--heads", help="A folder of heads that is looked in first, as a site's.")
     ] = None,
-    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = "landscape_v2",
+    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = DEFAULT_MODEL,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
     overlays: Annotated[

@@ -96,7 +96,8 @@ def _prepared(folder: Path) -> dict[str, list[PreparedFrame]]:
     from ltm_core.evaluation.pose.rendered_terrain_io import rendered_terrain
     from ltm_core.evaluation.truth_frames_io import read_truth_frames
     from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
 
     segmenter, terrain = Segmenter.open(DEFAULT_MODEL), rendered_terrain(folder, alone=False, canopy=False)
     frames: dict[str, list[PreparedFrame]] = defaultdict(list)

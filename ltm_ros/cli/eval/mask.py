@@ -30,8 +30,9 @@ def mask(
     from ltm_core.evaluation.segmentation.mask_score import MaskScore, read_mask_truths, score_proposals
     from ltm_core.picture_io import read_rgb
     from ltm_core.resources import config_path
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.mask_proposals import propose_mask
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     truths = read_mask_truths(config_path("evaluation/hpwren_masks.json") if truth is None else truth)

@@ -120,7 +120,8 @@ def _rendered(
     from ltm_core.pose_estimation.crest_cover import CANOPY_SURFACE
     from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
     from ltm_core.tracing import TerrainTracer
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     try:
@@ -248,7 +249,8 @@ def _real(folder: Path, model: str, pictures: Path | None, json_path: Path | Non
     from ltm_core.evaluation.pose.engabreen_io import STARTS, read_real_photo, run_real_trials
     from ltm_core.pictures import to_png
     from ltm_core.pictures.pose_fit import pose_fit_picture
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     console = Console()

@@ -36,7 +36,8 @@ def pose_watch(
     from ltm_core.evaluation.pose.watch_trial import run_watch_trial
     from ltm_core.evaluation.truth_frames_io import read_truth_frames
     from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     console, config = Console(), PicturePoseConfig()

@@ -29,14 +29,14 @@ def relative_depth(
     from ltm_core.evaluation.depth.relative_depth import bin_names, score_relative_depth
     from ltm_core.evenly import evenly
     from ltm_core.training.labelled_frames import read_frames
+    from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
     from ltm_ros.evaluation.figures_io import write_figures
 
     places = [folder] if (folder / "frames.json").is_file() else sorted(p.parent for p in folder.glob("*/frames.json"))
     if not places:
         raise RecordingError(f"{folder}: no frames.json; expected a folder of `ltm simulate`, or folders of them")
-    networks = [DepthNetwork.open(name, threads) for name in model or [f"{DEFAULT_MODEL}_depth", "tcmonodepth"]]
+    networks = [DepthNetwork.open(name, threads) for name in model or [DEFAULT_DEPTH_MODEL, "tcmonodepth"]]
     console, labels = Console(), LabelSet.load()
     result: dict[str, object] = {}
     for place in places:

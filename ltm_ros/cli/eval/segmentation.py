@@ -71,9 +71,10 @@ def segmentation(
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.evenly import evenly
     from ltm_core.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.manifest import SHIPPED_HEAD
     from ltm_core.vision.polygons_io import POLYGONS_FILE
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
 

@@ -30,7 +30,8 @@ def smoke(
     from ltm_core.picture_io import read_rgb
     from ltm_core.resources import config_path
     from ltm_core.types import UInt8Array
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     pairs = read_pairs(config_path("evaluation/hpwren_smoke.json") if truth is None else truth)

@@ -67,6 +67,7 @@ def terrain(
     is given.
     """
     from ltm_core.errors import ConfigError
+    from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL
     from ltm_ros.cli.eval import terrain_tables
 
     if sum(given is not None for given in (canyon, frames, bag)) > 1:
@@ -75,7 +76,7 @@ def terrain(
         terrain_tables.real_site(canyon, network or [], pictures, json_path)
         return
     if frames is not None and alike:
-        terrain_tables.repeated_errors(frames, network or ["landscape_v2_depth"])
+        terrain_tables.repeated_errors(frames, network or [DEFAULT_DEPTH_MODEL])
         return
     if frames is not None:
         terrain_tables.simulated_frames(frames, date, share, looks or 1, watched, network or [], pictures, json_path)

@@ -139,7 +139,8 @@ def simulated_frames(
     from ltm_core.evaluation.terrain.frame_score import network_depth, score_frames, true_depth
     from ltm_core.evaluation.terrain.hillside_scenes import Noise
     from ltm_core.evaluation.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
 
     known = dates(folder)
     if not known or (date or known[-1]) not in known:
@@ -204,7 +205,8 @@ def repeated_errors(folder: Path, networks: Sequence[str]) -> None:
     from ltm_core.errors import ConfigError
     from ltm_core.evaluation.terrain.frame_score import alike, network_depth
     from ltm_core.evaluation.truth_frames_io import TruthFrame, dates, read_truth_frames, site_frame
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
 
     known, frame, console = dates(folder), site_frame(folder), Console()
     surfaces = [Dem.open(folder / "truth" / date / "surface.tif").in_frame(frame) for date in known]

@@ -29,9 +29,9 @@ def adapt(
 
     from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import Manifest
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
     from ltm_ros.cli.progress import message_bar
     from ltm_ros.cli.train.training_run import need_torch
 

@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_ros.cli.output import writable_file
 
 
 def appearance(
     frames: Annotated[list[Path], typer.Argument(help="Folders of `ltm simulate`: two sites or more, of one date.")],
-    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = "landscape_v2",
+    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Default: config/fuel/label_errors/MODEL.yaml.", callback=writable_file),

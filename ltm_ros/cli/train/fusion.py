@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_core.vision.default_networks import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
 from ltm_ros.cli.output import writable_file
 
 
@@ -14,7 +15,7 @@ def fusion(
     frames: Annotated[
         list[Path], typer.Argument(help="Folders of `ltm simulate`; DIR:RASTER: with a raster of what stands or stood.")
     ],
-    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "landscape_v2_depth",
+    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = DEFAULT_DEPTH_MODEL,
     segmentation: Annotated[str, typer.Option(help="Network of the labels; default: the shipped one.")] = "",
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: beside the network's manifest.", callback=writable_file)
@@ -40,7 +41,7 @@ def fusion(
     from ltm_core.training.fusion_samples import FrameSamples, frame_samples
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import Manifest
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.segmenter import Segmenter
 
     console = Console()
     manifest, labels = Manifest.find(model), LabelSet.load()

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
 
 
@@ -18,7 +19,7 @@ def head(
         ),
     ],
     out: Annotated[str, typer.Option("--out", "-o", help="Name of the head, or the path of its file (.yaml).")],
-    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = "landscape_v2",
+    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = DEFAULT_MODEL,
     also: Annotated[
         list[Path] | None,
         typer.Option(help="Labelled frames of other places: what the head forgets there; again for more."),

@@ -22,8 +22,9 @@ from ltm_core.pose import Pose
 from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+from ltm_core.vision.segmenter import Segmenter
 
 pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")
 

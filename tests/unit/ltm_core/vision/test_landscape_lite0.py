@@ -19,10 +19,11 @@ from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import UInt8Array
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_core.vision.label_calibration_io import load_calibration
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
-from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+from ltm_core.vision.segmenter import Segmenter
 
 
 def _photo(path: Path, size: tuple[int, int]) -> UInt8Array:

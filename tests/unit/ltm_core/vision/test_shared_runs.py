@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 import yaml
 
+from ltm_core.vision.default_networks import DEFAULT_MODEL
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.segmenter import DEFAULT_MODEL
 from ltm_core.vision.shared_runs import SharedRuns
 
 

@@ -143,7 +143,7 @@ def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     from ltm_core.errors import ModelError
     from ltm_core.vision import onnx_model
-    from ltm_core.vision.segmenter import DEFAULT_MODEL
+    from ltm_core.vision.default_networks import DEFAULT_MODEL
 
     def damaged(manifest: object) -> None:
         raise ModelError("checksum is not that of its manifest")
