@@ -27,6 +27,8 @@ class SkylineConfig(StrictModel):
     """Share of columns whose skyline is something else: near trees, masts, clouds, wrong labels."""
     outlier_span: float = Field(0.2, gt=0)
     """Radians over which those are spread."""
+    own_crest: float = Field(0.5, ge=0, lt=1)
+    """Share of skylines that are the DEM's horizon where land beyond it may stand over that."""
     cover: CrestCover = BARE_EARTH
 
     @property
@@ -100,10 +102,19 @@ class VerdictConfig(StrictModel):
     variance of the skyline's misfits: small ones tell poses apart by more than is stated, large ones by less."""
     same_deg: float = Field(0.1, ge=0)
     """Of azimuth, between refined poses that are one."""
-    least_support: float = Field(0.75, ge=0, le=1)
+    least_support: float = Field(0.68, ge=0, le=1)
     """Share of the skyline that fits."""
     clear_support: float = Field(0.35, ge=0, le=1)
     """The same for one of many pictures of a mount that decide together: from here on it shows a skyline at all."""
+    open_share: float = Field(0.25, ge=0, le=1)
+    """Share of a skyline over which land beyond the DEM may stand: beyond it, what lies on the DEM's horizon may be a
+    range that looks like it. Then ridges alone must agree"""
+    open_apart_deg: float = Field(0.6, gt=0)
+    """within so much of azimuth,"""
+    open_gap: float = 25.0
+    """or an alternative must cost so much more,"""
+    open_azimuth_sigma_deg: float = Field(0.34, gt=0)
+    """and the azimuth be as sure as this."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 10.0
@@ -125,7 +136,7 @@ class VerdictConfig(StrictModel):
 
 FLOOR_DEG = (0.02, 0.02, 0.02)
 """Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
-MOUNT_FLOOR_DEG = (0.05, 0.03, 0.05)
+MOUNT_FLOOR_DEG = (0.04, 0.025, 0.05)
 """and for what holds in all directions: what those of a lens leave, too."""
 
 

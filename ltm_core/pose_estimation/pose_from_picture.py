@@ -18,10 +18,10 @@ from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, usual_score
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_fit
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, SkylineFit, refine, skyline_fit
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -86,19 +86,40 @@ def find_pose(
     """
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     found: list[Hypothesis] = []
-    if evidence.skyline is not None and not horizon.open.all():
+    if evidence.skyline is not None:
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
         found = terrain.above(merged_with_others(found, config.verdict))
     found = _on_skyline(found, evidence, horizon, config)
     verdict = judge(found, False, prior, config, evidence.plants)
-    if not found or (verdict.word != "accepted" and found[0].refined.skyline.support < _LEAST_SUPPORT):
+    if not found or _asks_ridges(found[0].refined.skyline, verdict, config.verdict):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
         by_ridges = _on_skyline(by_ridges, evidence, horizon, config)
-        other = judge(by_ridges, True, prior, config, evidence.plants)
-        if other.word == "accepted" or not found:
-            found, verdict = by_ridges, other
+        if verdict.word == "accepted":
+            verdict = _confirmed(verdict, found[0], by_ridges, config.verdict)
+        else:
+            other = judge(by_ridges, True, prior, config, evidence.plants)
+            if other.word == "accepted" or not found:
+                found, verdict = by_ridges, other
     return PictureSearch(tuple(found), evidence, horizon, verdict)
+
+
+def _asks_ridges(skyline: SkylineFit, verdict: Verdict, config: VerdictConfig) -> bool:
+    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, and where land beyond the DEM may
+    look like it."""
+    if verdict.word != "accepted":
+        return skyline.support < _LEAST_SUPPORT or skyline.open > config.open_share
+    return skyline.open > config.open_share and not config.open_gap <= verdict.gap < math.inf
+
+
+def _confirmed(verdict: Verdict, best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> Verdict:
+    """A pose by what may be the skyline of land beyond the DEM: taken where ridges alone are of the same azimuth."""
+    if by_ridges:
+        apart = abs(float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0]))
+        if apart <= math.radians(config.open_apart_deg):
+            return verdict
+    reason = "land beyond the DEM may look like its horizon, and ridges alone do not lie there"
+    return replace(verdict, word="ambiguous", reason=reason)
 
 
 def _search_skyline(

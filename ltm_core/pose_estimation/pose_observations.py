@@ -27,8 +27,8 @@ from ltm_core.types import BoolArray, Float32Array, Float64Array
 class Observations:
     """`error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,).
 
-    `veiled`: the share of the skyline's columns where a nearer crest stands so close below the horizon that its trees
-    may hide it.
+    Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its trees
+    may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
     """
 
     error: Float64Array
@@ -36,6 +36,8 @@ class Observations:
     sigma: Float64Array
     weight: Float64Array
     veiled: float = 0.0
+    open: float = 0.0
+    free: float = 0.0
 
 
 def _projected(
@@ -108,15 +110,19 @@ def skyline_observations(
     metre = camera.fy / ranges
     lift, uneven = noise.cell_lift * cells, noise.cell_share * cells
     v = v - (height + lift) * metre
-    # Negative: terrain where the photo has sky. Positive: open land may stand there instead.
+    # Negative: terrain where the photo has sky. Positive: land beyond the DEM may stand there instead, or it is the
+    # horizon after all, whichever is the likelier.
     error = v - skyline.v
     above = np.maximum(0.0, (horizon.bound[seen][near] - t[near]) * camera.fy - (height + lift) * metre)
-    error = np.where(error < 0, error, np.maximum(0.0, error - above))
-    free = (error == 0.0) & (above > 0)
     sigma = np.sqrt(
         skyline.sigma_px**2 * (1 + np.minimum(steep, 3.0) ** 2)
         + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
+    wider = sigma * wide
+    own = noise.own_crest / wider / (1 + (error / wider) ** 2 / 4) ** 2.5
+    beyond = (error > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
+    error = np.where(beyond, np.maximum(0.0, error - above), error)
+    free = beyond & (error == 0.0)
     # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
     front = horizon.front_range[seen][near]
     over = camera.fy / np.where(front > 0, front, 1.0)
@@ -134,8 +140,8 @@ def skyline_observations(
     share = column_weight(skyline, camera, noise)
     weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
     rows = down[:, 1] - steep[:, None] * down[:, 0]
-    veiled = float(((front > 0) & inside).mean())
-    return Observations(error, rows, sigma * wide, weight, veiled)
+    veiled, open_share, taken = (float((where & inside).mean()) for where in (front > 0, above > 0, free))
+    return Observations(error, rows, sigma * wide, weight, veiled, open_share, taken)
 
 
 def ridge_observations(

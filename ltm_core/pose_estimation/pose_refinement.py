@@ -29,21 +29,24 @@ MOST_FOCAL_STEP = 0.05
 """Of the focal length's logarithm, in one round."""
 _TELLING = 0.02
 """Radians: columns of a larger sigma do not support a pose."""
+_LEAST_TOLD = 1 / 3
+"""Share of a skyline that the DEM's horizon must tell of: of a shorter one what fits is no support."""
 _MOST_SQUARE = 9.0
 """Of a column's error in its sigma, squared: what is further off is another thing."""
 
 
 @dataclass(frozen=True)
 class SkylineFit:
-    """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit; `veiled`: that where a
-    nearer crest may hide the horizon. `variance`: the square of what columns that fit err by, over that of their
-    sigmas.
+    """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit, of those that are not
+    taken for land beyond the DEM; `veiled`: that where a nearer crest may hide the horizon; `open`: that where such
+    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas.
     """
 
     cost: float = 0.0
     support: float = 0.0
     veiled: float = 0.0
     variance: float = 1.0
+    open: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,8 @@ def skyline_fit(
     total = len(evidence.skyline.u) if evidence.skyline is not None else 1
     counted = rows.weight * inlier
     variance = (noise.stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (noise.stated + counted.sum())
-    return SkylineFit(cost, float(supports[fits].sum()) / max(total, 1), rows.veiled, float(variance))
+    told = max(total, 1) * max(1.0 - rows.free, _LEAST_TOLD)
+    return SkylineFit(cost, float(supports[fits].sum()) / told, rows.veiled, float(variance), rows.open)
 
 
 def _with_prior(

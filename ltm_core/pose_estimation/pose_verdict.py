@@ -68,6 +68,8 @@ def judge(
         return Verdict(word, reason, gap, other, sigma, support)
 
     most_azimuth = v.close_azimuth_sigma_deg if by_ridges or plants >= OVERGROWN else v.most_sigma_deg
+    if best.refined.skyline.open > v.open_share:
+        most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"

@@ -2,10 +2,10 @@
 
 A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
 The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
-ever so uncertain. Where land beyond the DEM may stand over the horizon, all skylines between it and the bound of that
-land are alike likely. Where trees on a nearer crest may hide the horizon, either is what is seen. Neighbouring columns
-are alike: all of a picture count as a few, and in the fit and its covariance those within one correlation length of a
-crest count as one.
+ever so uncertain. Where land beyond the DEM may stand over the horizon, that is the skyline as often as not, and else
+all skylines between it and the bound of that land are alike likely. Where trees on a nearer crest may hide the horizon,
+either is what is seen. Neighbouring columns are alike: all of a picture count as a few, and in the fit and its
+covariance those within one correlation length of a crest count as one.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ def search_azimuths(
                 config.correlation,
                 config.odds,
                 column_weight(skyline, camera, config),
+                config.own_crest,
             ]
         ),
         out,
@@ -130,7 +131,7 @@ def _search(
     count = len(columns)
     total = len(horizon)
     half_step, position_sigma, pitch_sigma, roll_sigma, spacing = setting
-    dem_sigma, cell_share, cell_lift, correlation, odds, share = noise
+    dem_sigma, cell_share, cell_lift, correlation, odds, share, own = noise
     error, sigma = np.empty(count), np.empty(count)
     gap, weight = np.empty(count), np.empty(count)
     front, front_sigma = np.empty(count), np.empty(count)
@@ -186,13 +187,17 @@ def _search(
                     k = int(used[n])
                     e = error[k] + a * columns[k, 2] + b * columns[k, 3]
                     free = e if e < 0 else max(0.0, e - gap[k])
-                    if gap[k] > 0 and free == 0.0:
-                        continue
                     s = sigma[k] * wide
-                    q = 1 + free * free / (4 * s * s)
-                    like = odds / s / (q * q * np.sqrt(q))
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
+                    if gap[k] > 0 and e > 0:
+                        q = 1 + e * e / (4 * s * s)
+                        if own / s / (q * q * np.sqrt(q)) > (1 - own) / (s + 0.375 * gap[k]):
+                            free, target = e, error[k]
+                        elif free == 0.0:
+                            continue
+                    q = 1 + free * free / (4 * s * s)
+                    like = odds / s / (q * q * np.sqrt(q))
                     w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
                     if front_sigma[k] > 0.0:
                         s2 = front_sigma[k] * wide
@@ -215,6 +220,9 @@ def _search(
                 free = e if e < 0 else max(0.0, e - gap[k])
                 q = 1 + free * free / (4 * sigma[k] ** 2)
                 like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
+                if gap[k] > 0:
+                    q = 1 + e * e / (4 * sigma[k] ** 2)
+                    like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
                 if front_sigma[k] > 0.0:
                     q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * front_sigma[k] ** 2)
                     like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))

@@ -15,6 +15,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation import pose_from_picture
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.pose_from_picture import find_pose
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
@@ -109,7 +110,7 @@ def test_a_mean_that_fits_nowhere_is_not_accepted(monkeypatch: pytest.MonkeyPatc
     assert find_pose(evidence, terrain(), prior).verdict.word == "accepted"
     monkeypatch.setattr(pose_from_picture, "merged_with_others", beside)
     verdict = find_pose(evidence, terrain(), prior).verdict
-    assert verdict.support < 0.75
+    assert verdict.support < PicturePoseConfig().verdict.least_support
     assert verdict.word != "accepted"
 
 

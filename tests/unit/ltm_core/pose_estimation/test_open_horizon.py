@@ -1,0 +1,100 @@
+"""Where land beyond the DEM may stand over its horizon: that horizon is the skyline or it is not, and pictures tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
+
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation import pose_from_picture
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.pose_refinement import skyline_fit
+from ltm_core.tracing.possible_ground import PossibleGround
+from ltm_core.types import UInt8Array
+from ltm_core.vision.labels import Label
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
+OPEN = Terrain(mountains(), BEND, PossibleGround())
+CONFIG = PicturePoseConfig()
+
+
+def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
+    return find_pose(picture_evidence(*picture, CAMERA), OPEN, prior)
+
+
+def off_deg(search: PictureSearch) -> np.ndarray:
+    return np.degrees(np.abs(angles_between(TRUE, search.hypotheses[0].refined.pose)))
+
+
+def with_range_behind(picture: tuple[UInt8Array, UInt8Array], columns: slice, height: int) -> None:
+    """Hazy land so many pixels over the skyline of some columns."""
+    photo, labels = picture
+    for u in range(*columns.indices(labels.shape[1])):
+        top = int(np.argmax(labels[:, u] != Label.SKY))
+        rows = slice(max(0, top - height - (u // 40) % 5), top)
+        labels[rows, u] = Label.BARE
+        photo[rows, u] = (165, 178, 192)
+
+
+def test_a_skyline_that_is_the_dem_s_own_is_laid_on_its_horizon() -> None:
+    search = search_of(view(TRUE))
+    assert search.horizon.open.mean() > 0.5
+    assert search.verdict.word == "accepted", search.verdict.reason
+    assert off_deg(search).max() < 0.1
+    fit = search.hypotheses[0].refined.skyline
+    assert fit.open > 0.8
+    assert fit.support == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_range_behind_half_of_it_is_no_misfit() -> None:
+    picture = view(TRUE)
+    with_range_behind(picture, slice(0, 260), 14)
+    search = search_of(picture)
+    assert search.verdict.word == "accepted", search.verdict.reason
+    assert off_deg(search).max() < 0.1
+    assert search.hypotheses[0].refined.skyline.support > 0.9
+
+
+def test_of_a_skyline_that_is_mostly_another_s_the_rest_is_no_support() -> None:
+    picture = view(TRUE)
+    with_range_behind(picture, slice(0, 430), 14)
+    evidence = picture_evidence(*picture, CAMERA)
+    fit = skyline_fit(TRUE, evidence.camera, evidence, search_of(picture).horizon, CONFIG)
+    assert 0.1 < fit.support < 0.5
+
+
+def test_where_nothing_lies_beyond_it_is_misfit() -> None:
+    picture = view(TRUE)
+    with_range_behind(picture, slice(0, 260), 14)
+    evidence = picture_evidence(*picture, CAMERA)
+    horizon = terrain().horizon_for(evidence.camera, PRIOR, CONFIG)
+    fit = skyline_fit(TRUE, evidence.camera, evidence, horizon, CONFIG)
+    assert fit.open == 0.0
+    assert fit.support < 0.6
+
+
+def without_ridges(evidence: PictureEvidence, *given: object) -> list[object]:
+    return []
+
+
+def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    found = find_pose(evidence, OPEN, PRIOR)
+    assert found.verdict.word == "accepted"
+    asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
+    doubted = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    assert (doubted.verdict.word, "ridges alone" in doubted.verdict.reason) == ("ambiguous", True)
+
+
+def test_an_open_azimuth_must_be_surer() -> None:
+    wide = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.001})
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    config = CONFIG.model_copy(update={"verdict": wide})
+    assert find_pose(evidence, OPEN, PRIOR, config).verdict.word != "accepted"
+    assert find_pose(evidence, terrain(), PRIOR, config).verdict.word == "accepted"
