@@ -22,7 +22,7 @@ from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_str
 from ltm_core.pose_estimation.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
-from ltm_core.pose_estimation.pose_prior import PosePrior, turned
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, SkylineFit, picture_system, skyline_fit
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
 from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
@@ -137,6 +137,9 @@ def fit_mount(
         word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     elif seen.support < v.least_support:
         word, reason = "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
+    elif seen.open > v.open_share and not _told_alone(pictures, found, v):
+        word = "ambiguous"
+        reason = "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount"
     elif away.max() > v.contradiction:
         word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
@@ -250,6 +253,16 @@ def _skyline(pictures: list[_Picture], state: Float64Array, config: PicturePoseC
         if p.search.evidence.skyline is not None
     ]
     return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
+
+
+def _told_alone(pictures: list[_Picture], found: tuple[Pose, ...], config: VerdictConfig) -> bool:
+    """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
+    apart = [
+        float(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max())
+        for p, pose in zip(pictures, found, strict=True)
+        if p.search.verdict.word == "accepted"
+    ]
+    return len(apart) > 1 and max(apart) <= math.radians(config.open_apart_deg)
 
 
 def _gap_asked(pictures: list[_Picture], seen: SkylineFit, config: VerdictConfig) -> float:

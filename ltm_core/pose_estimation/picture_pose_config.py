@@ -114,7 +114,9 @@ class VerdictConfig(StrictModel):
     open_gap: float = 25.0
     """or an alternative must cost so much more,"""
     open_azimuth_sigma_deg: float = Field(0.34, gt=0)
-    """and the azimuth be as sure as this."""
+    """and the azimuth be as sure as this,"""
+    open_variance: float = 1.7
+    """and misfits no larger: another range's are."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 10.0

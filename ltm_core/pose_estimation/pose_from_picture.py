@@ -95,12 +95,13 @@ def find_pose(
     if not found or _asks_ridges(found[0].refined.skyline, verdict, config.verdict):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
         by_ridges = _on_skyline(by_ridges, evidence, horizon, config)
-        if verdict.word == "accepted":
-            verdict = _confirmed(verdict, found[0], by_ridges, config.verdict)
-        else:
+        if verdict.word != "accepted" or not _agree(found[0], by_ridges, config.verdict):
             other = judge(by_ridges, True, prior, config, evidence.plants)
             if other.word == "accepted" or not found:
                 found, verdict = by_ridges, other
+            elif verdict.word == "accepted":
+                reason = "land beyond the DEM may look like its horizon, and ridges alone do not lie there"
+                verdict = replace(verdict, word="ambiguous", reason=reason)
     return PictureSearch(tuple(found), evidence, horizon, verdict)
 
 
@@ -112,14 +113,10 @@ def _asks_ridges(skyline: SkylineFit, verdict: Verdict, config: VerdictConfig) -
     return skyline.open > config.open_share and not config.open_gap <= verdict.gap < math.inf
 
 
-def _confirmed(verdict: Verdict, best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> Verdict:
-    """A pose by what may be the skyline of land beyond the DEM: taken where ridges alone are of the same azimuth."""
-    if by_ridges:
-        apart = abs(float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0]))
-        if apart <= math.radians(config.open_apart_deg):
-            return verdict
-    reason = "land beyond the DEM may look like its horizon, and ridges alone do not lie there"
-    return replace(verdict, word="ambiguous", reason=reason)
+def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:
+    """Whether ridges alone are of the same azimuth."""
+    apart = [abs(float(angles_between(best.refined.pose, other.refined.pose)[0])) for other in by_ridges[:1]]
+    return bool(apart) and apart[0] <= math.radians(config.open_apart_deg)
 
 
 def _search_skyline(

@@ -84,6 +84,11 @@ def judge(
             return verdict(
                 "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
             )
+    elif best.refined.skyline.open > v.open_share and variance > v.open_variance:
+        return verdict(
+            "ambiguous",
+            f"the skyline may be of land beyond the DEM, and its misfits' variance on the horizon is {variance:.1f}",
+        )
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""

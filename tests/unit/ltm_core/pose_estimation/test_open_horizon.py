@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation import pose_from_picture
+from ltm_core.pose_estimation.mount_fit import fit_mount
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
@@ -98,3 +101,38 @@ def test_an_open_azimuth_must_be_surer() -> None:
     config = CONFIG.model_copy(update={"verdict": wide})
     assert find_pose(evidence, OPEN, PRIOR, config).verdict.word != "accepted"
     assert find_pose(evidence, terrain(), PRIOR, config).verdict.word == "accepted"
+
+
+def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:
+    true = [Pose.from_angles(TRUE.position, azimuth, 2.5, 1.2) for azimuth in (63.0, 131.0, 205.0)]
+    stated = [PosePrior(Pose.from_angles(t.position, t.angles_deg[0] + 1.1, 2.5, 1.2), 1.5, 0.5, 0.5) for t in true]
+    searches = [search_of(view(t), prior) for t, prior in zip(true, stated, strict=True)]
+    found = fit_mount(stated, searches, CONFIG, tilt_zero_sigma_deg=0.0)
+    assert found.word == "accepted", found.reason
+    assert (
+        max(np.degrees(np.abs(angles_between(t, pose))).max() for t, pose in zip(true, found.poses, strict=True)) < 0.1
+    )
+
+    doubted = [replace(search, verdict=replace(search.verdict, word="ambiguous")) for search in searches[1:]]
+    alone = fit_mount(stated, [searches[0], *doubted], CONFIG, tilt_zero_sigma_deg=0.0)
+    assert (alone.word, "no two pictures alone" in alone.reason) == ("ambiguous", True)
+
+
+def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
+    picture = view(TRUE)
+    photo, labels = picture
+    for u, lift in enumerate(np.rint(4 * np.sin(np.arange(labels.shape[1]) / 9.0)).astype(int)):
+        top = int(np.argmax(labels[:, u] != Label.SKY))
+        rows = slice(min(top, top - lift), max(top, top - lift))
+        labels[rows, u], photo[rows, u] = (Label.BARE, (90, 100, 80)) if lift > 0 else (Label.SKY, (190, 210, 235))
+    search = search_of(picture)
+    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.open_variance
+    assert search.verdict.word == "ambiguous"
+
+
+def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen() -> None:
+    strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"open_variance": 0.01})})
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    verdict = find_pose(evidence, OPEN, PRIOR, strict).verdict
+    assert (verdict.word, "misfits' variance" in verdict.reason) == ("ambiguous", True)
+    assert find_pose(evidence, terrain(), PRIOR, strict).verdict.word == "accepted"
