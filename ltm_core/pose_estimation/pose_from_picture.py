@@ -3,7 +3,8 @@
 1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
-3. The best of these is accepted where it stands out (`pose_verdict`); otherwise the prior pose stays.
+3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the picture, or
+   land beyond the DEM may look like one, ridges alone are asked (`ridge_search`). Otherwise the prior pose stays.
 """
 
 from __future__ import annotations
@@ -115,8 +116,10 @@ def _asks_ridges(skyline: SkylineFit, verdict: Verdict, config: VerdictConfig) -
 
 def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:
     """Whether ridges alone are of the same azimuth."""
-    apart = [abs(float(angles_between(best.refined.pose, other.refined.pose)[0])) for other in by_ridges[:1]]
-    return bool(apart) and apart[0] <= math.radians(config.open_apart_deg)
+    if not by_ridges:
+        return False
+    apart = float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0])
+    return abs(apart) <= math.radians(config.open_apart_deg)
 
 
 def _search_skyline(
