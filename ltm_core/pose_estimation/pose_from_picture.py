@@ -109,9 +109,10 @@ def find_pose(
 def _asks_ridges(skyline: SkylineFit, verdict: Verdict, config: VerdictConfig) -> bool:
     """Whether ridges alone are tried, too: where the skyline is not that of the DEM, and where land beyond the DEM may
     look like it."""
-    if verdict.word != "accepted":
-        return skyline.support < _LEAST_SUPPORT or skyline.open > config.open_share
-    return skyline.open > config.open_share and not config.open_gap <= verdict.gap < math.inf
+    open_view = skyline.open > config.open_share
+    if verdict.word == "accepted":
+        return open_view and not config.open_gap <= verdict.gap < math.inf
+    return open_view or skyline.support < _LEAST_SUPPORT
 
 
 def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:

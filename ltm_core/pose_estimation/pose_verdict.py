@@ -68,7 +68,8 @@ def judge(
         return Verdict(word, reason, gap, other, sigma, support)
 
     most_azimuth = v.close_azimuth_sigma_deg if by_ridges or plants >= OVERGROWN else v.most_sigma_deg
-    if best.refined.skyline.open > v.open_share:
+    open_view = best.refined.skyline.open > v.open_share
+    if open_view:
         most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
         known = "what ridges are in the picture" if by_ridges else "the skyline"
@@ -84,7 +85,7 @@ def judge(
             return verdict(
                 "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
             )
-    elif best.refined.skyline.open > v.open_share and variance > v.open_variance:
+    elif open_view and variance > v.open_variance:
         return verdict(
             "ambiguous",
             f"the skyline may be of land beyond the DEM, and its misfits' variance on the horizon is {variance:.1f}",
