@@ -304,6 +304,7 @@ def _refined(
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *MOUNT_FLOOR_DEG)[3:, 3:]
+            covariance[6, 6] += math.radians(MOUNT_FLOOR_DEG[1]) ** 2 if sigma[6] > 0 else 0.0
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])

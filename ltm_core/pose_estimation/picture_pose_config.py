@@ -29,6 +29,8 @@ class SkylineConfig(StrictModel):
     """Radians over which those are spread."""
     own_crest: float = Field(0.5, ge=0, lt=1)
     """Share of skylines that are the DEM's horizon where land beyond it may stand over that."""
+    no_land: float = Field(0.2, gt=0, lt=1)
+    """Share of pale edges above a crest that are no land's."""
     cover: CrestCover = BARE_EARTH
 
     @property
@@ -89,7 +91,7 @@ class VerdictConfig(StrictModel):
     """An alternative is a pose that differs by more in azimuth."""
     least_gap: float = 4.0
     """By which its cost must be higher,"""
-    veil_factor: float = Field(10.0, ge=0)
+    veil_factor: float = Field(5.0, ge=0)
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
     most_sigma_deg: float = Field(0.65, gt=0)
     """Of azimuth, pitch and roll,"""
@@ -136,9 +138,9 @@ class VerdictConfig(StrictModel):
         return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
-FLOOR_DEG = (0.02, 0.02, 0.02)
+FLOOR_DEG = (0.01, 0.01, 0.01)
 """Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
-MOUNT_FLOOR_DEG = (0.04, 0.025, 0.05)
+MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
 """and for what holds in all directions: what those of a lens leave, too."""
 
 

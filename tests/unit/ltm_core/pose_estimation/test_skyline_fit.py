@@ -31,8 +31,8 @@ def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
     rows = skyline_observations(TRUE, evidence.camera, evidence, horizon, 1.0, PicturePoseConfig())
     assert rows is not None
     assert evidence.skyline is not None
-    sign = np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0)
-    return replace(evidence, skyline=replace(evidence.skyline, v=evidence.skyline.v + sigmas * sign * rows.sigma))
+    v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma
+    return replace(evidence, skyline=replace(evidence.skyline, v=v, crest_v=v))
 
 
 def sigmas(search: PictureSearch) -> Float64Array:
