@@ -78,6 +78,8 @@ def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, 
                 row = top + n
                 if _apart(lab, column, row, top, size) < 0.5 * steps[n]:
                     break  # sky below a cloud
+                if lab[row : row + size, column, 0].mean() > lab[row - size - skip : row - skip, column, 0].mean():
+                    break  # a cloud: air makes far land as light as the sky and no lighter
                 lowest, highest = np.inf, 0.0
                 for below in range(row, end + 1):
                     total = 0.0

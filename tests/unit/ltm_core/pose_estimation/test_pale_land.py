@@ -74,6 +74,12 @@ def test_a_cloud_that_ends_above_the_crest_is_none() -> None:
     np.testing.assert_array_equal(found, v)
 
 
+def test_a_cloud_that_rests_on_the_crest_is_none() -> None:
+    """It is lighter than the sky."""
+    found, v = edges(photo((RANGE, (222.0, 226.0, 244.0)), (CREST, NEAR)))
+    np.testing.assert_array_equal(found, v)
+
+
 def test_single_columns_are_not_believed() -> None:
     """A bird, a pole, a thin cloud."""
     spots = np.where(np.arange(WIDTH) % 40 < 4, RANGE, CREST)
