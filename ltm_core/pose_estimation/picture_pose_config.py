@@ -105,7 +105,11 @@ class VerdictConfig(StrictModel):
     same_deg: float = Field(0.1, ge=0)
     """Of azimuth, between refined poses that are one."""
     least_support: float = Field(0.68, ge=0, le=1)
-    """Share of the skyline that fits."""
+    """Share of the skyline that fits,"""
+    sharp_support: float = Field(0.5, ge=0, le=1)
+    """and that where it makes all angles as sure as"""
+    sharp_sigma_deg: float = Field(0.35, gt=0)
+    """this: trees before a camera hide half of a skyline, and the other half may do."""
     clear_support: float = Field(0.35, ge=0, le=1)
     """The same for one of many pictures of a mount that decide together: from here on it shows a skyline at all."""
     open_share: float = Field(0.25, ge=0, le=1)
@@ -131,6 +135,10 @@ class VerdictConfig(StrictModel):
     contradiction: float = Field(3.5, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one: fewer than `SearchConfig.reach_sigmas`, for
     of a pose at the search's edge the alternatives beyond it are not known."""
+
+    def support_asked(self, sigma_deg: float) -> float:
+        """The share of the skyline that must fit where the least sure of the angles is known to `sigma_deg`."""
+        return self.sharp_support if sigma_deg <= self.sharp_sigma_deg else self.least_support
 
     def gap_asked(self, veiled: float, variance: float) -> float:
         """By how much an alternative must cost more, where plants may hide such a share of the skyline. Misfits of a

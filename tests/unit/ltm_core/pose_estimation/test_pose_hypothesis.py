@@ -139,3 +139,25 @@ def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) 
     found = merged_with_others(apart, CONFIG)
     prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
     assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == "ambiguous"
+
+
+@pytest.mark.parametrize(
+    ("support", "turn_deg", "open_share", "word"),
+    [
+        (0.6, 0.2, 0.0, "accepted"),
+        (0.6, 0.4, 0.0, "ambiguous"),
+        (0.7, 0.4, 0.0, "accepted"),
+        (0.45, 0.2, 0.0, "ambiguous"),
+        (0.6, 0.2, 0.5, "ambiguous"),
+    ],
+)
+def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
+    support: float, turn_deg: float, open_share: float, word: str
+) -> None:
+    best = hypothesis(60.0, -100.0)
+    covariance = best.refined.covariance.copy()
+    covariance[3:6, 3:6] = pose_covariance(best.refined.pose, 0.0, 0.0, 0.1, 0.05, turn_deg)[3:, 3:]
+    seen = SkylineFit(support=support, open=open_share)
+    found = [replace(best, refined=replace(best.refined, covariance=covariance, skyline=seen))]
+    verdict = judge(found, False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.3)
+    assert verdict.word == word
