@@ -121,7 +121,7 @@ class VerdictConfig(StrictModel):
     """or an alternative must cost so much more,"""
     open_azimuth_sigma_deg: float = Field(0.34, gt=0)
     """and the azimuth be as sure as this,"""
-    open_variance: float = 1.7
+    open_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
