@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.vision.cie_lab import cie_lab
 
 ORIENTATIONS = 8
 
@@ -29,8 +30,7 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
-    lab = cv2.cvtColor(cv2.GaussianBlur(small, (0, 0), 1.0), cv2.COLOR_RGB2LAB).astype(np.float32)
-    lab[..., 0] *= np.float32(100 / 255)
+    lab = cie_lab(np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), np.uint8))
     # Of the three channels' gradients, that which is strongest.
     gu = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 1, 0) for c in range(3)])
     gv = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 0, 1) for c in range(3)])

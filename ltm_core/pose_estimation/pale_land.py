@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.vision.cie_lab import cie_lab
 
 _ABOVE, _SKY = 12.0 / 640, 20.0 / 640
 """Widths of the image above the nearer land's edge within which pale land is sought, and above those where the sky
@@ -33,12 +34,10 @@ def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Arra
     if len(u) < 2:
         return v
     unit = photo.shape[1] / 640
-    lab = cv2.cvtColor(photo, cv2.COLOR_RGB2LAB).astype(np.float32)
-    lab[..., 0] *= np.float32(100 / 255)
-    above, sky = round(_ABOVE * photo.shape[1]), round(_SKY * photo.shape[1])
-    found = _first_step(
-        cv2.blur(lab, (_ACROSS, 1)), u, np.floor(v - unit).astype(np.int64), above, sky, max(2, round(2 * unit))
-    )
+    above, sky, size = round(_ABOVE * photo.shape[1]), round(_SKY * photo.shape[1]), max(2, round(2 * unit))
+    ends = np.floor(v - unit).astype(np.int64)
+    seen = photo[: max(int(ends.max()) + size, 1)]  # what lies lower tells nothing
+    found = _first_step(np.asarray(cv2.blur(cie_lab(seen), (_ACROSS, 1)), np.float32), u, ends, above, sky, size)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(found, 2, constant_values=np.nan), 5)
     agreed = np.isfinite(windows).sum(axis=1) >= 3
     middle = np.full(len(u), np.nan)
@@ -60,6 +59,21 @@ def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
+    """Whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no cloud."""
+    if lab[row : row + size, column, 0].mean() > lab[above + 1 : above + 1 + size, column, 0].mean():
+        return False  # air makes far land as light as the sky and no lighter
+    lowest, highest = np.inf, 0.0
+    sky = np.array([lab[above : above + size, column, i].mean() for i in range(3)])
+    for below in range(row, end + 1):
+        total = 0.0
+        for i in range(3):
+            total += (lab[below, column, i] - sky[i]) ** 2
+        lowest, highest = min(lowest, np.sqrt(total)), max(highest, np.sqrt(total))
+    return bool(lowest > 0.5 * step and highest < min(_PALE, _ALIKE[0] * step + _ALIKE[1]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, sky: int, size: int) -> Float64Array:
     """Of columns (K,) the row from which on all, down to `ends`, stands out from the sky alike; NaN without."""
     found = np.full(len(u), np.nan)
@@ -76,18 +90,8 @@ def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, 
         for n in range(sky, above + sky):
             if steps[n] > least and steps[n] >= steps[n + 1] and steps[n] >= steps[n - 1]:
                 row = top + n
-                if _apart(lab, column, row, top, size) < 0.5 * steps[n]:
-                    break  # sky below a cloud
-                if lab[row : row + size, column, 0].mean() > lab[row - size - skip : row - skip, column, 0].mean():
-                    break  # a cloud: air makes far land as light as the sky and no lighter
-                lowest, highest = np.inf, 0.0
-                for below in range(row, end + 1):
-                    total = 0.0
-                    for i in range(3):
-                        before = lab[row - size - skip - 1 : row - skip - 1, column, i].mean()
-                        total += (lab[below, column, i] - before) ** 2
-                    lowest, highest = min(lowest, np.sqrt(total)), max(highest, np.sqrt(total))
-                if lowest > 0.5 * steps[n] and highest < min(_PALE, _ALIKE[0] * steps[n] + _ALIKE[1]):
+                cleared = _apart(lab, column, row, top, size) < 0.5 * steps[n]  # sky below a cloud
+                if not cleared and _is_pale(lab, column, row, end, row - size - skip - 1, size, steps[n]):
                     found[k] = row - 0.25 - 0.5 * skip
                 break
     return found

@@ -119,7 +119,8 @@ def skyline_observations(
         + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
     )
     wider = sigma * wide
-    # Of two edges the lower may be the horizon's: the upper is of land beyond it, or of none.
+    # Of two edges the lower may be the horizon's: the upper is of land beyond it, or of none. Compared by the root of
+    # Student's power, 5/2.
     low = v - skyline.crest_v
     doubt = np.where(above > 0, 1.0, (1 - noise.no_land) / noise.no_land) ** 0.4
     lower = (skyline.crest_v > skyline.v) & (1 + (error / wider) ** 2 / 4 > doubt * (1 + (low / wider) ** 2 / 4))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.cie_lab import cie_lab
 
 _PATCH = 0.02
 """Of the width: side of the square in the very corner whose colour is the hood's."""
@@ -57,9 +58,7 @@ def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
 
 
 def _lab(frame: UInt8Array) -> Float32Array:
-    lab = cv2.cvtColor(cv2.GaussianBlur(frame, (0, 0), 1.5), cv2.COLOR_RGB2LAB).astype(np.float32)
-    lab[..., 0] *= np.float32(100 / 255)
-    return np.asarray(lab, np.float32)
+    return cie_lab(np.asarray(cv2.GaussianBlur(frame, (0, 0), 1.5), np.uint8))
 
 
 def _to_top_left(values: NDArray[Any], up: bool, left: bool) -> NDArray[Any]:

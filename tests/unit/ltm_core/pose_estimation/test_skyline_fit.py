@@ -13,7 +13,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_e
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, find_pose
 from ltm_core.pose_estimation.pose_observations import skyline_observations
-from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
 from ltm_core.types import Float64Array
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
@@ -59,3 +59,33 @@ def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureE
         variances.append(find_pose(exact, terrain(), PRIOR, config).hypotheses[0].refined.skyline.variance)
     assert variances[0] < 0.5
     assert variances[1] == pytest.approx(1.0, abs=0.03)
+
+
+def with_two_edges(evidence: PictureEvidence, up_px: float, down_px: float) -> PictureEvidence:
+    """In the right third of its columns so much pale land seems to stand above its crest: the upper edge by `up_px`
+    above where the skyline is, the lower by `down_px` below it."""
+    skyline = evidence.skyline
+    assert skyline is not None
+    both = skyline.u > 2 * evidence.camera.width / 3
+    v, crest = np.where(both, skyline.v - up_px, skyline.v), np.where(both, skyline.v + down_px, skyline.v)
+    return replace(evidence, skyline=replace(skyline, v=v, crest_v=crest))
+
+
+@pytest.mark.parametrize(("up_px", "down_px"), [(0.0, 5.0), (5.0, 0.0)])
+def test_of_two_edges_that_which_fits_is_the_horizon(exact: PictureEvidence, up_px: float, down_px: float) -> None:
+    """The upper where it is a far range's, the lower where what stands above it is no land."""
+    search = find_pose(with_two_edges(exact, up_px, down_px), terrain(), PRIOR)
+    best = search.hypotheses[0].refined
+    assert np.degrees(np.abs(angles_between(TRUE, best.pose))).max() < 0.1
+    assert best.skyline.support > 0.9
+    assert search.verdict.word == "accepted"
+
+
+def test_an_upper_edge_that_is_believed_without_doubt_leads_away(exact: PictureEvidence) -> None:
+    doubted, believed = (
+        find_pose(with_two_edges(exact, 5.0, 0.0), terrain(), PRIOR, config).hypotheses[0].refined
+        for config in (PicturePoseConfig(), PicturePoseConfig(skyline=SkylineConfig(no_land=1e-9)))
+    )
+    off, led_away = (np.abs(angles_between(TRUE, found.pose)).max() for found in (doubted, believed))
+    assert led_away > 2 * off
+    assert believed.skyline.variance > 2 * doubted.skyline.variance
