@@ -23,7 +23,7 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): sky and what is masked, no edges there.
+    """Edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds and masks.
 
     The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
     """

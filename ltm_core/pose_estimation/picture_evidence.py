@@ -19,6 +19,8 @@ from ltm_core.vision.labels import UNLABELLED, Label
 
 _BORDER = 0.006
 """Of the width: a skyline so near, above or below, to what is hidden is its border."""
+_SKY_EDGE = 0.01
+"""Of the width: edges so near to the land are kept, those of clouds further up are not."""
 _LEAST_SKY = 0.1
 """Share of columns that a skyline must have to be one."""
 
@@ -114,8 +116,13 @@ def picture_evidence(
         skyline = _beside(skyline, shut)
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
 
+    # Of the sky only what is well above the land: where the land ends against it stands a crest's own edge, without
+    # which the crest would be laid on what is below it.
+    reach = max(3, round(_SKY_EDGE * work.width))
+    clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+
     def edges(pixels: int) -> ImageContours:
-        return image_contours(small, pixels, shut | sky)
+        return image_contours(small, pixels, shut | clear)
 
     return PictureEvidence(work, ids, skyline if found else None, PictureEdges(edges, config.contours))
 

@@ -23,11 +23,11 @@ from ltm_core.types import Float64Array
 
 _KEPT = 18
 _ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
-"""Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
+"""Whatever the labels are, where few of them are of trees and shrubs: rock and ice, which labels know the least."""
 _ALONG = 8.0
 """Metres and pixels within which a ridge's errors are one and the same: of rock."""
-_FLOOR_DEG, _FLOOR_OF_PLANTS_DEG = (0.15, 0.05, 0.15), (0.25, 0.08, 0.15)
-"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing; among plants, of their margins."""
+_FLOOR_DEG = (0.15, 0.05, 0.15)
+"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
@@ -55,9 +55,10 @@ def search_ridges(
     focal_sigma: float,
 ) -> list[Hypothesis]:
     """Hypotheses from the best down; none where too few ridges may be in view."""
+    cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
     config = config.model_copy(
         update={
-            "skyline": config.skyline.model_copy(update={"cover": _ANY}),
+            "skyline": config.skyline.model_copy(update={"cover": cover}),
             "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
         }
     )
@@ -77,7 +78,6 @@ def search_ridges(
         axis=-1,
     ).reshape(-1, 3)
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
-    floor = _FLOOR_OF_PLANTS_DEG if evidence.plants >= MANY_PLANTS else _FLOOR_DEG
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(focal_sigma):
@@ -96,7 +96,7 @@ def search_ridges(
         around = ridges.in_view(start, lens, _MOST_POINTS)
         refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, rounds)
         covariance = refined.covariance.copy()
-        covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
+        covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *_FLOOR_DEG)[3:, 3:]
         return replace(refined, covariance=covariance)
 
     hypotheses: list[Hypothesis] = []

@@ -130,7 +130,8 @@ def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
     assert search.verdict.word == "ambiguous"
 
 
-def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen() -> None:
+def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"open_variance": 0.01})})
     evidence = picture_evidence(*view(TRUE), CAMERA)
     verdict = find_pose(evidence, OPEN, PRIOR, strict).verdict

@@ -58,6 +58,19 @@ def test_edges_are_found_once_for_a_picture_with_and_without_its_skyline() -> No
     assert evidence.unseen.edges is not evidence.edges
 
 
+def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:
+    photo, labels = view(TRUE)
+    skyline = picture_evidence(photo, labels, CAMERA).skyline
+    assert skyline is not None
+    cloud = slice(int(skyline.v.min()) - 40, int(skyline.v.min()) - 25)
+    photo[cloud] = 120
+    response = picture_evidence(photo, labels, CAMERA).edges.response.max(axis=0)
+    assert response.shape == labels.shape
+    assert not response[: cloud.stop + 5].any()
+    at = response[np.rint(skyline.v).astype(int), skyline.u.astype(int)]
+    assert np.median(at) > 1.0
+
+
 def test_labels_of_another_size_are_told() -> None:
     photo, labels = view(TRUE)
     with pytest.raises(ImageError, match="must be of one size"):
