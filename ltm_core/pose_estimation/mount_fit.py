@@ -262,7 +262,7 @@ def _told_alone(pictures: list[_Picture], found: tuple[Pose, ...], config: Verdi
         for p, pose in zip(pictures, found, strict=True)
         if p.search.verdict.word == "accepted"
     ]
-    return len(apart) > 1 and max(apart) <= math.radians(config.open_apart_deg)
+    return len(apart) > 1 and max(apart) <= math.radians(config.mount_apart_deg)
 
 
 def _gap_asked(pictures: list[_Picture], seen: SkylineFit, config: VerdictConfig) -> float:

@@ -20,7 +20,9 @@ class SkylineConfig(StrictModel):
     correlation: float = Field(60.0, gt=0)
     """Metres along a crest within which these errors are one and the same,"""
     independent: float = Field(24.0, gt=0)
-    """and how many independent places a skyline has at most that goes all through a picture: it is smooth."""
+    """and how many independent places a skyline has at most that goes all through a picture: it is smooth;"""
+    independent_fit: float = Field(40.0, gt=0)
+    """in the fit, to which columns of something else do not count, so many: errors of a sharp one change faster."""
     stated: float = Field(2.0, gt=0)
     """Independent places as which these sigmas count beside those where a photo shows how far its skyline lies off."""
     outliers: float = Field(0.15, gt=0, lt=1)
@@ -98,7 +100,9 @@ class VerdictConfig(StrictModel):
     close_azimuth_sigma_deg: float = Field(0.4, gt=0)
     """and of an azimuth by ridges alone, or where nearly all that is seen are plants: their tops are the horizon."""
     mount_azimuth_sigma_deg: float = Field(0.3, gt=0)
-    """Of the azimuth of a mount that many pictures decide together."""
+    """Of the azimuth of a mount that many pictures decide together,"""
+    mount_apart_deg: float = Field(0.6, gt=0)
+    """and within which those of them lie where it puts them that are accepted by themselves, in open views."""
     agreement: float = Field(1.0, gt=0)
     """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e, times the
     variance of the skyline's misfits: small ones tell poses apart by more than is stated, large ones by less."""
@@ -115,19 +119,19 @@ class VerdictConfig(StrictModel):
     open_share: float = Field(0.25, ge=0, le=1)
     """Share of a skyline over which land beyond the DEM may stand: beyond it, what lies on the DEM's horizon may be a
     range that looks like it. Then ridges alone must agree"""
-    open_apart_deg: float = Field(0.6, gt=0)
+    open_apart_deg: float = Field(0.3, gt=0)
     """within so much of azimuth,"""
     open_gap: float = 25.0
     """or an alternative must cost so much more,"""
-    open_azimuth_sigma_deg: float = Field(0.28, gt=0)
+    open_azimuth_sigma_deg: float = Field(0.3, gt=0)
     """and the azimuth be as sure as this,"""
     open_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
-    plants_gap: float = 10.0
+    plants_gap: float = 8.0
     """and where trees and shrubs are half of the land in the picture or more, whose margins look like ridges;"""
-    plants_score: float = 8.0
+    plants_score: float = 6.0
     """then ridges must also lie on edges so many times more than chance."""
     ridges_variance: float = 1.4
     """Of a skyline's misfits where ridges are taken alone: beyond it what skyline there is speaks against them, most

@@ -143,7 +143,7 @@ def skyline_observations(
         np.where(hidden, over, metre),
     )
     free &= ~hidden
-    share = column_weight(skyline, camera, noise)
+    share = column_weight(skyline, camera, noise.independent_fit)
     weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
     rows = down[:, 1] - steep[:, None] * down[:, 0]
     veiled, open_share, taken = (float((where & inside).mean()) for where in (front > 0, above > 0, free))

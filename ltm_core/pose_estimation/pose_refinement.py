@@ -111,7 +111,7 @@ def skyline_fit(
     odds = noise.odds * camera.fy / rows.sigma
     like = odds / q**2.5
     fits = rows.weight > 0
-    share = column_weight(evidence.skyline, camera, noise) if evidence.skyline is not None else 0.0
+    share = column_weight(evidence.skyline, camera, noise.independent) if evidence.skyline is not None else 0.0
     cost = -share * float(np.log1p(like)[fits].sum())
     inlier = like / (1 + like)
     # A crest so near, or so uncertain, that anything fits says nothing.

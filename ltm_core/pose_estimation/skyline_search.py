@@ -94,7 +94,7 @@ def search_azimuths(
                 config.cell_lift,
                 config.correlation,
                 config.odds,
-                column_weight(skyline, camera, config),
+                column_weight(skyline, camera, config.independent),
                 config.own_crest,
                 config.no_land,
             ]
@@ -104,9 +104,9 @@ def search_azimuths(
     return SkylineCosts(azimuths, out[:, 0], out[:, 1], out[:, 2])
 
 
-def column_weight(skyline: ImageSkyline, camera: Camera, config: SkylineConfig) -> float:
-    """Of one column among those of a picture, that count as `config.independent` altogether."""
-    return min(1.0, config.independent * skyline.spacing / camera.width)
+def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:
+    """Of one column among those of a picture, that count as `independent` altogether."""
+    return min(1.0, independent * skyline.spacing / camera.width)
 
 
 def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
