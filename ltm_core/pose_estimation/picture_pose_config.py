@@ -150,7 +150,7 @@ class VerdictConfig(StrictModel):
         return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
-FLOOR_DEG = (0.01, 0.01, 0.01)
+FLOOR_DEG = (0.01, 0.012, 0.01)
 """Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
 """and for what holds in all directions: what those of a lens leave, too."""

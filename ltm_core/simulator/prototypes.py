@@ -34,12 +34,13 @@ class Prototype:
 
 
 def _scatter(rng: Rng, side: float, spacing: float, keep: float) -> Float64Array:
-    """Jittered-grid points (N, 2) over a square of `side` about the origin, thinned to the share `keep`."""
+    """Jittered-grid points (N, 2) over a square of `side` about the origin, thinned to the share `keep`, but for one."""
     n = max(1, round(side / spacing))
     at = (
         np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2) + rng.uniform(0.05, 0.95, (n * n, 2))
     ) / n
-    return np.asarray((at[rng.uniform(size=n * n) < keep] - 0.5) * side, np.float64)
+    draws = rng.uniform(size=n * n)
+    return np.asarray((at[draws <= max(keep, draws.min())] - 0.5) * side, np.float64)
 
 
 def _shrub_kind(rng: Rng, colors: Reflectances, scrub: bool) -> tuple[Float64Array, float, float]:

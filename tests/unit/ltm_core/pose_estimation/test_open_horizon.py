@@ -14,7 +14,7 @@ from ltm_core.pose_estimation.mount_fit import fit_mount
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
-from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import UInt8Array
@@ -93,6 +93,20 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
     doubted = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
     assert (doubted.verdict.word, "ridges alone" in doubted.verdict.reason) == ("ambiguous", True)
+
+
+@pytest.mark.parametrize(("apart_deg", "word"), [(0.2, "accepted"), (0.5, "ambiguous")])
+def test_ridges_must_be_of_the_same_azimuth(apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    best = find_pose(evidence, OPEN, PRIOR).hypotheses[0]
+    aside = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg)]))
+    # As good as another: by themselves these ridges decide nothing.
+    twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg + 4.0)]))
+    ridges = [replace(best, refined=replace(best.refined, pose=pose)) for pose in (aside, twin)]
+    monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
+    asked = CONFIG.verdict.model_copy(update={"open_gap": 1e9})
+    found = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    assert found.verdict.word == word, found.verdict.reason
 
 
 def test_an_open_azimuth_must_be_surer() -> None:
