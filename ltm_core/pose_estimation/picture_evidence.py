@@ -116,12 +116,11 @@ def picture_evidence(
         skyline = _beside(skyline, shut)
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
 
-    # Of the sky only what is well above the land: where the land ends against it stands a crest's own edge, without
-    # which the crest would be laid on what is below it.
-    reach = max(3, round(_SKY_EDGE * work.width))
-    clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-
     def edges(pixels: int) -> ImageContours:
+        # Of the sky what is well above the land alone: where it ends stands a crest's own edge, without which the crest
+        # would be laid on what is below it.
+        reach = max(3, round(_SKY_EDGE * work.width))
+        clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         return image_contours(small, pixels, shut | clear)
 
     return PictureEvidence(work, ids, skyline if found else None, PictureEdges(edges, config.contours))
