@@ -123,7 +123,7 @@ class VerdictConfig(StrictModel):
     """within so much of azimuth,"""
     open_gap: float = 25.0
     """or an alternative must cost so much more,"""
-    open_azimuth_sigma_deg: float = Field(0.3, gt=0)
+    open_azimuth_sigma_deg: float = Field(0.32, gt=0)
     """and the azimuth be as sure as this,"""
     open_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is."""

@@ -20,7 +20,13 @@ from ltm_core.pose import Pose
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, usual_score
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
+from ltm_core.pose_estimation.pose_hypothesis import (
+    Hypothesis,
+    focal_candidates,
+    merged_with_others,
+    search_reach,
+    widened_by_others,
+)
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, SkylineFit, refine, skyline_fit
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
@@ -95,7 +101,7 @@ def find_pose(
     verdict = judge(found, False, prior, config, evidence.plants)
     if not found or _asks_ridges(found[0].refined.skyline, verdict, config.verdict):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
-        by_ridges = _on_skyline(by_ridges, evidence, horizon, config)
+        by_ridges = _on_skyline(widened_by_others(by_ridges, config.verdict), evidence, horizon, config)
         if verdict.word != "accepted" or not _agree(found[0], by_ridges, config.verdict):
             other = judge(by_ridges, True, prior, config, evidence.plants)
             if other.word == "accepted" or not found:

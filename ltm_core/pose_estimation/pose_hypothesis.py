@@ -36,20 +36,35 @@ def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> l
     """
     if len(hypotheses) < 2:
         return hypotheses
-    best = hypotheses[0]
-    changes = np.array([_change(best.refined, other.refined) for other in hypotheses])
-    azimuths = np.array([angles_between(best.refined.pose, other.refined.pose)[0] for other in hypotheses])
-    costs, variance = [other.cost for other in hypotheses], best.refined.skyline.variance
-    mean, spread = mean_about_best(costs, azimuths, changes, variance, config)
-    refined = best.refined
-    factor = math.exp(mean[6])
+    best, refined = hypotheses[0], hypotheses[0].refined
+    mean, spread = _about_best(hypotheses, config)
     merged = replace(
         refined,
         pose=turned(refined.pose, mean[3:6], mean[:3]),
-        camera=refined.camera.zoomed(factor),
+        camera=refined.camera.zoomed(math.exp(mean[6])),
         covariance=refined.covariance + spread,
     )
     return [replace(best, refined=merged, about=refined.pose), *hypotheses[1:]]
+
+
+def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
+    """The same, the first one where it is, and as uncertain as those about it lie away from it: of poses by ridges
+    alone one is on its edges, and a mean on none.
+    """
+    if len(hypotheses) < 2:
+        return hypotheses
+    best = hypotheses[0]
+    mean, spread = _about_best(hypotheses, config)
+    wider = replace(best.refined, covariance=best.refined.covariance + spread + np.outer(mean, mean))
+    return [replace(best, refined=wider), *hypotheses[1:]]
+
+
+def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Float64Array, Float64Array]:
+    """Of those about the first, how far their mean is from it (7,), as in `_change`, and their spread about that."""
+    best = hypotheses[0].refined
+    changes = np.array([_change(best, other.refined) for other in hypotheses])
+    azimuths = np.array([angles_between(best.pose, other.refined.pose)[0] for other in hypotheses])
+    return mean_about_best([other.cost for other in hypotheses], azimuths, changes, best.skyline.variance, config)
 
 
 def mean_about_best(

@@ -101,7 +101,7 @@ def search_ridges(
 
     hypotheses: list[Hypothesis] = []
     starts = _apart([(angles, lens) for _, angles, lens in found])
-    for _ in range(3):
+    for _ in range(4):
         for angles, lens in starts:
             start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
             refined = refined_from(start, lens, _ROUNDS)

@@ -12,7 +12,7 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others, widened_by_others
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose, SkylineFit
 from ltm_core.pose_estimation.pose_verdict import judge
@@ -161,3 +161,15 @@ def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
     found = [replace(best, refined=replace(best.refined, covariance=covariance, skyline=seen))]
     verdict = judge(found, False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.3)
     assert verdict.word == word
+
+
+def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
+    best, others = hypothesis(60.0, -100.0), [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0)]
+    weight = math.exp(-2.0 / 2.0)
+    wider, *rest = widened_by_others([best, *others], CONFIG)
+    np.testing.assert_array_equal(wider.refined.pose.rotation, best.refined.pose.rotation)
+    away = (1.2**2 + weight * 0.6**2) / (2 + weight)
+    assert azimuth_sigma_deg(wider) == pytest.approx(math.sqrt(0.1**2 + away), rel=1e-3)
+    assert rest == others
+    assert widened_by_others([best], CONFIG) == [best]
+    assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
