@@ -129,6 +129,7 @@ def fit_mount(
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
     seen = _skyline(pictures, mean, config)
     away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
+    contradicting = [a for a in _alone_apart(pictures, found, v.sharp_sigma_deg) if a > v.mount_apart_deg]
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
     if turns.max() > v.most_sigma_deg or turns[2] > v.mount_azimuth_sigma_deg:
@@ -137,6 +138,9 @@ def fit_mount(
         word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     elif seen.support < v.least_support:
         word, reason = "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
+    elif contradicting:
+        word = "ambiguous"
+        reason = f"a picture that is sure of itself lies {max(contradicting):.1f} deg from where the mount puts it"
     elif seen.open > v.open_share and not _told_alone(pictures, found, v):
         word = "ambiguous"
         reason = "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount"
@@ -257,12 +261,18 @@ def _skyline(pictures: list[_Picture], state: Float64Array, config: PicturePoseC
 
 def _told_alone(pictures: list[_Picture], found: tuple[Pose, ...], config: VerdictConfig) -> bool:
     """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
-    apart = [
-        float(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max())
+    apart = _alone_apart(pictures, found)
+    return len(apart) > 1 and max(apart) <= config.mount_apart_deg
+
+
+def _alone_apart(pictures: list[_Picture], found: tuple[Pose, ...], most_sigma_deg: float = math.inf) -> list[float]:
+    """Degrees of azimuth or pitch between where pictures are found by themselves and where the mount puts them, of
+    those that are accepted and so sure."""
+    return [
+        float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
         for p, pose in zip(pictures, found, strict=True)
-        if p.search.verdict.word == "accepted"
+        if p.search.verdict.word == "accepted" and max(p.search.verdict.sigma_deg) <= most_sigma_deg
     ]
-    return len(apart) > 1 and max(apart) <= math.radians(config.mount_apart_deg)
 
 
 def _gap_asked(pictures: list[_Picture], seen: SkylineFit, config: VerdictConfig) -> float:

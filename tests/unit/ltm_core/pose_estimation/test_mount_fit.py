@@ -47,6 +47,24 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
+@pytest.mark.parametrize(("sigma_deg", "word"), [(0.1, "ambiguous"), (0.5, "accepted")])
+def test_a_picture_that_is_sure_of_another_pitch_contradicts_the_mount(sigma_deg: float, word: str) -> None:
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 110.0, 205.0)]
+    priors = [PosePrior(turned(pose, np.radians([0.2, -0.1, 1.1])), 1.5, 0.5, 0.5) for pose in true]
+    searches = [
+        find_pose(picture_evidence(*view(pose), CAMERA), terrain(), prior)
+        for pose, prior in zip(true, priors, strict=True)
+    ]
+    best, *others = searches[1].hypotheses
+    raised = Pose.from_angles(eye(), 110.0, 3.5, 0.0)
+    other = replace(best, refined=replace(best.refined, pose=raised))
+    verdict = replace(searches[1].verdict, sigma_deg=(sigma_deg, 0.05, 0.05))
+    searches[1] = replace(searches[1], hypotheses=(other, *others), verdict=verdict)
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert fit.word == word, fit.reason
+    assert ("sure of itself lies 1.5 deg" in fit.reason) == (word == "ambiguous")
+
+
 def test_presets_of_one_head_share_its_focal_length_where_it_is_free() -> None:
     wrong = CAMERA.zoomed(1.06)
     priors, searches = [], []
@@ -130,7 +148,7 @@ def test_a_mount_of_which_ridges_alone_tell_is_asked_more(grown: Label, asked: s
     labels = np.where(labels == Label.BARE, np.uint8(grown), labels).astype(np.uint8)
     evidence = replace(picture_evidence(photo, labels, CAMERA), skyline=None)
     loose = {"most_sigma_deg": 9.0, "mount_azimuth_sigma_deg": 9.0, "least_gap": 0.0, "alternative_deg": 0.05}
-    loose |= {"ridges_gap": 0.0, "plants_gap": 0.0, "contradiction": 99.0}
+    loose |= {"ridges_gap": 0.0, "plants_gap": 0.0, "contradiction": 99.0, "mount_apart_deg": 99.0}
     search = find_pose(evidence, terrain(), prior)
 
     def fit(**limits: float) -> MountFit:
