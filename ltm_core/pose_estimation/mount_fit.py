@@ -129,7 +129,7 @@ def fit_mount(
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
     seen = _skyline(pictures, mean, config)
     away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
-    contradicting = [a for a in _alone_apart(pictures, found, v.sharp_sigma_deg) if a > v.mount_apart_deg]
+    contradicting = [a for a in _alone_apart(pictures, found, v.mount_sharp_deg) if a > v.mount_apart_deg]
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
     if turns.max() > v.most_sigma_deg or turns[2] > v.mount_azimuth_sigma_deg:

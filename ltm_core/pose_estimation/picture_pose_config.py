@@ -102,8 +102,10 @@ class VerdictConfig(StrictModel):
     mount_azimuth_sigma_deg: float = Field(0.3, gt=0)
     """Of the azimuth of a mount that many pictures decide together,"""
     mount_apart_deg: float = Field(0.6, gt=0)
-    """and within which of azimuth and pitch it puts those of them that are accepted by themselves: the sharp ones, in
-    open views all."""
+    """and within which of azimuth and pitch it puts those of them that are accepted by themselves: in open views all,
+    else those whose angles are all as sure as"""
+    mount_sharp_deg: float = Field(0.1, gt=0)
+    """this."""
     agreement: float = Field(1.0, gt=0)
     """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e, times the
     variance of the skyline's misfits: small ones tell poses apart by more than is stated, large ones by less."""

@@ -47,7 +47,7 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
-@pytest.mark.parametrize(("sigma_deg", "word"), [(0.1, "ambiguous"), (0.5, "accepted")])
+@pytest.mark.parametrize(("sigma_deg", "word"), [(0.08, "ambiguous"), (0.2, "accepted")])
 def test_a_picture_that_is_sure_of_another_pitch_contradicts_the_mount(sigma_deg: float, word: str) -> None:
     true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 110.0, 205.0)]
     priors = [PosePrior(turned(pose, np.radians([0.2, -0.1, 1.1])), 1.5, 0.5, 0.5) for pose in true]
