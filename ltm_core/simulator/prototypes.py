@@ -34,7 +34,7 @@ class Prototype:
 
 
 def _scatter(rng: Rng, side: float, spacing: float, keep: float) -> Float64Array:
-    """Jittered-grid points (N, 2) over a square of `side` about the origin, one at least of them, thinned to `keep`."""
+    """Jittered-grid points (N >= 1, 2) over a square of `side` about the origin, thinned to the share `keep`."""
     n = max(1, round(side / spacing))
     at = (
         np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2) + rng.uniform(0.05, 0.95, (n * n, 2))
