@@ -128,8 +128,16 @@ class VerdictConfig(StrictModel):
     """or an alternative must cost so much more,"""
     open_azimuth_sigma_deg: float = Field(0.32, gt=0)
     """and the azimuth be as sure as this,"""
-    open_variance: float = 2.2
-    """and the variance of the misfits no larger: another range's is."""
+    most_variance: float = 2.2
+    """and the variance of the misfits no larger: another range's is. So, too, where land beyond the DEM cannot be seen,
+    unless all angles are as sure as `sharp_sigma_deg`."""
+    lone_score: float = 1.0
+    """Where ridges lie on edges less than this, in sigmas of what other poses have,"""
+    lone_sigma_deg: float = Field(0.2, gt=0)
+    """and the azimuth is less sure than this, a crest is all that a pose is by: ridges alone must agree, as where the
+    skyline by itself leaves it open,"""
+    both_square: float = Field(7.8, gt=0)
+    """by no more than such a square of their difference in its sigmas, of three angles: 95 % of those of one pose."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 8.0

@@ -4,7 +4,8 @@
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
 3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the picture, or
-   land beyond the DEM may look like one, ridges alone are asked (`ridge_search`). Otherwise the prior pose stays.
+   land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
+   leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, Verd
 from ltm_core.pose_estimation.pose_hypothesis import (
     Hypothesis,
     focal_candidates,
+    mean_of_both,
     merged_with_others,
     search_reach,
     widened_by_others,
@@ -40,8 +42,8 @@ _SETTLING = ((3.0, 1.0),) * 6
 """As `ROUNDS`: further ones."""
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 _LEAST_SUPPORT = 0.3
-"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges alone are tried: above trees, and
-where a good skyline leaves two poses open, they mislead more often than not."""
+"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges may stand by themselves: above
+trees, and where a good skyline leaves two poses open, they mislead more often than not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,26 +101,54 @@ def find_pose(
         found = terrain.above(merged_with_others(found, config.verdict))
     found = _on_skyline(found, evidence, horizon, config)
     verdict = judge(found, False, prior, config, evidence.plants)
-    if not found or _asks_ridges(found[0].refined.skyline, verdict, config.verdict):
+    if not found or _asks_ridges(found[0], verdict, config.verdict):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
         by_ridges = _on_skyline(widened_by_others(by_ridges, config.verdict), evidence, horizon, config)
-        if verdict.word != "accepted" or not _agree(found[0], by_ridges, config.verdict):
-            other = judge(by_ridges, True, prior, config, evidence.plants)
-            if other.word == "accepted" or not found:
-                found, verdict = by_ridges, other
-            elif verdict.word == "accepted":
-                reason = "land beyond the DEM may look like its horizon, and ridges alone do not lie there"
-                verdict = replace(verdict, word="ambiguous", reason=reason)
+        other = judge(by_ridges, True, prior, config, evidence.plants)
+        if not found or _may_mislead(found[0].refined.skyline, config.verdict):
+            found, verdict = _instead(found, verdict, by_ridges, other, config.verdict)
+        elif by_ridges:
+            both = mean_of_both(found[0], by_ridges[0], config.verdict)
+            if both is not None and terrain.above([both]):
+                found = _on_skyline([both, *found[1:]], evidence, horizon, config)
+                verdict = judge(found, False, prior, config, evidence.plants, other.gap)
+            else:
+                verdict = _doubted(verdict, "it hangs on hardly more than one crest")
     return PictureSearch(tuple(found), evidence, horizon, verdict)
 
 
-def _asks_ridges(skyline: SkylineFit, verdict: Verdict, config: VerdictConfig) -> bool:
-    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, and where land beyond the DEM may
-    look like it."""
-    open_view = skyline.open > config.open_share
+def _instead(
+    found: list[Hypothesis], verdict: Verdict, by_ridges: list[Hypothesis], other: Verdict, config: VerdictConfig
+) -> tuple[list[Hypothesis], Verdict]:
+    """Where what is seen may not be the DEM's skyline, what ridges alone tell, unless they are of the same azimuth."""
+    if verdict.word == "accepted" and _agree(found[0], by_ridges, config):
+        return found, verdict
+    if other.word == "accepted" or not found:
+        return by_ridges, other
+    return found, _doubted(verdict, "land beyond the DEM may look like its horizon")
+
+
+def _doubted(verdict: Verdict, reason: str) -> Verdict:
+    """Of a pose that ridges alone are not of: not accepted."""
+    if verdict.word != "accepted":
+        return verdict
+    return replace(verdict, word="ambiguous", reason=f"{reason}, and ridges alone do not lie there")
+
+
+def _asks_ridges(best: Hypothesis, verdict: Verdict, config: VerdictConfig) -> bool:
+    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, where land beyond the DEM may look
+    like it, and where the skyline by itself leaves the pose open, or is all that it is by."""
+    open_view = best.refined.skyline.open > config.open_share
     if verdict.word == "accepted":
-        return open_view and not config.open_gap <= verdict.gap < math.inf
-    return open_view or skyline.support < _LEAST_SUPPORT
+        if open_view:
+            return not config.open_gap <= verdict.gap < math.inf
+        return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
+    return True
+
+
+def _may_mislead(skyline: SkylineFit, config: VerdictConfig) -> bool:
+    """Whether what is seen may not be the DEM's skyline at all: then ridges may stand by themselves."""
+    return skyline.open > config.open_share or skyline.support < _LEAST_SUPPORT
 
 
 def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:

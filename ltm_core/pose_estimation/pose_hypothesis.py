@@ -59,6 +59,30 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
     return [replace(best, refined=wider), *hypotheses[1:]]
 
 
+def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
+    """The first one, between where skyline and ridges alone put it; None where they contradict each other.
+
+    How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
+    half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
+    surer than the surer one.
+    """
+    a, b = by_skyline.refined, by_ridges.refined
+    change = _change(a, b)
+    turns = slice(3, 6)
+    away = float(change[turns] @ np.linalg.solve((a.covariance + b.covariance)[turns, turns], change[turns]))
+    if away > config.both_square:
+        return None
+    free = np.flatnonzero(np.diag(a.covariance) > 0)
+    at = np.ix_(free, free)
+    known_a, known_b = np.linalg.inv(a.covariance[at]), np.linalg.inv(b.covariance[at])
+    covariance, step = np.zeros((7, 7)), np.zeros(7)
+    covariance[at] = np.linalg.inv(0.5 * (known_a + known_b))
+    step[free] = covariance[at] @ (0.5 * known_b @ change[free])
+    camera = a.camera.zoomed(math.exp(step[6]))
+    mean = replace(a, pose=turned(a.pose, step[turns], step[:3]), camera=camera, covariance=covariance)
+    return replace(by_skyline, refined=mean)
+
+
 def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Float64Array, Float64Array]:
     """Of those about the first, how far their mean is from it (7,), as in `_change`, and their spread about that."""
     best = hypotheses[0].refined

@@ -40,9 +40,11 @@ def judge(
     prior: PosePrior,
     config: PicturePoseConfig,
     plants: float,
+    beside: float | None = None,
 ) -> Verdict:
     """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
-    the share of trees and shrubs in the picture's land.
+    the share of trees and shrubs in the picture's land. `beside`: ridges alone are of the same pose, and alternatives
+    cost so much more by them.
     """
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
@@ -60,14 +62,15 @@ def judge(
     for hypothesis in hypotheses[1:]:
         away = abs(float(angles_between(middle, hypothesis.refined.pose)[0]))
         if away > math.radians(v.alternative_deg):
-            gap, other = hypothesis.cost - best.cost, hypothesis.refined.pose.angles_deg[0]
+            gap, other = hypothesis.cost - best.cost + (beside or 0.0), hypothesis.refined.pose.angles_deg[0]
             break
     support = best.refined.skyline.support
 
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    most_azimuth = v.close_azimuth_sigma_deg if by_ridges or plants >= OVERGROWN else v.most_sigma_deg
+    close = by_ridges or (plants >= OVERGROWN and beside is None)
+    most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg
     open_view = best.refined.skyline.open > v.open_share
     if open_view:
         most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
@@ -85,11 +88,9 @@ def judge(
             return verdict(
                 "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
             )
-    elif open_view and variance > v.open_variance:
-        return verdict(
-            "ambiguous",
-            f"the skyline may be of land beyond the DEM, and its misfits' variance on the horizon is {variance:.1f}",
-        )
+    elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
+        beyond = "may be of land beyond the DEM, and" if open_view else "is smooth, and"
+        return verdict("ambiguous", f"the skyline {beyond} its misfits' variance on the horizon is {variance:.1f}")
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""

@@ -140,13 +140,13 @@ def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
         rows = slice(min(top, top - lift), max(top, top - lift))
         labels[rows, u], photo[rows, u] = (Label.BARE, (90, 100, 80)) if lift > 0 else (Label.SKY, (190, 210, 235))
     search = search_of(picture)
-    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.open_variance
+    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.most_variance
     assert search.verdict.word == "ambiguous"
 
 
 def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
-    strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"open_variance": 0.01})})
+    strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"most_variance": 0.01})})
     evidence = picture_evidence(*view(TRUE), CAMERA)
     verdict = find_pose(evidence, OPEN, PRIOR, strict).verdict
     assert (verdict.word, "misfits' variance" in verdict.reason) == ("ambiguous", True)

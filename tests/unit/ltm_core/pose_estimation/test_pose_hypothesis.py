@@ -12,7 +12,7 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others, widened_by_others
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, mean_of_both, merged_with_others, widened_by_others
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose, SkylineFit
 from ltm_core.pose_estimation.pose_verdict import judge
@@ -173,3 +173,72 @@ def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
     assert rest == others
     assert widened_by_others([best], CONFIG) == [best]
     assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
+
+
+def moved(by_azimuth_deg: float, sigmas_deg: tuple[float, float, float]) -> Hypothesis:
+    """`hypothesis(60)` so far to the right and so sure, its place within (2, 3, 4) metres."""
+    one = hypothesis(60.0 + by_azimuth_deg, -100.0)
+    covariance = np.diag([4.0, 9.0, 16.0, 0.0, 0.0, 0.0, 0.0])
+    covariance[3:6, 3:6] = pose_covariance(one.refined.pose, 0.0, 0.0, *sigmas_deg)[3:, 3:]
+    return replace(one, refined=replace(one.refined, covariance=covariance))
+
+
+def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
+    skyline, ridges = moved(0.0, (0.6, 0.05, 0.2)), moved(0.5, (0.3, 0.05, 0.2))
+    both = mean_of_both(skyline, ridges, CONFIG)
+    assert both is not None
+    # Of 1 / 0.36 and 1 / 0.09 halves: (0 + 4 * 0.5) / 5 degrees to the right.
+    assert both.refined.pose.angles_deg[0] == pytest.approx(60.4, abs=1e-3)
+    assert azimuth_sigma_deg(both) == pytest.approx(math.sqrt(2 / (1 / 0.36 + 1 / 0.09)), rel=1e-3)
+    np.testing.assert_allclose(np.diag(both.refined.covariance)[:3], (4.0, 9.0, 16.0), rtol=1e-6)
+    assert both.refined.covariance[6, 6] == 0.0
+    assert both.refined.camera == skyline.refined.camera
+
+
+def test_what_both_know_alike_is_known_once() -> None:
+    one = moved(0.0, (0.6, 0.05, 0.2))
+    both = mean_of_both(one, one, CONFIG)
+    assert both is not None
+    np.testing.assert_allclose(both.refined.covariance, one.refined.covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize(("apart_deg", "agree"), [(1.8, True), (2.0, False)])
+def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: float, agree: bool) -> None:
+    """Their difference has a sigma of 0.67 degrees: 7.8 is 2.79 of it, squared, 1.87 degrees."""
+    both = mean_of_both(moved(0.0, (0.6, 0.05, 0.2)), moved(apart_deg, (0.3, 0.05, 0.2)), CONFIG)
+    assert (both is not None) == agree
+
+
+@pytest.mark.parametrize(
+    ("variance", "turn_deg", "open_share", "word"),
+    [
+        (2.4, 0.4, 0.0, "ambiguous"),
+        (2.1, 0.4, 0.0, "accepted"),
+        (2.4, 0.2, 0.0, "accepted"),
+        (2.4, 0.2, 0.5, "ambiguous"),
+    ],
+)
+def test_large_misfits_are_another_skyline_s_where_no_pose_is_sharp(
+    variance: float, turn_deg: float, open_share: float, word: str
+) -> None:
+    best = moved(0.0, (0.1, 0.05, turn_deg))
+    seen = SkylineFit(support=0.95, variance=variance, open=open_share)
+    found = [replace(best, refined=replace(best.refined, skyline=seen))]
+    verdict = judge(found, False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.3)
+    assert verdict.word == word
+
+
+@pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
+def test_what_ridges_hold_against_an_alternative_counts(beside: float | None, word: str) -> None:
+    found = [hypothesis(60.0, -100.0), hypothesis(75.0, -97.0)]
+    prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
+    verdict = judge(found, False, prior, PicturePoseConfig(), 0.3, beside)
+    assert verdict.word == word
+    assert verdict.gap == pytest.approx(3.0 + (beside or 0.0))
+
+
+@pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.0, "accepted")])
+def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(beside: float | None, word: str) -> None:
+    best = moved(0.0, (0.5, 0.05, 0.2))
+    verdict = judge([best], False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.9, beside)
+    assert verdict.word == word
