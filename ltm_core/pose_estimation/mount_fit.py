@@ -167,7 +167,8 @@ def fit_head(
     if tilt_zero_sigma_deg == 0:
         return plain
     head = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
-    sigma = math.sqrt(head.covariance[6, 6])
+    # A floor of pitch is in the mount's rotation, once for each picture's pose; the zero by itself has it, too.
+    sigma = math.hypot(math.sqrt(head.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
     if head.word != "accepted" or abs(head.tilt_zero) < _SURE * sigma or plain.cost - head.cost < _SURE**2 / 2:
         return plain
     surer = [
@@ -314,7 +315,6 @@ def _refined(
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *MOUNT_FLOOR_DEG)[3:, 3:]
-            covariance[6, 6] += math.radians(MOUNT_FLOOR_DEG[1]) ** 2 if sigma[6] > 0 else 0.0
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])

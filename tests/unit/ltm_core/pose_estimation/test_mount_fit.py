@@ -13,11 +13,12 @@ from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.pose_estimation import mount_fit
 from ltm_core.pose_estimation.mount_fit import MountFit, fit_mount, widened
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_from_picture import find_pose
-from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between, turned
 from ltm_core.rotations import matrix_of_vector, vector_of_matrix
 from ltm_core.vision.labels import Label
 
@@ -45,6 +46,17 @@ def test_presets_of_one_head_share_its_mount() -> None:
     # Both turn a camera that looks level up and down; the lean is about axes that all share, the zero about its own.
     np.testing.assert_allclose(fit.rotation, -lean, atol=np.radians(0.1))
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
+
+
+def test_a_floor_of_pitch_is_in_a_picture_s_pose_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    pose = Pose.from_angles(eye(), 63.0, 2.5, 0.0)
+    prior = PosePrior(pose, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(*view(pose), CAMERA), terrain(), prior)
+    monkeypatch.setattr(mount_fit, "MOUNT_FLOOR_DEG", (0.0, 1.0, 0.0))
+    fit = fit_mount([prior], [search], tilt_zero_sigma_deg=0.05)
+    slopes = angle_slopes(pose)
+    turns = slopes @ fit.pose_covariance(0)[3:, 3:] @ slopes.T
+    assert np.degrees(np.sqrt(turns[1, 1])) == pytest.approx(1.0, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigma_deg", "word"), [(0.08, "ambiguous"), (0.2, "accepted")])
