@@ -94,56 +94,70 @@ def find_pose(
     already. Raises PoseError as `terrain_horizon`.
     """
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
+
+    def judged(hypotheses: list[Hypothesis], by_ridges: bool, beside: float | None = None) -> _Judged:
+        hypotheses = _on_skyline(hypotheses, evidence, horizon, config)
+        return _Judged(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, beside))
+
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
         found = terrain.above(merged_with_others(found, config.verdict))
-    found = _on_skyline(found, evidence, horizon, config)
-    verdict = judge(found, False, prior, config, evidence.plants)
-    if not found or _asks_ridges(found[0], verdict, config.verdict):
-        by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
-        by_ridges = _on_skyline(widened_by_others(by_ridges, config.verdict), evidence, horizon, config)
-        other = judge(by_ridges, True, prior, config, evidence.plants)
-        if not found or _may_mislead(found[0].refined.skyline, config.verdict):
-            found, verdict = _instead(found, verdict, by_ridges, other, config.verdict)
-        elif by_ridges:
-            both = mean_of_both(found[0], by_ridges[0], config.verdict)
-            if both is not None and terrain.above([both]):
-                found = _on_skyline([both, *found[1:]], evidence, horizon, config)
-                verdict = judge(found, False, prior, config, evidence.plants, other.gap)
-            else:
-                verdict = _doubted(verdict, "it hangs on hardly more than one crest")
-    return PictureSearch(tuple(found), evidence, horizon, verdict)
+    result = judged(found, False)
+    if not found or _asks_ridges(result, config.verdict):
+        unseen = replace(evidence, skyline=None)
+        by_ridges = terrain.above(search_ridges(unseen, horizon, prior, config, focal_sigma))
+        alone = judged(widened_by_others(by_ridges, config.verdict), True)
+        both = mean_of_both(found[0], alone.hypotheses[0], config.verdict) if found and by_ridges else None
+        mean = terrain.above([both]) if both is not None else []
+        together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
+        result = _decided(result, alone, together, config.verdict)
+    return PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
 
 
-def _instead(
-    found: list[Hypothesis], verdict: Verdict, by_ridges: list[Hypothesis], other: Verdict, config: VerdictConfig
-) -> tuple[list[Hypothesis], Verdict]:
-    """Where what is seen may not be the DEM's skyline, what ridges alone tell, unless they are of the same azimuth."""
-    if verdict.word == "accepted" and _agree(found[0], by_ridges, config):
-        return found, verdict
-    if other.word == "accepted" or not found:
-        return by_ridges, other
-    return found, _doubted(verdict, "land beyond the DEM may look like its horizon")
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    hypotheses: list[Hypothesis]
+    verdict: Verdict
+
+    @property
+    def accepted(self) -> bool:
+        return self.verdict.word == "accepted"
+
+    def doubted(self, reason: str) -> _Judged:
+        """The same, not accepted: ridges alone are of another pose."""
+        if not self.accepted:
+            return self
+        reason = f"{reason}, and ridges alone do not lie there"
+        return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
 
 
-def _doubted(verdict: Verdict, reason: str) -> Verdict:
-    """Of a pose that ridges alone are not of: not accepted."""
-    if verdict.word != "accepted":
-        return verdict
-    return replace(verdict, word="ambiguous", reason=f"{reason}, and ridges alone do not lie there")
+def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, config: VerdictConfig) -> _Judged:
+    """What counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one pose."""
+    if not by_skyline.hypotheses:
+        return by_ridges
+    if not _may_mislead(by_skyline.hypotheses[0].refined.skyline, config):
+        if together is not None:
+            return together
+        return by_skyline.doubted("it hangs on hardly more than one crest") if by_ridges.hypotheses else by_skyline
+    if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
+        return by_skyline
+    for other in (by_ridges, together):
+        if other is not None and other.accepted:
+            return other
+    return by_skyline.doubted("land beyond the DEM may look like its horizon")
 
 
-def _asks_ridges(best: Hypothesis, verdict: Verdict, config: VerdictConfig) -> bool:
-    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, where land beyond the DEM may look
-    like it, and where the skyline by itself leaves the pose open, or is all that it is by."""
-    open_view = best.refined.skyline.open > config.open_share
-    if verdict.word == "accepted":
-        if open_view:
-            return not config.open_gap <= verdict.gap < math.inf
-        return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
-    return True
+def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:
+    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the pose open,
+    where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
+    if not by_skyline.accepted:
+        return True
+    best, verdict = by_skyline.hypotheses[0], by_skyline.verdict
+    if best.refined.skyline.open > config.open_share:
+        return not config.open_gap <= verdict.gap < math.inf
+    return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
 
 
 def _may_mislead(skyline: SkylineFit, config: VerdictConfig) -> bool:
