@@ -116,7 +116,7 @@ class VerdictConfig(StrictModel):
     sharp_support: float = Field(0.5, ge=0, le=1)
     """and that where it makes all angles as sure as"""
     sharp_sigma_deg: float = Field(0.35, gt=0)
-    """this: trees before a camera hide half of a skyline, and the other half may do."""
+    """this, or where ridges alone agree: trees before a camera hide half of a skyline, and the other half may do."""
     clear_support: float = Field(0.35, ge=0, le=1)
     """The same for one of many pictures of a mount that decide together: from here on it shows a skyline at all."""
     open_share: float = Field(0.25, ge=0, le=1)

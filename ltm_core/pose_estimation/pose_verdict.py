@@ -95,7 +95,8 @@ def judge(
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""
         return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
-    if not by_ridges and support < (v.least_support if open_view else v.support_asked(max(sigma))):
+    asked = v.least_support if open_view else v.support_asked(max(sigma))
+    if not by_ridges and support < (asked if beside is None else v.sharp_support):
         return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:

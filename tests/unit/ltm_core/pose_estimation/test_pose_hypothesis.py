@@ -237,6 +237,19 @@ def test_what_ridges_hold_against_an_alternative_counts(beside: float | None, wo
     assert verdict.gap == pytest.approx(3.0 + (beside or 0.0))
 
 
+@pytest.mark.parametrize(
+    ("support", "beside", "word"), [(0.6, None, "ambiguous"), (0.6, 0.0, "accepted"), (0.45, 0.0, "ambiguous")]
+)
+@pytest.mark.parametrize("open_share", [0.0, 0.5])
+def test_where_ridges_agree_half_of_the_skyline_will_do(
+    support: float, beside: float | None, word: str, open_share: float
+) -> None:
+    best = moved(0.0, (0.25, 0.05, 0.4))
+    found = [replace(best, refined=replace(best.refined, skyline=SkylineFit(support=support, open=open_share)))]
+    prior = PosePrior(best.refined.pose, 1.5, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(), 0.3, beside).word == word
+
+
 @pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.0, "accepted")])
 def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(beside: float | None, word: str) -> None:
     best = moved(0.0, (0.5, 0.05, 0.2))
