@@ -10,21 +10,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
-from ltm_core.pose_estimation.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.mount_pictures import MountPicture, alike, skylines_at
+from ltm_core.pose_estimation.mount_verdict import judge_mount
+from ltm_core.pose_estimation.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
-from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, SkylineFit, picture_system, skyline_fit
-from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
+from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.pose_estimation.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
+from ltm_core.pose_estimation.pose_verdict import Word
 from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
 from ltm_core.types import Float64Array
 
@@ -67,17 +68,6 @@ class MountFit:
         return np.asarray(to_pose @ self.covariance @ to_pose.T, np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    prior: PosePrior
-    search: PictureSearch
-    ridges: ContourDirections
-
-    def camera(self, log_focal: float) -> Camera:
-        """With a focal length by so much another, in the logarithm."""
-        return self.search.evidence.camera.zoomed(math.exp(log_focal))
-
-
 def fit_mount(
     priors: Sequence[PosePrior],
     searches: Sequence[PictureSearch],
@@ -94,7 +84,7 @@ def fit_mount(
     if not priors or len(priors) != len(searches):
         raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
     pictures = [
-        _Picture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
+        MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)
     ]
     sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
@@ -121,31 +111,14 @@ def fit_mount(
         math.inf,
     )
     states = np.array([state for _, state, _ in fits])
-    variance = _skyline(pictures, states[0], config).variance
+    variance = skylines_at(pictures, states[0], config).variance
     mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
     shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
     covariance = fits[0][2] + spread
-    found = tuple(_posed(p.prior.pose, mean) for p in pictures)
+    found = tuple(p.pose(mean) for p in pictures)
+    away = float((np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)).max())
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
-    seen = _skyline(pictures, mean, config)
-    away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
-    contradicting = [a for a in _alone_apart(pictures, found, v.mount_sharp_deg) if a > v.mount_apart_deg]
-    word: Word = "accepted"
-    reason = f"{len(pictures)} pictures agree"
-    if turns.max() > v.most_sigma_deg or turns[2] > v.mount_azimuth_sigma_deg:
-        word, reason = "ambiguous", f"the pictures leave the mount open by {turns.max():.2f} deg"
-    elif gap < _gap_asked(pictures, seen, v):
-        word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
-    elif seen.support < v.least_support:
-        word, reason = "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
-    elif contradicting:
-        word = "ambiguous"
-        reason = f"a picture that is sure of itself lies {max(contradicting):.1f} deg from where the mount puts it"
-    elif seen.open > v.open_share and not _told_alone(pictures, found, v):
-        word = "ambiguous"
-        reason = "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount"
-    elif away.max() > v.contradiction:
-        word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
+    word, reason = judge_mount(pictures, found, skylines_at(pictures, mean, config), turns, gap, away, v)
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
     cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
     of_mount = covariance[:7, :7]
@@ -183,7 +156,7 @@ def fit_head(
     )
 
 
-def _stated(pictures: list[_Picture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
+def _stated(pictures: list[MountPicture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
     poses = tuple(p.prior.pose for p in pictures)
     return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma[:7] ** 2), poses, poses, word, reason, 0.0, math.inf)
 
@@ -195,13 +168,7 @@ def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) ->
     return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
 
 
-def _posed(pose: Pose, state: Float64Array) -> Pose:
-    """With a state (8,), as in `_cost`."""
-    up = matrix_of_vector([state[6], 0.0, 0.0])
-    return turned(Pose(pose.position, pose.rotation @ up), state[3:6], state[:3])
-
-
-def _proposals(pictures: list[_Picture]) -> list[Float64Array]:
+def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
     """States (8,), as in `_cost`."""
     found = [np.zeros(8)]
     for picture in pictures:
@@ -236,57 +203,22 @@ def _deviation(state: Float64Array) -> Float64Array:
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 
 
-def _cost(pictures: list[_Picture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
+def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
     """Of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
     away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
-        pose, camera = _posed(p.prior.pose, state), p.camera(float(state[7]))
+        pose, camera = p.pose(state), p.camera(state)
         evidence, horizon = p.search.evidence, p.search.horizon
         cost = skyline_fit(pose, camera, evidence, horizon, config).cost
         z = ridge_strength(pose, p.ridges, horizon.step, camera, evidence.edges)
         cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
-        total += cost / _alike(p, pictures)
+        total += cost / alike(p, pictures)
     return total
 
 
-def _skyline(pictures: list[_Picture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
-    """Of pictures that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
-    fits = [
-        skyline_fit(_posed(p.prior.pose, state), p.camera(float(state[7])), p.search.evidence, p.search.horizon, config)
-        for p in pictures
-        if p.search.evidence.skyline is not None
-    ]
-    return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
-
-
-def _told_alone(pictures: list[_Picture], found: tuple[Pose, ...], config: VerdictConfig) -> bool:
-    """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
-    apart = _alone_apart(pictures, found)
-    return len(apart) > 1 and max(apart) <= config.mount_apart_deg
-
-
-def _alone_apart(pictures: list[_Picture], found: tuple[Pose, ...], most_sigma_deg: float = math.inf) -> list[float]:
-    """Degrees of azimuth or pitch between where pictures are found by themselves and where the mount puts them, of
-    those that are accepted and so sure."""
-    return [
-        float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
-        for p, pose in zip(pictures, found, strict=True)
-        if p.search.verdict.word == "accepted" and max(p.search.verdict.sigma_deg) <= most_sigma_deg
-    ]
-
-
-def _gap_asked(pictures: list[_Picture], seen: SkylineFit, config: VerdictConfig) -> float:
-    """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
-    evidences = [p.search.evidence for p in pictures]
-    if any(evidence.skyline is not None for evidence in evidences):
-        return config.gap_asked(seen.veiled, seen.variance)
-    plants = float(np.median([evidence.plants for evidence in evidences]))
-    return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap
-
-
 def _refined(
-    pictures: list[_Picture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
+    pictures: list[MountPicture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
 ) -> tuple[Float64Array, Float64Array]:
     """The state (8,) as in `_cost` and its covariance."""
     free = np.flatnonzero(sigma > 0)
@@ -297,7 +229,7 @@ def _refined(
         last = k == len(ROUNDS)
         normal, gradient = np.zeros((8, 8)), np.zeros(8)
         for p in pictures:
-            pose, camera = _posed(p.prior.pose, state), p.camera(float(state[7]))
+            pose, camera = p.pose(state), p.camera(state)
             around = p.ridges.in_view(pose, camera, config.contours.most_points)
             n, g = picture_system(
                 pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
@@ -306,7 +238,7 @@ def _refined(
             shared[:6, :6] = np.eye(6)
             shared[3:6, 6] = pose.rotation[:, 0]
             shared[6, 7] = 1.0
-            alone = 1.0 / _alike(p, pictures)
+            alone = 1.0 / alike(p, pictures)
             normal += alone * (shared.T @ n @ shared)
             gradient += alone * (shared.T @ g)
         inverse = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
@@ -324,14 +256,6 @@ def _refined(
             # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
             state[3:6] = vector_of_matrix(turn)
     return state, covariance
-
-
-def _alike(picture: _Picture, pictures: list[_Picture]) -> float:
-    """How many pictures look where this one does: they share the DEM's errors, so that they count as one."""
-    width = picture.search.evidence.camera.hfov_deg
-    azimuth = picture.prior.pose.angles_deg[0]
-    away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
-    return float(sum(max(0.0, 1.0 - a / width) for a in away))
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:
