@@ -89,8 +89,8 @@ def judge(
                 "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
             )
     elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
-        beyond = "may be of land beyond the DEM, and" if open_view else "is smooth, and"
-        return verdict("ambiguous", f"the skyline {beyond} its misfits' variance on the horizon is {variance:.1f}")
+        doubt = "may be of land beyond the DEM" if open_view else "makes not all angles sharp"
+        return verdict("ambiguous", f"the skyline {doubt}, and its misfits' variance on the horizon is {variance:.1f}")
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""
@@ -102,4 +102,6 @@ def judge(
     if away_by.max() > v.contradiction:
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
         return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
-    return verdict("accepted", f"the next best azimuth costs {gap:.1f} more" if other is not None else "no alternative")
+    return verdict(
+        "accepted", f"the next best azimuth costs {gap:.1f} more" if math.isfinite(gap) else "no alternative"
+    )
