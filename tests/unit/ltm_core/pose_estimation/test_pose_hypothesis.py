@@ -37,6 +37,23 @@ def hypothesis(azimuth_deg: float, cost: float, variance: float = 1.0) -> Hypoth
     )
 
 
+def moved(by_azimuth_deg: float, sigmas_deg: tuple[float, float, float]) -> Hypothesis:
+    """`hypothesis(60)` so far to the right and so sure, its place within (2, 3, 4) metres."""
+    one = hypothesis(60.0 + by_azimuth_deg, -100.0)
+    covariance = np.diag([4.0, 9.0, 16.0, 0.0, 0.0, 0.0, 0.0])
+    covariance[3:6, 3:6] = pose_covariance(one.refined.pose, 0.0, 0.0, *sigmas_deg)[3:, 3:]
+    return replace(one, refined=replace(one.refined, covariance=covariance))
+
+
+def word_of(
+    sigmas_deg: tuple[float, float, float], seen: SkylineFit, plants: float = 0.3, beside: float | None = None
+) -> str:
+    """The verdict on a pose by a skyline, so sure and so seen, which nothing else is like."""
+    best = moved(0.0, sigmas_deg).refined
+    found = [Hypothesis(replace(best, skyline=seen), best.cost, 1.0)]
+    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), plants, beside).word
+
+
 def azimuth_sigma_deg(best: Hypothesis) -> float:
     return math.degrees(math.sqrt(best.refined.covariance[5, 5]))
 
@@ -154,13 +171,7 @@ def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) 
 def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
     support: float, turn_deg: float, open_share: float, word: str
 ) -> None:
-    best = hypothesis(60.0, -100.0)
-    covariance = best.refined.covariance.copy()
-    covariance[3:6, 3:6] = pose_covariance(best.refined.pose, 0.0, 0.0, 0.1, 0.05, turn_deg)[3:, 3:]
-    seen = SkylineFit(support=support, open=open_share)
-    found = [replace(best, refined=replace(best.refined, covariance=covariance, skyline=seen))]
-    verdict = judge(found, False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.3)
-    assert verdict.word == word
+    assert word_of((0.1, 0.05, turn_deg), SkylineFit(support=support, open=open_share)) == word
 
 
 def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
@@ -173,14 +184,6 @@ def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
     assert rest == others
     assert widened_by_others([best], CONFIG) == [best]
     assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
-
-
-def moved(by_azimuth_deg: float, sigmas_deg: tuple[float, float, float]) -> Hypothesis:
-    """`hypothesis(60)` so far to the right and so sure, its place within (2, 3, 4) metres."""
-    one = hypothesis(60.0 + by_azimuth_deg, -100.0)
-    covariance = np.diag([4.0, 9.0, 16.0, 0.0, 0.0, 0.0, 0.0])
-    covariance[3:6, 3:6] = pose_covariance(one.refined.pose, 0.0, 0.0, *sigmas_deg)[3:, 3:]
-    return replace(one, refined=replace(one.refined, covariance=covariance))
 
 
 def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
@@ -221,11 +224,8 @@ def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: f
 def test_large_misfits_are_another_skyline_s_where_no_pose_is_sharp(
     variance: float, turn_deg: float, open_share: float, word: str
 ) -> None:
-    best = moved(0.0, (0.1, 0.05, turn_deg))
     seen = SkylineFit(support=0.95, variance=variance, open=open_share)
-    found = [replace(best, refined=replace(best.refined, skyline=seen))]
-    verdict = judge(found, False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.3)
-    assert verdict.word == word
+    assert word_of((0.1, 0.05, turn_deg), seen) == word
 
 
 @pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
@@ -244,14 +244,10 @@ def test_what_ridges_hold_against_an_alternative_counts(beside: float | None, wo
 def test_where_ridges_agree_half_of_the_skyline_will_do(
     support: float, beside: float | None, word: str, open_share: float
 ) -> None:
-    best = moved(0.0, (0.25, 0.05, 0.4))
-    found = [replace(best, refined=replace(best.refined, skyline=SkylineFit(support=support, open=open_share)))]
-    prior = PosePrior(best.refined.pose, 1.5, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(), 0.3, beside).word == word
+    seen = SkylineFit(support=support, open=open_share)
+    assert word_of((0.25, 0.05, 0.4), seen, beside=beside) == word
 
 
 @pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.0, "accepted")])
 def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(beside: float | None, word: str) -> None:
-    best = moved(0.0, (0.5, 0.05, 0.2))
-    verdict = judge([best], False, PosePrior(best.refined.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), 0.9, beside)
-    assert verdict.word == word
+    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, beside) == word
