@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,17 @@ OPEN = Terrain(mountains(), BEND, PossibleGround())
 CONFIG = PicturePoseConfig()
 
 
+@cache
+def clear() -> PictureEvidence:
+    """Of the true pose, the DEM's own skyline in it."""
+    return picture_evidence(*view(TRUE), CAMERA)
+
+
+@cache
+def found_clear() -> PictureSearch:
+    return find_pose(clear(), OPEN, PRIOR)
+
+
 def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
     return find_pose(picture_evidence(*picture, CAMERA), OPEN, prior)
 
@@ -45,7 +57,7 @@ def with_range_behind(picture: tuple[UInt8Array, UInt8Array], columns: slice, he
 
 
 def test_a_skyline_that_is_the_dem_s_own_is_laid_on_its_horizon() -> None:
-    search = search_of(view(TRUE))
+    search = found_clear()
     assert search.horizon.open.mean() > 0.5
     assert search.verdict.word == "accepted", search.verdict.reason
     assert off_deg(search).max() < 0.1
@@ -87,49 +99,45 @@ def without_ridges(evidence: PictureEvidence, *given: object) -> list[object]:
 
 def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    found = find_pose(evidence, OPEN, PRIOR)
+    found = find_pose(clear(), OPEN, PRIOR)
     assert found.verdict.word == "accepted"
     asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
-    doubted = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    doubted = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
     assert (doubted.verdict.word, "ridges alone" in doubted.verdict.reason) == ("ambiguous", True)
 
 
 def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """A skyline whose azimuth is too unsure for an open view, and ridges that are surer but have a twin."""
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    best = find_pose(evidence, OPEN, PRIOR).hypotheses[0]
+    best = found_clear().hypotheses[0]
     sigma = float(np.degrees(np.sqrt(best.refined.covariance[5, 5])))
     surer = replace(best.refined, covariance=best.refined.covariance / 16)
     twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(4.0)]))
     ridges = [replace(best, refined=surer), replace(best, refined=replace(surer, pose=twin))]
     monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
     strict = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.6 * sigma})
-    found = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
+    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
     assert found.verdict.word == "accepted", found.verdict.reason
     assert found.verdict.sigma_deg[0] == pytest.approx(sigma * np.sqrt(2 / 17), rel=0.05)
 
 
 @pytest.mark.parametrize(("apart_deg", "word"), [(0.2, "accepted"), (0.5, "ambiguous")])
 def test_ridges_must_be_of_the_same_azimuth(apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    best = find_pose(evidence, OPEN, PRIOR).hypotheses[0]
+    best = found_clear().hypotheses[0]
     aside = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg)]))
     # As good as another: by themselves these ridges decide nothing.
     twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(apart_deg + 4.0)]))
     ridges = [replace(best, refined=replace(best.refined, pose=pose)) for pose in (aside, twin)]
     monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
     asked = CONFIG.verdict.model_copy(update={"open_gap": 1e9})
-    found = find_pose(evidence, OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
     assert found.verdict.word == word, found.verdict.reason
 
 
 def test_an_open_azimuth_must_be_surer() -> None:
     wide = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.001})
-    evidence = picture_evidence(*view(TRUE), CAMERA)
     config = CONFIG.model_copy(update={"verdict": wide})
-    assert find_pose(evidence, OPEN, PRIOR, config).verdict.word != "accepted"
-    assert find_pose(evidence, terrain(), PRIOR, config).verdict.word == "accepted"
+    assert find_pose(clear(), OPEN, PRIOR, config).verdict.word != "accepted"
+    assert find_pose(clear(), terrain(), PRIOR, config).verdict.word == "accepted"
 
 
 def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:
@@ -162,7 +170,6 @@ def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
 def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"most_variance": 0.01})})
-    evidence = picture_evidence(*view(TRUE), CAMERA)
-    verdict = find_pose(evidence, OPEN, PRIOR, strict).verdict
+    verdict = find_pose(clear(), OPEN, PRIOR, strict).verdict
     assert (verdict.word, "misfits' variance" in verdict.reason) == ("ambiguous", True)
-    assert find_pose(evidence, terrain(), PRIOR, strict).verdict.word == "accepted"
+    assert find_pose(clear(), terrain(), PRIOR, strict).verdict.word == "accepted"
