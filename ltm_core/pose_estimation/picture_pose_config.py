@@ -136,8 +136,8 @@ class VerdictConfig(StrictModel):
     lone_sigma_deg: float = Field(0.2, gt=0)
     """and the azimuth is less sure than this, a crest is all that a pose is by: ridges alone must agree, as where the
     skyline by itself leaves it open,"""
-    both_square: float = Field(7.8, gt=0)
-    """by no more than such a square of their difference in its sigmas, of three angles: 95 % of those of one pose."""
+    agree_chi_square: float = Field(7.8, gt=0)
+    """to such a chi-square of the three angles they differ by: 95 % of those of one pose."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 8.0

@@ -95,9 +95,9 @@ def find_pose(
     """
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
 
-    def judged(hypotheses: list[Hypothesis], by_ridges: bool, beside: float | None = None) -> _Judged:
+    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _Judged:
         hypotheses = _on_skyline(hypotheses, evidence, horizon, config)
-        return _Judged(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, beside))
+        return _Judged(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
@@ -118,6 +118,8 @@ def find_pose(
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
+    """Hypotheses from the best down, and the verdict on the first."""
+
     hypotheses: list[Hypothesis]
     verdict: Verdict
 

@@ -70,7 +70,7 @@ def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictC
     change = _change(a, b)
     turns = slice(3, 6)
     away = float(change[turns] @ np.linalg.solve((a.covariance + b.covariance)[turns, turns], change[turns]))
-    if away > config.both_square:
+    if away > config.agree_chi_square:
         return None
     free = np.flatnonzero(np.diag(a.covariance) > 0)
     at = np.ix_(free, free)

@@ -40,11 +40,11 @@ def judge(
     prior: PosePrior,
     config: PicturePoseConfig,
     plants: float,
-    beside: float | None = None,
+    gap_by_ridges: float | None = None,
 ) -> Verdict:
     """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
-    the share of trees and shrubs in the picture's land. `beside`: ridges alone are of the same pose, and alternatives
-    cost so much more by them.
+    the share of trees and shrubs in the picture's land. `gap_by_ridges`: ridges alone are of the same pose, and
+    alternatives cost so much more by them.
     """
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
@@ -62,14 +62,14 @@ def judge(
     for hypothesis in hypotheses[1:]:
         away = abs(float(angles_between(middle, hypothesis.refined.pose)[0]))
         if away > math.radians(v.alternative_deg):
-            gap, other = hypothesis.cost - best.cost + (beside or 0.0), hypothesis.refined.pose.angles_deg[0]
+            gap, other = hypothesis.cost - best.cost + (gap_by_ridges or 0.0), hypothesis.refined.pose.angles_deg[0]
             break
     support = best.refined.skyline.support
 
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    close = by_ridges or (plants >= OVERGROWN and beside is None)
+    close = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None)
     most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg
     open_view = best.refined.skyline.open > v.open_share
     if open_view:
@@ -89,14 +89,14 @@ def judge(
                 "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
             )
     elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
-        doubt = "may be of land beyond the DEM" if open_view else "makes not all angles sharp"
+        doubt = "may be of land beyond the DEM" if open_view else "leaves an angle unsure"
         return verdict("ambiguous", f"the skyline {doubt}, and its misfits' variance on the horizon is {variance:.1f}")
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""
         return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
     asked = v.least_support if open_view else v.support_asked(max(sigma))
-    if not by_ridges and support < (asked if beside is None else v.sharp_support):
+    if not by_ridges and support < (asked if gap_by_ridges is None else v.sharp_support):
         return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:

@@ -1,4 +1,4 @@
-"""Poses of almost the same cost beside the best: how sure it is, and what is made of it."""
+"""Poses of almost the same cost gap_by_ridges the best: how sure it is, and what is made of it."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def moved(by_azimuth_deg: float, sigmas_deg: tuple[float, float, float]) -> Hypo
 
 
 def word_of(
-    sigmas_deg: tuple[float, float, float], seen: SkylineFit, plants: float = 0.3, beside: float | None = None
+    sigmas_deg: tuple[float, float, float], seen: SkylineFit, plants: float = 0.3, gap_by_ridges: float | None = None
 ) -> str:
     """The verdict on a pose by a skyline, so sure and so seen, which nothing else is like."""
     best = moved(0.0, sigmas_deg).refined
     found = [Hypothesis(replace(best, skyline=seen), best.cost, 1.0)]
-    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), plants, beside).word
+    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), plants, gap_by_ridges).word
 
 
 def azimuth_sigma_deg(best: Hypothesis) -> float:
@@ -228,26 +228,26 @@ def test_large_misfits_are_another_skyline_s_where_no_pose_is_sharp(
     assert word_of((0.1, 0.05, turn_deg), seen) == word
 
 
-@pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
-def test_what_ridges_hold_against_an_alternative_counts(beside: float | None, word: str) -> None:
+@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
+def test_what_ridges_hold_against_an_alternative_counts(gap_by_ridges: float | None, word: str) -> None:
     found = [hypothesis(60.0, -100.0), hypothesis(75.0, -97.0)]
     prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
-    verdict = judge(found, False, prior, PicturePoseConfig(), 0.3, beside)
+    verdict = judge(found, False, prior, PicturePoseConfig(), 0.3, gap_by_ridges)
     assert verdict.word == word
-    assert verdict.gap == pytest.approx(3.0 + (beside or 0.0))
+    assert verdict.gap == pytest.approx(3.0 + (gap_by_ridges or 0.0))
 
 
 @pytest.mark.parametrize(
-    ("support", "beside", "word"), [(0.6, None, "ambiguous"), (0.6, 0.0, "accepted"), (0.45, 0.0, "ambiguous")]
+    ("support", "gap_by_ridges", "word"), [(0.6, None, "ambiguous"), (0.6, 0.0, "accepted"), (0.45, 0.0, "ambiguous")]
 )
 @pytest.mark.parametrize("open_share", [0.0, 0.5])
 def test_where_ridges_agree_half_of_the_skyline_will_do(
-    support: float, beside: float | None, word: str, open_share: float
+    support: float, gap_by_ridges: float | None, word: str, open_share: float
 ) -> None:
     seen = SkylineFit(support=support, open=open_share)
-    assert word_of((0.25, 0.05, 0.4), seen, beside=beside) == word
+    assert word_of((0.25, 0.05, 0.4), seen, gap_by_ridges=gap_by_ridges) == word
 
 
-@pytest.mark.parametrize(("beside", "word"), [(None, "ambiguous"), (0.0, "accepted")])
-def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(beside: float | None, word: str) -> None:
-    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, beside) == word
+@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.0, "accepted")])
+def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(gap_by_ridges: float | None, word: str) -> None:
+    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, gap_by_ridges) == word
