@@ -17,6 +17,13 @@ UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
 """The same of a pitch, from straight down to straight up."""
 
 
+def axes_of_angles(pose: Pose) -> Float64Array:
+    """(3, 3): in its columns the map's directions about which azimuth, pitch and roll (`Pose.from_angles`) turn."""
+    azimuth = np.radians(pose.angles_deg[0])
+    level_right = (np.cos(azimuth), -np.sin(azimuth), 0.0)
+    return np.column_stack([(0.0, 0.0, -1.0), level_right, pose.rotation[:, 2]])
+
+
 def pose_covariance(
     pose: Pose,
     position_sigma: float,
@@ -30,9 +37,7 @@ def pose_covariance(
     The errors are independent: azimuth turns about the vertical, pitch about the level axis to the camera's right, roll
     about the viewing direction (`Pose.from_angles`).
     """
-    azimuth = np.radians(pose.angles_deg[0])
-    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
-    axes = np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]])
+    axes = axes_of_angles(pose)
     variances = np.radians([azimuth_sigma_deg, pitch_sigma_deg, roll_sigma_deg]) ** 2
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = np.diag([position_sigma**2, position_sigma**2, height_sigma**2])
@@ -61,9 +66,7 @@ def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
     """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
     makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.
     """
-    azimuth = np.radians(pose.angles_deg[0])
-    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
-    inverse = np.linalg.pinv(np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]]))
+    inverse = np.linalg.pinv(axes_of_angles(pose))
     turns = inverse @ covariance[3:, 3:] @ inverse.T
     variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)), np.float64)

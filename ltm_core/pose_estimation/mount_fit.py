@@ -246,7 +246,7 @@ def _refined(
         gradient += inverse * _deviation(state)
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *MOUNT_FLOOR_DEG)[3:, 3:]
+            covariance[3:6, 3:6] += _floor(pictures)
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
@@ -256,6 +256,14 @@ def _refined(
             # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
             state[3:6] = vector_of_matrix(turn)
     return state, covariance
+
+
+def _floor(pictures: list[MountPicture]) -> Float64Array:
+    """(3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the picture:
+    that of every direction is another, and their mean is surer."""
+    azimuth, pitch, roll = MOUNT_FLOOR_DEG
+    directions = sum(1.0 / alike(p, pictures) for p in pictures)
+    return pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch / math.sqrt(directions), roll)[3:, 3:]
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:

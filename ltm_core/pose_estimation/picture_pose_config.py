@@ -65,6 +65,25 @@ class ContourConfig(StrictModel):
     most_points: int = Field(700, ge=1)
     """Of the ridges in a view, by which a pose is refined."""
 
+    def odds(self, search: float) -> float:
+        """As `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+        return (1 - self.outliers) / self.outliers * 0.75 * search
+
+
+class SettlingConfig(StrictModel):
+    """What neighbouring places of ridges have in common (`ridge_settling`)."""
+
+    share: float = Field(0.6, ge=0, le=1)
+    """Of the variance of what grows on a ridge, that which stands of plants have in common,"""
+    stand: float = Field(150.0, gt=0)
+    """over so many metres,"""
+    plant: float = Field(5.0, gt=0)
+    """and over how many the rest goes on, the shape of single plants."""
+    doubt: float = Field(2.0, gt=0)
+    """By which the variance of a pose is larger than these say: some edges are of something else."""
+    most_points: int = Field(250, ge=1)
+    """Of the ridges in a view: all are compared with each other."""
+
 
 class SearchConfig(StrictModel):
     """Where poses are sought."""
@@ -126,8 +145,9 @@ class VerdictConfig(StrictModel):
     """within so much of azimuth,"""
     open_gap: float = 25.0
     """or an alternative must cost so much more,"""
-    open_azimuth_sigma_deg: float = Field(0.32, gt=0)
-    """and the azimuth be as sure as this,"""
+    open_azimuth_sigma_deg: float = Field(0.28, gt=0)
+    """and the azimuth be as sure as this, among plants once it is settled on ridges (`ridge_settling`), and before that
+    as `close_azimuth_sigma_deg`,"""
     most_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is. So, too, where land beyond the DEM cannot be seen,
     unless all angles are as sure as `sharp_sigma_deg`."""
@@ -164,7 +184,8 @@ class VerdictConfig(StrictModel):
 FLOOR_DEG = (0.01, 0.012, 0.01)
 """Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
-"""and for what holds in all directions: what those of a lens leave, too."""
+"""and for what holds in all directions: what those of a lens leave, too. Of pitch in one direction, and in several by
+the root of how many less: where in the picture a skyline lies differs between them."""
 
 
 class PicturePoseConfig(StrictModel):
@@ -172,6 +193,7 @@ class PicturePoseConfig(StrictModel):
 
     skyline: SkylineConfig = SkylineConfig()
     contours: ContourConfig = ContourConfig()
+    settling: SettlingConfig = SettlingConfig()
     search: SearchConfig = SearchConfig()
     verdict: VerdictConfig = VerdictConfig()
     working_width: int = Field(1280, gt=63)

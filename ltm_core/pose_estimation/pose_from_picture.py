@@ -6,6 +6,7 @@
 3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the picture, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
+4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`).
 """
 
 from __future__ import annotations
@@ -17,30 +18,25 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, usual_score
+from ltm_core.pose_covariance import pose_sigmas
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import (
     Hypothesis,
-    focal_candidates,
     mean_of_both,
     merged_with_others,
     search_reach,
     widened_by_others,
 )
-from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, SkylineFit, refine, skyline_fit
-from ltm_core.pose_estimation.pose_verdict import Verdict, judge
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.pose_refinement import SkylineFit, skyline_fit
+from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
-from ltm_core.pose_estimation.skyline_search import search_azimuths
+from ltm_core.pose_estimation.ridge_settling import settled_on_ridges
+from ltm_core.pose_estimation.skyline_poses import poses_on_skyline
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon, terrain_horizon
 from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.types import Float64Array
 
-_SETTLING = ((3.0, 1.0),) * 6
-"""As `ROUNDS`: further ones."""
-_PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 _LEAST_SUPPORT = 0.3
 """Share of the photo's skyline that must lie on the DEM's; where less does, ridges may stand by themselves: above
 trees, and where a good skyline leaves two poses open, they mislead more often than not."""
@@ -101,7 +97,7 @@ def find_pose(
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
-        found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
+        found = terrain.above(poses_on_skyline(evidence, horizon, prior, config, focal_sigma))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
         found = terrain.above(merged_with_others(found, config.verdict))
     result = judged(found, False)
@@ -113,6 +109,10 @@ def find_pose(
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
         result = _decided(result, alone, together, config.verdict)
+    if result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
+        if evidence.plants >= MANY_PLANTS:
+            result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
+        result = _sure(result, config.verdict)
     return PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
 
 
@@ -128,10 +128,9 @@ class _Judged:
         return self.verdict.word == "accepted"
 
     def doubted(self, reason: str) -> _Judged:
-        """The same, not accepted: ridges alone are of another pose."""
+        """The same, not accepted."""
         if not self.accepted:
             return self
-        reason = f"{reason}, and ridges alone do not lie there"
         return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
 
 
@@ -142,13 +141,44 @@ def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, 
     if not _may_mislead(by_skyline.hypotheses[0].refined.skyline, config):
         if together is not None:
             return together
-        return by_skyline.doubted("it hangs on hardly more than one crest") if by_ridges.hypotheses else by_skyline
+        return (
+            by_skyline.doubted("it hangs on hardly more than one crest, and ridges alone do not lie there")
+            if by_ridges.hypotheses
+            else by_skyline
+        )
     if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
         return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
             return other
-    return by_skyline.doubted("land beyond the DEM may look like its horizon")
+    return by_skyline.doubted("land beyond the DEM may look like its horizon, and ridges alone do not lie there")
+
+
+def _settled(
+    found: _Judged,
+    evidence: PictureEvidence,
+    terrain: Terrain,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> _Judged:
+    """A pose settled on its ridges alone, whose errors go together by what grows there."""
+    best, *others = found.hypotheses
+    refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
+    kept = terrain.above([replace(best, refined=refined)])
+    if not kept:
+        return found.doubted("settled on its ridges it lies under the ground")
+    azimuth, pitch, roll = (float(s) for s in pose_sigmas(refined.pose, refined.covariance[:6, :6])[3:])
+    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
+
+
+def _sure(found: _Judged, config: VerdictConfig) -> _Judged:
+    """An open view's pose, accepted where its azimuth is as sure as such a one must be."""
+    azimuth = found.verdict.sigma_deg[0]
+    if azimuth <= config.open_azimuth_sigma_deg:
+        return found
+    return found.doubted(f"land beyond the DEM may be the skyline, and the azimuth is open by {azimuth:.2f} deg")
 
 
 def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:
@@ -175,76 +205,6 @@ def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig)
     return abs(apart) <= math.radians(config.open_apart_deg)
 
 
-def _search_skyline(
-    evidence: PictureEvidence,
-    horizon: TerrainHorizon,
-    prior: PosePrior,
-    config: PicturePoseConfig,
-    focal_sigma: float,
-) -> list[Hypothesis]:
-    s, skyline = config.search, evidence.skyline
-    assert skyline is not None  # nosec B101 # tells the type checker what holds
-    reach = search_reach(prior, config)
-    step = math.radians(s.step_deg if prior.heading_known else s.wide_step_deg)
-    azimuth, pitch, roll = prior.pose.angles_deg
-    n = math.ceil(reach / step)
-    azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
-    ridges = ContourDirections.of(horizon, config.contours.nearest)
-    coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
-    position_sigma = 0.5 * prior.position_sigma
-    candidates = []
-    for factor in focal_candidates(focal_sigma):
-        camera = evidence.camera.zoomed(factor)
-        costs = search_azimuths(
-            skyline,
-            camera,
-            pitch,
-            roll,
-            (math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)),
-            horizon,
-            azimuths,
-            position_sigma,
-            config.skyline,
-        )
-        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
-        scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
-        candidates.append((camera, angles, costs.cost, scores))
-    everything = np.concatenate([scores for *_, scores in candidates])
-    usual, spread = usual_score(everything)
-    ranked: list[tuple[float, Float64Array, Camera]] = []
-    for camera, angles, cost, scores in candidates:
-        total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
-        ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
-    ranked.sort(key=lambda entry: entry[0])
-    starts: list[tuple[Pose, Camera]] = []
-    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
-        for _, at, camera in ranked:
-            if len(starts) == most:
-                break
-            pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
-            if all(abs(angles_between(pose, other)[0]) >= math.radians(apart_deg) for other, _ in starts):
-                starts.append((pose, camera))
-
-    def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
-        around = ridges.in_view(pose, camera, config.contours.most_points)
-        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config, rounds)
-        score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
-        ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
-        return Hypothesis(refined, refined.cost + ridge, (score - usual) / spread)
-
-    found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
-    # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
-    near = math.radians(config.verdict.alternative_deg)
-    middle = found[0].refined.pose
-    found = [
-        hypothesis_from(h.refined.pose, h.refined.camera, _SETTLING)
-        if abs(angles_between(middle, h.refined.pose)[0]) <= near
-        else h
-        for h in found
-    ]
-    return sorted(found, key=lambda hypothesis: hypothesis.cost)
-
-
 def _on_skyline(
     hypotheses: list[Hypothesis], evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
 ) -> list[Hypothesis]:
@@ -255,30 +215,3 @@ def _on_skyline(
     best, *others = hypotheses
     fit = skyline_fit(best.refined.pose, best.refined.camera, evidence, horizon, config)
     return [replace(best, refined=replace(best.refined, skyline=fit)), *others]
-
-
-def _best_over_pitch(
-    rotations: Float64Array,
-    ridges: ContourDirections,
-    camera: Camera,
-    evidence: PictureEvidence,
-) -> Float64Array:
-    """Ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
-    best = np.full(len(rotations), -np.inf)
-    for offset in _PITCHES_DEG:
-        c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))
-        up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
-        best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges))
-    return best
-
-
-def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
-    z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
-    return np.asarray(-config.contours.weight * z * z / 2, np.float64)
-
-
-def _heading_cost(azimuths_deg: Float64Array, prior: PosePrior) -> Float64Array:
-    if not prior.heading_known:
-        return np.zeros(len(azimuths_deg))
-    away = (azimuths_deg - prior.pose.angles_deg[0] + 180.0) % 360.0 - 180.0
-    return np.asarray(0.5 * (away / prior.azimuth_sigma_deg) ** 2, np.float64)

@@ -25,46 +25,80 @@ from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """`error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,).
-
-    Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its trees
-    may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
-    """
+    """`error` (N,): px by which terrain lies below what the photo shows; `slopes` (N, 7), `sigma`, `weight` (N,)."""
 
     error: Float64Array
     slopes: Float64Array
     sigma: Float64Array
     weight: Float64Array
-    veiled: float = 0.0
-    open: float = 0.0
-    free: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SkylineObservations(Observations):
+    """Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its
+    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
+    """
+
+    veiled: float
+    open: float
+    free: float
+
+
+@dataclass(frozen=True, eq=False)
+class RidgeObservations(Observations):
+    """`shared` (N,): px, the part of sigma that neighbouring places share, what grows there; `ground` (N, 2): where,
+    metres of the map from the place that ridges were predicted from."""
+
+    shared: Float64Array
+    ground: Float64Array
 
 
 def _projected(
     directions: Float64Array, ranges: Float64Array, pose: Pose, camera: Camera, origin: Float64Array
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
     """Pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in front."""
-    shift = (pose.position - origin) / np.maximum(ranges, 1.0)[:, None]
-    at = directions - shift
-    optical = at @ pose.rotation
-    ahead = optical[:, 2] > 0.05
-    x, y, z = optical.T
-    z = np.where(ahead, z, 1.0)
-    pixels = np.column_stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
-    zero = np.zeros_like(z)
-    lens = np.empty((len(z), 2, 3))
-    lens[:, 0] = np.column_stack([camera.fx / z, zero, -camera.fx * x / z**2])
-    lens[:, 1] = np.column_stack([zero, camera.fy / z, -camera.fy * y / z**2])
-    by_direction = lens @ pose.rotation.T
-    slopes = np.empty((len(z), 2, 7))
-    slopes[..., :3] = -by_direction / np.maximum(ranges, 1.0)[:, None, None]
-    # A turn w of the camera moves a direction d by -w x d = d x w, seen from the camera; b (d x w) = (b x d) w.
-    b, d = by_direction, at[:, None, :]
-    for axis in range(3):
-        following, last = (axis + 1) % 3, (axis + 2) % 3
-        slopes[..., 3 + axis] = b[..., following] * d[..., last] - b[..., last] * d[..., following]
-    slopes[..., 6] = pixels - np.array([camera.cx, camera.cy])
+    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
+    ahead = np.empty(len(ranges), np.bool_)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    _project(directions, ranges, pose.position - origin, pose.rotation, lens, pixels, slopes, ahead)
     return pixels, slopes, ahead
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _project(
+    directions: Float64Array,
+    ranges: Float64Array,
+    moved: Float64Array,
+    rotation: Float64Array,
+    lens: Float64Array,
+    pixels: Float64Array,
+    slopes: Float64Array,
+    ahead: BoolArray,
+) -> None:
+    d, across = np.empty(3), np.empty((2, 3))
+    for k in range(len(ranges)):
+        far = max(ranges[k], 1.0)
+        x, y, z = 0.0, 0.0, 0.0
+        for i in range(3):
+            d[i] = directions[k, i] - moved[i] / far
+            x += d[i] * rotation[i, 0]
+            y += d[i] * rotation[i, 1]
+            z += d[i] * rotation[i, 2]
+        ahead[k] = z > 0.05
+        if not ahead[k]:
+            z = 1.0
+        for i in range(3):
+            across[0, i] = lens[0] / z * (rotation[i, 0] - x / z * rotation[i, 2])
+            across[1, i] = lens[1] / z * (rotation[i, 1] - y / z * rotation[i, 2])
+        pixels[k, 0], pixels[k, 1] = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
+        for j in range(2):
+            for i in range(3):
+                following, last = (i + 1) % 3, (i + 2) % 3
+                slopes[k, j, i] = -across[j, i] / far
+                # A turn w of the camera moves a direction d by -w x d = d x w, seen from the camera; b (d x w) is
+                # (b x d) w.
+                slopes[k, j, 3 + i] = across[j, following] * d[last] - across[j, last] * d[following]
+            slopes[k, j, 6] = pixels[k, j] - lens[2 + j]
 
 
 def skyline_observations(
@@ -74,7 +108,7 @@ def skyline_observations(
     horizon: TerrainHorizon,
     wide: float,
     config: PicturePoseConfig,
-) -> Observations | None:
+) -> SkylineObservations | None:
     """Row of the terrain's skyline minus that of the photo's, column by column; None where there is none."""
     skyline, noise = evidence.skyline, config.skyline
     if skyline is None or len(skyline.u) < 8:
@@ -147,7 +181,7 @@ def skyline_observations(
     weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
     rows = down[:, 1] - steep[:, None] * down[:, 0]
     veiled, open_share, taken = (float((where & inside).mean()) for where in (front > 0, above > 0, free))
-    return Observations(error, rows, sigma * wide, weight, veiled, open_share, taken)
+    return SkylineObservations(error, rows, sigma * wide, weight, veiled, open_share, taken)
 
 
 def ridge_observations(
@@ -158,8 +192,8 @@ def ridge_observations(
     origin: Float64Array,
     search: float,
     config: PicturePoseConfig,
-) -> Observations | None:
-    """From where ridges are predicted to the edge nearby, across the ridge, pixels."""
+) -> RidgeObservations | None:
+    """Across ridges, from the edge nearby to where they are predicted, pixels."""
     if len(ridges.range) == 0:
         return None
     noise, edges = config.contours, evidence.edges
@@ -184,14 +218,15 @@ def ridge_observations(
     metre = camera.fy / ranges
     pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
-    sigma = np.sqrt(
-        (noise.sigma_px * unit) ** 2 + (config.skyline.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
-    )
+    shared = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
+    sigma = np.sqrt((noise.sigma_px * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
     correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)
     weight = np.minimum(1.0, step / correlation) * np.minimum(strength, 2.0) / 2.0
-    rows = -np.einsum("mi,mij->mj", normal, slopes)
-    return Observations(found, rows, sigma, weight)
+    rows = np.einsum("mi,mij->mj", normal, slopes)
+    away = ridges.here[kept, :2]
+    ground = away * (ranges / np.hypot(away[:, 0], away[:, 1]))[:, None]
+    return RidgeObservations(-found, rows, sigma, weight, shared, ground)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

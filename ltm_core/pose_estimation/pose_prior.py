@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, axes_of_angles, pose_covariance
 from ltm_core.rotations import matrix_of_vector
 from ltm_core.types import Float64Array
 
@@ -77,12 +77,9 @@ def angles_between(a: Pose, b: Pose) -> Float64Array:
 
 
 def angle_slopes(pose: Pose) -> Float64Array:
-    """(3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad)."""
-    step = 1e-6
-    slopes = np.empty((3, 3))
-    for axis in range(3):
-        slopes[:, axis] = angles_between(pose, turned(pose, step * np.eye(3)[axis])) / step
-    return slopes
+    """(3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down, where
+    azimuth and roll turn about one axis, each takes half of a turn about it."""
+    return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
 
 
 def rotations_of(angles_deg: Float64Array) -> Float64Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
-from ltm_core.pose_estimation.pose_observations import ridge_observations, skyline_observations
+from ltm_core.pose_estimation.pose_observations import Observations, ridge_observations, skyline_observations
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline_search import column_weight
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
@@ -27,6 +28,8 @@ from ltm_core.types import Float64Array
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 MOST_FOCAL_STEP = 0.05
 """Of the focal length's logarithm, in one round."""
+FEWEST = 6
+"""Places of a skyline or of ridges that say anything."""
 _TELLING = 0.02
 """Radians: columns of a larger sigma do not support a pose."""
 _LEAST_TOLD = 1 / 3
@@ -62,6 +65,23 @@ class RefinedPose:
     skyline: SkylineFit
 
 
+class PictureSystem(Protocol):
+    """Normal matrix (7, 7) and gradient (7,) of a picture's cost, as `picture_system`."""
+
+    def __call__(
+        self,
+        pose: Pose,
+        camera: Camera,
+        evidence: PictureEvidence,
+        horizon: TerrainHorizon,
+        ridges: ContourDirections,
+        search: float,
+        wide: float,
+        config: PicturePoseConfig,
+        expected: bool = False,
+    ) -> tuple[Float64Array, Float64Array]: ...
+
+
 def refine(
     start: Pose,
     camera: Camera,
@@ -72,12 +92,14 @@ def refine(
     focal_sigma: float,
     config: PicturePoseConfig,
     rounds: tuple[tuple[float, float], ...] = ROUNDS,
+    system: PictureSystem | None = None,
 ) -> RefinedPose:
-    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it."""
+    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it. `system`: else `picture_system`."""
+    system = picture_system if system is None else system
     pose, focal = start, 0.0
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
-        normal, gradient = picture_system(pose, camera, evidence, horizon, ridges, search, wide, config)
+        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config)
         normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
@@ -86,9 +108,7 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = camera.zoomed(math.exp(step[6]))
-    normal, gradient = picture_system(
-        pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True
-    )
+    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True)
     fit = skyline_fit(pose, camera, evidence, horizon, config)
     normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
@@ -155,19 +175,20 @@ def picture_system(
     normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     skyline = skyline_observations(pose, camera, evidence, horizon, wide, config)
     contours = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
-    shares = (
-        config.skyline.odds * camera.fy,
-        (1 - config.contours.outliers) / config.contours.outliers * 0.75 * search,
-    )
-    for rows, odds in zip((skyline, contours), shares, strict=True):
-        if rows is None or len(rows.error) < 6:
+    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, config.contours.odds(search))):
+        if rows is None or len(rows.error) < FEWEST:
             continue
-        q = 1 + (rows.error / rows.sigma) ** 2 / 4
-        like = odds / rows.sigma / q**2.5
-        weight = rows.weight * like / (1 + like) / rows.sigma**2
-        # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information,
-        # 5/7 of this, would state more than pictures err by.
-        weight = weight if expected else weight * 1.25 / q
+        weight = rows.weight * fitting(rows, odds, expected) / rows.sigma**2
         normal += (rows.slopes.T * weight) @ rows.slopes
         gradient += rows.slopes.T @ (weight * rows.error)
     return normal, gradient
+
+
+def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
+    """How far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of, in one
+    sigma of a pixel."""
+    q = 1 + (rows.error / rows.sigma) ** 2 / 4
+    like = odds / rows.sigma / q**2.5
+    # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
+    # of this, would state more than pictures err by.
+    return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)

@@ -48,15 +48,18 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
-def test_a_floor_of_pitch_is_in_a_picture_s_pose_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    pose = Pose.from_angles(eye(), 63.0, 2.5, 0.0)
-    prior = PosePrior(pose, 1.5, 0.5, 0.5)
-    search = find_pose(picture_evidence(*view(pose), CAMERA), terrain(), prior)
+@pytest.mark.parametrize(("azimuths", "floor_deg"), [((63.0,), 1.0), ((63.0, 63.0), 1.0), ((63.0, 150.0), 0.5**0.5)])
+def test_a_floor_of_pitch_is_in_a_picture_s_pose_once(
+    azimuths: tuple[float, ...], floor_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And directions have it each by itself."""
+    priors = [PosePrior(Pose.from_angles(eye(), azimuth, 2.5, 0.0), 1.5, 0.5, 0.5) for azimuth in azimuths]
+    searches = [find_pose(picture_evidence(*view(p.pose), CAMERA), terrain(), p) for p in priors]
     monkeypatch.setattr(mount_fit, "MOUNT_FLOOR_DEG", (0.0, 1.0, 0.0))
-    fit = fit_mount([prior], [search], tilt_zero_sigma_deg=0.05)
-    slopes = angle_slopes(pose)
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.05)
+    slopes = angle_slopes(priors[0].pose)
     turns = slopes @ fit.pose_covariance(0)[3:, 3:] @ slopes.T
-    assert np.degrees(np.sqrt(turns[1, 1])) == pytest.approx(1.0, rel=0.01)
+    assert np.degrees(np.sqrt(turns[1, 1])) == pytest.approx(floor_deg, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigma_deg", "word"), [(0.08, "ambiguous"), (0.2, "accepted")])

@@ -10,13 +10,15 @@ import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_sigmas
 from ltm_core.pose_estimation import pose_from_picture
 from ltm_core.pose_estimation.mount_fit import fit_mount
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import skyline_fit
+from ltm_core.pose_estimation.pose_refinement import RefinedPose, skyline_fit
+from ltm_core.pose_estimation.ridge_settling import settled_on_ridges
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import Label
@@ -36,6 +38,13 @@ def clear() -> PictureEvidence:
 @cache
 def found_clear() -> PictureSearch:
     return find_pose(clear(), OPEN, PRIOR)
+
+
+def among_shrubs() -> PictureEvidence:
+    """The same, by its labels with shrubs on all of its land."""
+    photo, labels = view(TRUE)
+    labels[labels != Label.SKY] = Label.SHRUB
+    return picture_evidence(photo, labels, CAMERA)
 
 
 def search_of(picture: tuple[UInt8Array, UInt8Array], prior: PosePrior = PRIOR) -> PictureSearch:
@@ -108,13 +117,14 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
 
 def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """A skyline whose azimuth is too unsure for an open view, and ridges that are surer but have a twin."""
-    best = found_clear().hypotheses[0]
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
+    best = find_pose(clear(), OPEN, PRIOR).hypotheses[0]
     sigma = float(np.degrees(np.sqrt(best.refined.covariance[5, 5])))
     surer = replace(best.refined, covariance=best.refined.covariance / 16)
     twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(4.0)]))
     ridges = [replace(best, refined=surer), replace(best, refined=replace(surer, pose=twin))]
     monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    strict = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.6 * sigma})
+    strict = CONFIG.verdict.model_copy(update={"close_azimuth_sigma_deg": 0.6 * sigma})
     found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
     assert found.verdict.word == "accepted", found.verdict.reason
     assert found.verdict.sigma_deg[0] == pytest.approx(sigma * np.sqrt(2 / 17), rel=0.05)
@@ -138,6 +148,38 @@ def test_an_open_azimuth_must_be_surer() -> None:
     config = CONFIG.model_copy(update={"verdict": wide})
     assert find_pose(clear(), OPEN, PRIOR, config).verdict.word != "accepted"
     assert find_pose(clear(), terrain(), PRIOR, config).verdict.word == "accepted"
+
+
+def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
+    evidence = among_shrubs()
+    found = find_pose(evidence, OPEN, PRIOR)
+    assert found.verdict.word == "accepted", found.verdict.reason
+    best = found.hypotheses[0].refined
+    again = settled_on_ridges(best, evidence, found.horizon, PRIOR, 0.0, CONFIG)
+    away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
+    assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
+    assert found.verdict.sigma_deg == pytest.approx(
+        tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
+    )
+
+
+def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: asked.append(0) or refined)
+    find_pose(clear(), OPEN, PRIOR)
+    assert not asked
+    find_pose(among_shrubs(), OPEN, PRIOR)
+    assert asked
+
+
+def test_a_pose_that_settles_under_the_ground_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def sunk(refined: RefinedPose, *given: object) -> RefinedPose:
+        return replace(refined, pose=Pose(refined.pose.position - np.array([0.0, 0.0, 500.0]), refined.pose.rotation))
+
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", sunk)
+    found = find_pose(among_shrubs(), OPEN, PRIOR)
+    assert (found.verdict.word, "under the ground" in found.verdict.reason) == ("ambiguous", True)
+    assert found.hypotheses[0].refined.pose.position[2] == pytest.approx(TRUE.position[2])
 
 
 def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:

@@ -13,7 +13,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.pose_estimation import pose_from_picture
+from ltm_core.pose_estimation import pose_from_picture, skyline_poses
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
@@ -44,7 +44,7 @@ def test_a_pose_settles_where_its_rounds_end_too_soon(monkeypatch: pytest.Monkey
     evidence = picture_evidence(photo, labels, CAMERA)
     prior = PosePrior(Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, (1.4, -0.5, 0.4))), 1.5, 0.6, 0.6)
     whole = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
-    monkeypatch.setattr(pose_from_picture, "ROUNDS", ROUNDS[:1])
+    monkeypatch.setattr(skyline_poses, "ROUNDS", ROUNDS[:1])
     soon = find_pose(evidence, terrain(), prior).hypotheses[0].refined.pose
     assert np.abs(np.degrees(angles_between(whole, soon))).max() < 0.001
 
