@@ -73,6 +73,8 @@ class ContourConfig(StrictModel):
 class SettlingConfig(StrictModel):
     """What neighbouring places of ridges have in common (`ridge_settling`)."""
 
+    least_plants: float = Field(0.3, ge=0, le=1)
+    """Share of trees and shrubs in the land from which on poses settle: of bare ground nothing stands over the DEM."""
     share: float = Field(0.6, ge=0, le=1)
     """Of the variance of what grows on a ridge, that which stands of plants have in common,"""
     stand: float = Field(150.0, gt=0)
@@ -145,9 +147,10 @@ class VerdictConfig(StrictModel):
     """within so much of azimuth,"""
     open_gap: float = 25.0
     """or an alternative must cost so much more,"""
-    open_azimuth_sigma_deg: float = Field(0.28, gt=0)
-    """and the azimuth be as sure as this, among plants once it is settled on ridges (`ridge_settling`), and before that
-    as `close_azimuth_sigma_deg`,"""
+    open_azimuth_sigma_deg: float = Field(0.32, gt=0)
+    """and the azimuth be as sure as this,"""
+    settled_azimuth_sigma_deg: float = Field(0.3, gt=0)
+    """and as this once it has settled on ridges among plants (`ridge_settling`),"""
     most_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is. So, too, where land beyond the DEM cannot be seen,
     unless all angles are as sure as `sharp_sigma_deg`."""

@@ -30,7 +30,7 @@ from ltm_core.pose_estimation.pose_hypothesis import (
 )
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.pose_refinement import SkylineFit, skyline_fit
-from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Verdict, judge
+from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.ridge_settling import settled_on_ridges
 from ltm_core.pose_estimation.skyline_poses import poses_on_skyline
@@ -109,10 +109,9 @@ def find_pose(
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
         result = _decided(result, alone, together, config.verdict)
-    if result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
-        if evidence.plants >= MANY_PLANTS:
-            result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
-        result = _sure(result, config.verdict)
+    settles = evidence.plants >= config.settling.least_plants
+    if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
+        result = _settled(result, evidence, terrain, horizon, prior, config, focal_sigma)
     return PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
 
 
@@ -163,22 +162,19 @@ def _settled(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> _Judged:
-    """A pose settled on its ridges alone, whose errors go together by what grows there."""
+    """An open view's pose settled on its ridges alone, whose errors go together by what grows there."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
     kept = terrain.above([replace(best, refined=refined)])
     if not kept:
         return found.doubted("settled on its ridges it lies under the ground")
     azimuth, pitch, roll = (float(s) for s in pose_sigmas(refined.pose, refined.covariance[:6, :6])[3:])
-    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
-
-
-def _sure(found: _Judged, config: VerdictConfig) -> _Judged:
-    """An open view's pose, accepted where its azimuth is as sure as such a one must be."""
-    azimuth = found.verdict.sigma_deg[0]
-    if azimuth <= config.open_azimuth_sigma_deg:
-        return found
-    return found.doubted(f"land beyond the DEM may be the skyline, and the azimuth is open by {azimuth:.2f} deg")
+    settled = _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
+    if azimuth <= config.verdict.settled_azimuth_sigma_deg:
+        return settled
+    return settled.doubted(
+        f"land beyond the DEM may be the skyline, and ridges leave azimuth open by {azimuth:.2f} deg"
+    )
 
 
 def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:

@@ -69,9 +69,11 @@ def judge(
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    open_view = best.refined.skyline.open > v.open_share
-    close = by_ridges or open_view or (plants >= OVERGROWN and gap_by_ridges is None)
+    close = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None)
     most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg
+    open_view = best.refined.skyline.open > v.open_share
+    if open_view:
+        most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"

@@ -117,14 +117,13 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
 
 def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """A skyline whose azimuth is too unsure for an open view, and ridges that are surer but have a twin."""
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
-    best = find_pose(clear(), OPEN, PRIOR).hypotheses[0]
+    best = found_clear().hypotheses[0]
     sigma = float(np.degrees(np.sqrt(best.refined.covariance[5, 5])))
     surer = replace(best.refined, covariance=best.refined.covariance / 16)
     twin = turned(best.refined.pose, np.array([0.0, 0.0, np.radians(4.0)]))
     ridges = [replace(best, refined=surer), replace(best, refined=replace(surer, pose=twin))]
     monkeypatch.setattr(pose_from_picture, "search_ridges", lambda *given: ridges)
-    strict = CONFIG.verdict.model_copy(update={"close_azimuth_sigma_deg": 0.6 * sigma})
+    strict = CONFIG.verdict.model_copy(update={"open_azimuth_sigma_deg": 0.6 * sigma})
     found = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": strict}))
     assert found.verdict.word == "accepted", found.verdict.reason
     assert found.verdict.sigma_deg[0] == pytest.approx(sigma * np.sqrt(2 / 17), rel=0.05)
@@ -161,6 +160,15 @@ def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
     assert found.verdict.sigma_deg == pytest.approx(
         tuple(pose_sigmas(again.pose, again.covariance[:6, :6])[3:]), rel=0.1
     )
+
+
+def test_a_pose_that_ridges_leave_open_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsure(refined: RefinedPose, *given: object) -> RefinedPose:
+        return replace(refined, covariance=np.diag(np.radians(np.full(7, 0.33)) ** 2))
+
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", unsure)
+    found = find_pose(among_shrubs(), OPEN, PRIOR)
+    assert (found.verdict.word, found.verdict.reason[-8:]) == ("ambiguous", "0.33 deg")
 
 
 def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
