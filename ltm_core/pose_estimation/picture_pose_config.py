@@ -160,7 +160,9 @@ class VerdictConfig(StrictModel):
     """and the azimuth is less sure than this, a crest is all that a pose is by: ridges alone must agree, as where the
     skyline by itself leaves it open,"""
     agree_chi_square: float = Field(7.8, gt=0)
-    """to such a chi-square of the three angles they differ by: 95 % of those of one pose."""
+    """to such a chi-square of the three angles they differ by, 95 % of those of one pose,"""
+    agree_cost: float = Field(2.5, gt=0)
+    """and what is between them may cost a skyline of the DEM so much more than its own pose: a twelfth as likely."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 8.0

@@ -137,14 +137,12 @@ def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, 
     """What counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one pose."""
     if not by_skyline.hypotheses:
         return by_ridges
-    if not _may_mislead(by_skyline.hypotheses[0].refined.skyline, config):
-        if together is not None:
+    seen = by_skyline.hypotheses[0].refined.skyline
+    if not _may_mislead(seen, config):
+        if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
-        return (
-            by_skyline.doubted("it hangs on hardly more than one crest, and ridges alone do not lie there")
-            if by_ridges.hypotheses
-            else by_skyline
-        )
+        alone = "it hangs on hardly more than one crest, and ridges alone do not lie there"
+        return by_skyline.doubted(alone) if by_ridges.hypotheses else by_skyline
     if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
         return by_skyline
     for other in (by_ridges, together):
