@@ -40,6 +40,7 @@ def found_clear() -> PictureSearch:
     return find_pose(clear(), OPEN, PRIOR)
 
 
+@cache
 def among_shrubs() -> PictureEvidence:
     """The same, by its labels with shrubs on all of its land."""
     photo, labels = view(TRUE)
