@@ -83,6 +83,8 @@ class SettlingConfig(StrictModel):
     """and over how many the rest goes on, the shape of single plants."""
     doubt: float = Field(2.0, gt=0)
     """By which the variance of a pose is larger than these say: some edges are of something else."""
+    most_azimuth_sigma_deg: float = Field(0.3, gt=0)
+    """A pose that is less sure by its ridges stays where skyline and ridges have put it."""
     most_points: int = Field(250, ge=1)
     """Of the ridges in a view: all are compared with each other."""
 
@@ -149,8 +151,6 @@ class VerdictConfig(StrictModel):
     """or an alternative must cost so much more,"""
     open_azimuth_sigma_deg: float = Field(0.32, gt=0)
     """and the azimuth be as sure as this,"""
-    settled_azimuth_sigma_deg: float = Field(0.3, gt=0)
-    """and as this once it has settled on ridges among plants (`ridge_settling`),"""
     most_variance: float = 2.2
     """and the variance of the misfits no larger: another range's is. So, too, where land beyond the DEM cannot be seen,
     unless all angles are as sure as `sharp_sigma_deg`."""

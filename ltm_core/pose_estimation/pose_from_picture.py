@@ -160,19 +160,15 @@ def _settled(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> _Judged:
-    """An open view's pose settled on its ridges alone, whose errors go together by what grows there."""
+    """An open view's pose settled on its ridges alone, whose errors go together by what grows there; as it was where
+    ridges leave it open."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
-    kept = terrain.above([replace(best, refined=refined)])
-    if not kept:
-        return found.doubted("settled on its ridges it lies under the ground")
     azimuth, pitch, roll = (float(s) for s in pose_sigmas(refined.pose, refined.covariance[:6, :6])[3:])
-    settled = _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
-    if azimuth <= config.verdict.settled_azimuth_sigma_deg:
-        return settled
-    return settled.doubted(
-        f"land beyond the DEM may be the skyline, and ridges leave azimuth open by {azimuth:.2f} deg"
-    )
+    kept = terrain.above([replace(best, refined=refined)])
+    if not kept or azimuth > config.settling.most_azimuth_sigma_deg:
+        return found
+    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
 
 
 def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:

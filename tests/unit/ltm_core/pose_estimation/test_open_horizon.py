@@ -163,15 +163,6 @@ def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
     )
 
 
-def test_a_pose_that_ridges_leave_open_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsure(refined: RefinedPose, *given: object) -> RefinedPose:
-        return replace(refined, covariance=np.diag(np.radians(np.full(7, 0.33)) ** 2))
-
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", unsure)
-    found = find_pose(among_shrubs(), OPEN, PRIOR)
-    assert (found.verdict.word, found.verdict.reason[-8:]) == ("ambiguous", "0.33 deg")
-
-
 def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: asked.append(0) or refined)
@@ -181,14 +172,23 @@ def test_on_bare_land_a_pose_stays_where_skyline_and_ridges_put_it(monkeypatch: 
     assert asked
 
 
-def test_a_pose_that_settles_under_the_ground_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def sunk(refined: RefinedPose, *given: object) -> RefinedPose:
-        return replace(refined, pose=Pose(refined.pose.position - np.array([0.0, 0.0, 500.0]), refined.pose.rotation))
+@pytest.mark.parametrize(("sunk", "sigma_deg", "settles"), [(0.0, 0.29, True), (0.0, 0.31, False), (500.0, 0.1, False)])
+def test_a_pose_stays_where_ridges_leave_it_open_or_under_the_ground(
+    sunk: float, sigma_deg: float, settles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def settled(refined: RefinedPose, *given: object) -> RefinedPose:
+        turned_pose = turned(refined.pose, np.radians([0.0, 0.0, 0.2]))
+        pose = replace(turned_pose, position=turned_pose.position - np.array([0.0, 0.0, sunk]))
+        return replace(refined, pose=pose, covariance=np.diag(np.radians(np.full(7, sigma_deg)) ** 2))
 
-    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", sunk)
-    found = find_pose(among_shrubs(), OPEN, PRIOR)
-    assert (found.verdict.word, "under the ground" in found.verdict.reason) == ("ambiguous", True)
-    assert found.hypotheses[0].refined.pose.position[2] == pytest.approx(TRUE.position[2])
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", lambda refined, *given: refined)
+    before = find_pose(among_shrubs(), OPEN, PRIOR)
+    monkeypatch.setattr(pose_from_picture, "settled_on_ridges", settled)
+    after = find_pose(among_shrubs(), OPEN, PRIOR)
+    assert before.verdict.word == after.verdict.word == "accepted"
+    off = np.degrees(angles_between(before.hypotheses[0].refined.pose, after.hypotheses[0].refined.pose))
+    assert off[0] == pytest.approx(-0.2 if settles else 0.0, abs=0.01)
+    assert (after.verdict.sigma_deg == before.verdict.sigma_deg) is not settles
 
 
 def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:
