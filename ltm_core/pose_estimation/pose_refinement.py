@@ -7,8 +7,8 @@ the logarithm of the focal length. The prior pose takes part with its sigmas. We
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -65,21 +65,11 @@ class RefinedPose:
     skyline: SkylineFit
 
 
-class PictureSystem(Protocol):
-    """Normal matrix (7, 7) and gradient (7,) of a picture's cost, as `picture_system`."""
-
-    def __call__(
-        self,
-        pose: Pose,
-        camera: Camera,
-        evidence: PictureEvidence,
-        horizon: TerrainHorizon,
-        ridges: ContourDirections,
-        search: float,
-        wide: float,
-        config: PicturePoseConfig,
-        expected: bool = False,
-    ) -> tuple[Float64Array, Float64Array]: ...
+PictureSystem = Callable[
+    [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
+    tuple[Float64Array, Float64Array],
+]
+"""Gives what `picture_system` does."""
 
 
 def refine(
@@ -99,7 +89,7 @@ def refine(
     pose, focal = start, 0.0
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
-        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config)
+        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
         normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
@@ -108,7 +98,7 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = camera.zoomed(math.exp(step[6]))
-    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True)
+    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, True)
     fit = skyline_fit(pose, camera, evidence, horizon, config)
     normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
