@@ -18,7 +18,6 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.pose_covariance import pose_sigmas
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import (
@@ -141,8 +140,8 @@ def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, 
     if not _may_mislead(seen, config):
         if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
-        alone = "it hangs on hardly more than one crest, and ridges alone do not lie there"
-        return by_skyline.doubted(alone) if by_ridges.hypotheses else by_skyline
+        reason = "it hangs on hardly more than one crest, and ridges alone do not lie there"
+        return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
     if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
         return by_skyline
     for other in (by_ridges, together):
@@ -164,11 +163,10 @@ def _settled(
     ridges leave it open."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
-    azimuth, pitch, roll = (float(s) for s in pose_sigmas(refined.pose, refined.covariance[:6, :6])[3:])
     kept = terrain.above([replace(best, refined=refined)])
-    if not kept or azimuth > config.settling.most_azimuth_sigma_deg:
+    if not kept or refined.sigma_deg[0] > config.settling.most_azimuth_sigma_deg:
         return found
-    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=(azimuth, pitch, roll)))
+    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
 def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:

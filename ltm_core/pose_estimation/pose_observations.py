@@ -20,7 +20,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline_search import column_weight
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
-from ltm_core.types import BoolArray, Float32Array, Float64Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,17 @@ class RidgeObservations(Observations):
 
     shared: Float64Array
     ground: Float64Array
+
+    def only(self, kept: IndexArray) -> RidgeObservations:
+        """Of those places (K,) alone."""
+        return RidgeObservations(
+            self.error[kept],
+            self.slopes[kept],
+            self.sigma[kept],
+            self.weight[kept],
+            self.shared[kept],
+            self.ground[kept],
+        )
 
 
 def _projected(

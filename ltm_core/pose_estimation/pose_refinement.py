@@ -14,7 +14,7 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_covariance import pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
@@ -63,6 +63,12 @@ class RefinedPose:
     covariance: Float64Array
     cost: float
     skyline: SkylineFit
+
+    @property
+    def sigma_deg(self) -> tuple[float, float, float]:
+        """Of azimuth, pitch and roll."""
+        azimuth, pitch, roll = pose_sigmas(self.pose, self.covariance[:6, :6])[3:].tolist()
+        return azimuth, pitch, roll
 
 
 PictureSystem = Callable[

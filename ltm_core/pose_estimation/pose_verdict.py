@@ -11,7 +11,7 @@ import numpy as np
 
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
-from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
 
 MANY_PLANTS = 0.5
 """Share of trees and shrubs in the land from which on edges are theirs as well as the ground's,"""
@@ -53,10 +53,7 @@ def judge(
             "no_skyline", "neither a skyline nor a ridge of the DEM is in the picture", 0.0, None, nowhere, 0.0
         )
     best = hypotheses[0]
-    slopes = angle_slopes(best.refined.pose)
-    turns = slopes @ best.refined.covariance[3:6, 3:6] @ slopes.T
-    azimuth, pitch, roll = (float(s) for s in np.degrees(np.sqrt(np.maximum(np.diag(turns), 0.0))))
-    sigma = azimuth, pitch, roll
+    sigma = azimuth, pitch, roll = best.refined.sigma_deg
     gap, other = math.inf, None
     middle = best.about or best.refined.pose  # what is not part of a mean is an alternative to it
     for hypothesis in hypotheses[1:]:

@@ -68,8 +68,9 @@ def ridge_system(
     kept = np.flatnonzero((rows.weight > 0) & (fits > _LEAST_FITTING))
     if len(kept) < FEWEST:
         return normal, gradient
-    root = np.linalg.cholesky(shared_covariance(rows, fits, config.settling)[np.ix_(kept, kept)])
-    whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error])[kept], lower=True, check_finite=False)
+    rows = rows.only(kept)
+    root = np.linalg.cholesky(shared_covariance(rows, fits[kept], config.settling))
+    whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error]), lower=True, check_finite=False)
     slopes, error = whitened[:, :7], whitened[:, 7]
     return normal + slopes.T @ slopes, slopes.T @ error
 
