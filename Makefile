@@ -8,7 +8,7 @@ INSTALLED := $(VENV)/.installed
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Python keeps what it has compiled, also where a shell says that it shall not: a graph is a dozen processes.
 export PYTHONDONTWRITEBYTECODE :=
-# As in our nodes (ltm_ros/launching/ros_environment.py): nothing here has a plug-in for pydantic, which looks for some in
+# As in our nodes (ltm_ros/runtime/ros_environment.py): nothing here has a plug-in for pydantic, which looks for some in
 # all that is installed whenever a process starts.
 export PYDANTIC_DISABLE_PLUGINS ?= __all__
 # Build back-ends warn of what a user of this Makefile cannot mend.

@@ -14,28 +14,28 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltm_core.base.resources import config_path, project_path
+from ltm_core.base.types import Float64Array
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
-from ltm_core.frame import PosedImage
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster
-from ltm_core.range_image import DepthImage, RangeImage
-from ltm_core.resources import config_path, project_path
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
+from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
+from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 
 
 class OneFrame(NamedTuple):

@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from ltm_core.numba_cache import use_own_cache
+from ltm_core.base.numba_cache import use_own_cache
 
 use_own_cache(Path(__file__).parent)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import CameraInfo
 
-from ltm_core.camera import Camera
-from ltm_core.errors import CameraError
+from ltm_core.base.errors import CameraError
+from ltm_core.geometry.camera import Camera
 from ltm_msgs_py.stamp import make_header
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from std_msgs.msg import String
 
-from ltm_core.errors import MessageError
-from ltm_core.raster.surface_versions_io import AS_GIVEN, VERSION, SurfaceManifest
+from ltm_core.base.errors import MessageError
+from ltm_core.surface.surface_versions_io import AS_GIVEN, VERSION, SurfaceManifest
 
 _LONGEST = 4096
 

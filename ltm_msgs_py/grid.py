@@ -1,7 +1,14 @@
-"""North-up class grids <-> nav_msgs/OccupancyGrid.
+"""Convert class grids and terrain changes to OccupancyGrid and PointCloud2, and back.
+
+North-up class grids <-> nav_msgs/OccupancyGrid.
 
 OccupancyGrid counts rows from the south, its origin is the outer corner of the south-west cell, and its cells are int8
 with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown. This is the one place with the flip.
+
+Surface changes -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
+
+One point a cell whose kind of change is new: x, y, z float32 (its centre on the updated surface), row, col int32 of
+the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface).
 """
 
 from __future__ import annotations
@@ -11,10 +18,16 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
 
-from ltm_core.errors import MessageError
-from ltm_core.grid import GridGeometry
-from ltm_core.types import UInt8Array
+from ltm_core.base.errors import MessageError
+from ltm_core.base.named_columns import take
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.surface.change import Changed, ChangeKind
+from ltm_core.surface.layers import SurfaceLayers
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 from ltm_msgs_py.stamp import make_header, ns_to_time
 
 UNKNOWN = 255
@@ -128,3 +141,40 @@ def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, 
             f"tile row, col, height, width = {window} leaves the grid of {grid.height} x {grid.width} cells"
         )
     return window
+
+
+_WHAT = "terrain update"
+
+
+def changed_to_msg(
+    changed: Changed, heights: Float32Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
+) -> PointCloud2:
+    """`heights`: (N,) of the updated surface at the changed cells; `geometry`: the terrain's grid."""
+    x, y = geometry.to_map(changed.rows, changed.cols)
+    columns: dict[str, NDArray[Any]] = {
+        "x": x.astype(np.float32),
+        "y": y.astype(np.float32),
+        "z": heights.astype(np.float32),
+        "row": changed.rows.astype(np.int32),
+        "col": changed.cols.astype(np.int32),
+        "change": changed.kind.astype(np.uint8),
+        "shift": changed.shift.astype(np.float32),
+    }
+    return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
+
+
+def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
+    """The changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError on other fields or
+    types, and on kinds of change that there are not."""
+    columns = msg_to_columns(msg)
+    rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
+    kind = take(columns, "change", np.uint8, _WHAT)
+    shift, *place = (take(columns, name, np.float32, _WHAT) for name in ("shift", "x", "y", "z"))
+    if (kind > max(ChangeKind)).any():
+        raise MessageError(f"{_WHAT}: change is {int(kind.max())}, no kind of change; there are 0 to {max(ChangeKind)}")
+    return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
+
+
+def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+    """Kinds of change of a window; -1 where independent views have not looked."""
+    return classes_to_msg(layers.told, layers.geometry, stamp_ns, frame_id)

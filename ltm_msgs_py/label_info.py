@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from std_msgs.msg import String
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
+from ltm_core.base.types import Float64Array
 from ltm_core.locating.region import MOST_VERTICES
-from ltm_core.types import Float64Array
 from ltm_msgs_py.pose import UNKNOWN_VARIANCES
 from ltm_msgs_py.stamp import make_header
 

@@ -1,19 +1,36 @@
-"""Named columns <-> sensor_msgs/PointCloud2: the field layout that votes and fuel cells share."""
+"""Convert named columns, votes and fuel cells to PointCloud2, and back.
+
+CellVotes <-> sensor_msgs/PointCloud2: one point a cell, with the columns of `ltm_core.fuel.vote_columns` as fields.
+
+So votes are sparse and name the classes that they count, and any ROS tool shows them as points.
+
+Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
+
+One point a cell, the labelled 3D points of the map: x, y, z float32 (its centre on the terrain), life_form uint8, prior
+and code int16 (fuel models, -9999 none), p_max, entropy and evidence float32, changed and seen_by uint8. Any ROS tool
+colours points by such a field.
+"""
 
 from __future__ import annotations
 
 import sys
 from array import array as byte_array
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from ltm_core.errors import MessageError
-from ltm_core.named_columns import Columns
-from ltm_msgs_py.stamp import make_header
+from ltm_core.base.errors import MessageError
+from ltm_core.base.named_columns import Columns, take
+from ltm_core.base.types import Int64Array
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.vote_columns import checked_names, columns_to_votes, most_bytes, votes_to_columns
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.geometry.grid import GridGeometry
+from ltm_msgs_py.stamp import make_header, stamp_of
 
 _DTYPES: dict[int, np.dtype[Any]] = {
     PointField.INT8: np.dtype(np.int8),
@@ -99,3 +116,82 @@ def msg_to_columns(msg: Any) -> Columns:
     rows = np.frombuffer(msg.data, np.uint8).reshape(height, row_step)[:, : width * point_step]
     points = np.ascontiguousarray(rows).reshape(-1).view(layout)
     return {name: np.ascontiguousarray(points[name], points[name].dtype.newbyteorder("=")) for name in names}
+
+
+def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
+    """Votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
+    `votes_to_columns` does."""
+    columns = votes_to_columns(votes, class_names)
+    dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
+    return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
+
+
+def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:
+    """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
+
+    Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
+    message is refused unread.
+    """
+    names = checked_names(class_names)
+    cells = geometry.width * geometry.height
+    most = most_bytes(cells, names)
+    if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
+        raise MessageError(
+            f"votes of {source} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
+            f"the fuel grid has {cells}, whose votes take {most} bytes at most"
+        )
+    return columns_to_votes(msg_to_columns(msg), geometry, names, stamp_of(msg), source)
+
+
+_FIELDS: Final[dict[str, Any]] = {
+    "life_form": np.uint8,
+    "prior": np.int16,
+    "code": np.int16,
+    "p_max": np.float32,
+    "entropy": np.float32,
+    "evidence": np.float32,
+    "changed": np.uint8,
+    "seen_by": np.uint8,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FuelCells:
+    """(N,) each: row and col of the fuel grid, and the layers of `FuelLayers` there by name."""
+
+    rows: Int64Array
+    cols: Int64Array
+    layers: dict[str, NDArray[Any]]
+
+    def raster(self, name: str, shape: tuple[int, int], elsewhere: float | NDArray[Any]) -> NDArray[Any]:
+        """A layer as (H, W); where no cell is given `elsewhere`, a value or (H, W)."""
+        whole = np.full(shape, elsewhere, self.layers[name].dtype)
+        whole[self.rows, self.cols] = self.layers[name]
+        return whole
+
+
+def fuel_cells_to_msg(
+    layers: FuelLayers, heights: NDArray[np.floating], geometry: GridGeometry, stamp_ns: int
+) -> PointCloud2:
+    """The cells that evidence has touched; `heights`: (H, W) metres of the terrain at the cells' centres."""
+    rows, cols = np.nonzero((layers.last_seen > 0) | layers.changed)
+    x, y = geometry.to_map(rows, cols)
+    z = np.asarray(heights[rows, cols], np.float32)
+    columns: dict[str, NDArray[Any]] = {"x": x.astype(np.float32), "y": y.astype(np.float32), "z": z}
+    columns |= {name: getattr(layers, name)[rows, cols].astype(dtype) for name, dtype in _FIELDS.items()}
+    return columns_to_msg(columns, stamp_ns, "map", is_dense=bool(np.isfinite(z).all()))
+
+
+def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
+    """Raises MessageError on missing fields or types, more points than the grid has cells, and points outside it."""
+    if int(msg.height) * int(msg.width) > geometry.width * geometry.height:
+        raise MessageError(f"fuel cells: {int(msg.height) * int(msg.width)} points for a grid of {geometry.shape}")
+    columns = msg_to_columns(msg)
+    x, y = (take(columns, axis, np.float32, "fuel cells") for axis in "xy")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise MessageError("fuel cells: a point has no finite place")
+    rows, cols = geometry.cell_of(x, y)
+    if not np.all(geometry.contains(rows, cols)):
+        raise MessageError(f"fuel cells: a point lies outside the fuel grid, {geometry.bounds} in the map frame")
+    layers = {name: take(columns, name, dtype, "fuel cells") for name, dtype in _FIELDS.items()}
+    return FuelCells(np.asarray(rows, np.int64), np.asarray(cols, np.int64), layers)

@@ -12,9 +12,9 @@ from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from numpy.typing import ArrayLike
 
-from ltm_core.errors import PoseError
-from ltm_core.pose import Pose
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.stamp import make_header
 
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.pose_correction import PoseCorrection
-from ltm_core.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 
 

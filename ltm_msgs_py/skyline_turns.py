@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, ValidationError
 from std_msgs.msg import String
 
-from ltm_core.errors import MessageError
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, TURN_STEP, SkylineTurns
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import MessageError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, TURN_STEP, SkylineTurns
 
 _LARGEST = 16_384
 """Characters: they are some 1000."""

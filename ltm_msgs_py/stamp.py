@@ -7,8 +7,8 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
-from ltm_core.errors import MessageError
-from ltm_core.utc_time import moment_of_stamp
+from ltm_core.base.errors import MessageError
+from ltm_core.base.utc_time import moment_of_stamp
 
 NS_PER_S = 1_000_000_000
 LATEST_NS = 2**31 * NS_PER_S - 1

@@ -25,7 +25,7 @@ LOOPBACK_9464 = "0100007F:24F8"
 BROKEN = {
     "never gets ready": {"ltm_ros/nodes/cameras.py": "import time\ntime.sleep(1e6)\n"},
     "crashes": {"ltm_ros/launching/runner.py": "raise RuntimeError('a broken build')\n"},
-    "its own doctor refuses": {"ltm_ros/doctor.py": "raise RuntimeError('a broken build')\n"},
+    "its own doctor refuses": {"ltm_ros/tower/doctor.py": "raise RuntimeError('a broken build')\n"},
 }
 """Releases that shall not be taken: modules with what they are replaced by."""
 WATCHED_S = {"never gets ready": 60, "crashes": 600}

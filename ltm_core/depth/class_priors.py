@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 
 GROUND_CLASSES = ("grass", "bare", "water", "shrub")

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig, SamplingConfig
-from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray, UInt8Array
 
 
 class _Rules(NamedTuple):

@@ -1,4 +1,10 @@
-"""A network's fitted depth brought to a photo's size, its edges drawn to the photo's, one row or pixel at a time."""
+"""Upsample a network's fitted depth to the photo's size, with the photo's edges.
+
+A small image brought to a photo's size with the photo's edges.
+
+Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
+the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +14,32 @@ import cv2
 import numba
 import numpy as np
 
+from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.error_model import ErrorModel, ErrorTables
-from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.guided_filter import guided_coefficients
+from ltm_core.depth.fusion_config import FusionConfig, UpsamplingConfig
 from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.types import Float32Array, Int32Array, UInt8Array
+
+
+def guided_coefficients(
+    image: Float32Array, grey: UInt8Array, config: UpsamplingConfig
+) -> tuple[Float32Array, Float32Array]:
+    """Gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W), 0..255.
+
+    NaN in `image` spreads by twice the windows' radius.
+    """
+    height, width = image.shape
+    guide: Float32Array = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    window = (2 * config.radius + 1, 2 * config.radius + 1)
+
+    def mean(a: Float32Array) -> Float32Array:
+        return np.asarray(cv2.blur(a, window, borderType=cv2.BORDER_REFLECT), np.float32)
+
+    guide_mean, image_mean = mean(guide), mean(image)
+    covariance = mean((guide * image).astype(np.float32)) - guide_mean * image_mean
+    variance = mean((guide * guide).astype(np.float32)) - guide_mean * guide_mean
+    gain = covariance / (np.maximum(variance, 0) + config.edge**2)
+    offset = image_mean - gain * guide_mean
+    return mean(gain.astype(np.float32)), mean(offset.astype(np.float32))
 
 
 class NetworkView(NamedTuple):

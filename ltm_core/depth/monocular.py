@@ -8,13 +8,13 @@ from typing import Literal, cast
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.depth.fusion_config_io import load_fusion_config
-from ltm_core.errors import ImageError, ModelError
-from ltm_core.types import Float32Array, UInt8Array
-from ltm_core.vision.input_tensor import input_tensor
+from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.depth.fusion_config import load_fusion_config
+from ltm_core.geometry.camera import Camera
 from ltm_core.vision.manifest import DEPTH_KINDS, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.tensors import input_tensor
 
 DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 

@@ -17,14 +17,13 @@ import cv2
 import numba
 import numpy as np
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors, LabelView
-from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.error_model import ErrorTables, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel
-from ltm_core.depth.occlusion_prior import mixture_moments
-from ltm_core.types import Float32Array, Int32Array, UInt8Array
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities, mixture_moments
+from ltm_core.geometry.camera import Camera
 
 _Answer = tuple[np.float32, np.float32, np.float32, np.float32]
 """True inverse depth, by how much less the network says there, the sigma of that, all 1/m, and its logarithm."""

@@ -13,13 +13,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.error_model import expected_prediction, interpolation_table, invert
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.fusion_rows import OWN, DecisionRules, FusionRow, average_row, begin_row, compare_row
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
+from ltm_core.depth.network_measurement import OWN, DecisionRules, FusionRow, average_row, begin_row, compare_row
 from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
-from ltm_core.types import Float32Array, UInt8Array
 
 
 def fuse_pixels(

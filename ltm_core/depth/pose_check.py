@@ -16,12 +16,12 @@ import cv2
 import numba
 import numpy as np
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.skyline_check import check_skyline
-from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
+from ltm_core.geometry.camera import Camera
 from ltm_core.vision.labels import UNLABELLED
 
 

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.depth.fusion_config import PoseCheckConfig
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -15,23 +15,28 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.expectation import FusionSettings, expect, fitted
+from ltm_core.depth.expected_surface import FusionSettings, expect, fitted
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.hidden_pixels import edges_seen, hidden_at, labels_behind
-from ltm_core.depth.labelled_sky import with_labelled_sky
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.depth.unknown_regions import clear_unenclosed
-from ltm_core.errors import ImageError
-from ltm_core.range_image import DepthImage, RangeImage
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.unknown_share import MOST_UNKNOWN, unknown_share
+from ltm_core.depth.unseen_terrain import (
+    MOST_UNKNOWN,
+    clear_unenclosed,
+    edges_seen,
+    hidden_at,
+    labels_behind,
+    unknown_share,
+    with_labelled_sky,
+)
+from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 
 class Source(IntEnum):

@@ -16,10 +16,10 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from ltm_core.errors import ConfigError, LtmError
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.export.landscape import Landscape
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 VARIABLE: Final = "LTM_PYRETECHNICS"
 _WORKER: Final = Path(__file__).with_name("pyretechnics_worker.py")

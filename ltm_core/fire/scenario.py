@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 _DEAD: Final = {"D1": (3.0, 4.0, 5.0), "D2": (6.0, 7.0, 8.0), "D3": (9.0, 10.0, 11.0), "D4": (12.0, 13.0, 14.0)}
 _LIVE: Final = {"L1": (30.0, 60.0), "L2": (60.0, 90.0), "L3": (90.0, 120.0), "L4": (120.0, 150.0)}

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_core.fuel.life_form import FORMS, LifeForm
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import BoolArray, Float64Array, Int64Array
 
 SEEN: Final = 1 + 4 * FORMS
 """What is looked at: a one, the shares of labels in the cell, these times how sure the labels are, and the shares in

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError
-from ltm_core.pose import Pose
-from ltm_core.types import Float32Array, Float64Array
-from ltm_core.visibility.footprint import arrival_directions
-from ltm_core.visibility.point_uncertainty import checked_covariance
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.visibility.footprint import arrival_directions, checked_covariance
 
 _LEAST_FACING = 0.02
 """Sine of about 1 degree: a flatter line of sight is treated as this one, where first order would give infinities."""

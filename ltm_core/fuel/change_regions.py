@@ -7,8 +7,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.types import BoolArray, Float64Array, UInt8Array
 
 _UNIT: Final = 256
 """Log odds are summed in whole numbers of 1 / _UNIT: of a part of the map they are then the whole map's, to the bit."""

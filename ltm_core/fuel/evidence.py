@@ -16,20 +16,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.errors import ImageError, RasterError
+from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array
+from ltm_core.fuel.cell_state import (
+    ACCUMULATED,
+    EPOCH_S,
+    EVIDENCE_FIELDS,
+    TILE,
+    UNIT,
+    VIEWS,
+    add_looks,
+    label_cover,
+    woody_looks,
+)
 from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
-from ltm_core.fuel.evidence_state import ACCUMULATED, EPOCH_S, EVIDENCE_FIELDS, TILE, UNIT, VIEWS
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
-from ltm_core.fuel.label_cover import add_looks, label_cover, woody_looks
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]

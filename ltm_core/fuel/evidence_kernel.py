@@ -7,7 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from ltm_core.types import Float64Array
+from ltm_core.base.types import Float64Array
 
 _REACH = 2.5
 """Sigmas to which the displacement of a cell is followed."""

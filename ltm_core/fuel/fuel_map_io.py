@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.errors import ConfigError, RasterError
-from ltm_core.fuel.majority import UNSEEN
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.raster.raster_source import check_size, open_raster
-from ltm_core.types import UInt8Array
+from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.types import UInt8Array
+from ltm_core.fuel.cell_counts import UNSEEN
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
 from ltm_core.vision.labels import LabelSet
 
 

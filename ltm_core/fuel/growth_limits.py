@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from ltm_core.dem import Dem
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array, Int64Array, UInt8Array, UInt16Array
 from ltm_core.fuel.life_form import LifeForm, label_forms
-from ltm_core.grid import GridGeometry
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import Float64Array, Int64Array, UInt8Array, UInt16Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import LabelSet
 
 PARTS = 4

@@ -10,15 +10,15 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.config_io import load_yaml
-from ltm_core.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
 from ltm_core.fuel.life_form import FORMS, LifeForm
-from ltm_core.resources import config_path
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import Float32Array, Float64Array
-from ltm_core.vision.label_calibration_io import Calibration, load_calibration
-from ltm_core.vision.label_head_io import find_head, read_head
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.vision.label_confidence import Calibration, load_calibration
+from ltm_core.vision.label_head import find_head, read_head
 from ltm_core.vision.manifest import Manifest
 
 FLOOR = 0.01

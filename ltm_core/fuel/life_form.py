@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ltm_core.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt32Array
+from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt32Array
 from ltm_core.vision.labels import LabelSet
 
 

@@ -1,14 +1,101 @@
-"""The prior fuel map (such as LANDFIRE) on the fuel grid, from which evidence starts."""
+"""Hold the prior fuel map of a site, and the configuration of its files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
-from ltm_core.errors import RasterError
+from pydantic import Field, model_validator
+
+from ltm_core.base.errors import RasterError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Int16Array
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Int16Array
+from ltm_core.geometry.grid import GridGeometry
+
+
+class BarrierConfig(StrictModel):
+    """A layer of a GeoPackage that says where nothing burns."""
+
+    path: Path
+    layer: str | None = None
+    """Of a file of several."""
+    kind: Literal["built", "road", "water"]
+    """Water is NB8 (98), the others NB1 (91)."""
+    least_share: float = Field(0.5, gt=0, le=1)
+    """Share of a cell that an area must cover; a line takes every cell that it crosses, so that no fire passes between
+    two of them."""
+
+    @property
+    def code(self) -> int:
+        return 98 if self.kind == "water" else 91
+
+
+class PriorConfig(StrictModel):
+    """`path`, or single-band files by what they hold, or both where `path` is a folder: then a file that is named goes
+    before what the folder holds. A bare string stands for `path`.
+
+    Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
+    """
+
+    path: Path | None = None
+    """A landscape (LCP or GeoTIFF of 8 bands), a single band of fuel codes, or a folder of single bands with the names
+    that LANDFIRE, ELMFIRE or GridFire give them (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
+    fbfm40: Path | None = None
+    fbfm13: Path | None = None
+    cover: Path | None = None
+    """Canopy cover, %."""
+    height: Path | None = None
+    """Canopy height, m x 10."""
+    base_height: Path | None = None
+    """Canopy base height, m x 10."""
+    bulk_density: Path | None = None
+    """Canopy bulk density, kg/m3 x 100."""
+    crs: str | None = None
+    """Only for files that carry none."""
+    unknown_codes: Literal["refuse", "nodata", "built", "keep"] = "refuse"
+    """What to do with codes that no fuel system has, such as the 256 by which ELMFIRE marks buildings: refuse the map,
+    take their cells for unknown, take 256 for built (91) and refuse others, or let all of them pass into exports as
+    they are. Numbers 14 to 89 are an analyst's own models in both systems: they always pass."""
+    own_fbfm13: Literal["within_fuel_type", "as_given"] = "within_fuel_type"
+    """Of a FBFM13 map beside the FBFM40 one, in exports to FBFM13: keep it where both are of one fuel type (grass,
+    shrub, timber, slash), or wherever it has a code. LANDFIRE's two maps differ in the type of up to 7 % of the cells.
+    """
+    barriers: tuple[BarrierConfig, ...] = ()
+    """Vector layers of what does not burn, laid over the fuel map in their order."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare_path(cls, value: Any) -> Any:
+        return {"path": value} if isinstance(value, str | Path) else value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> PriorConfig:
+        if self.path is None and not self.files():
+            raise ValueError("give path, or files such as fbfm40 and cover")
+        if self.path is None and self.fbfm40 is None and self.fbfm13 is None:
+            raise ValueError("a prior fuel map needs fuel codes: give fbfm40 or fbfm13")
+        return self
+
+    def files(self) -> dict[str, Path]:
+        """The single-band files that are given, by what they hold."""
+        names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    def described(self) -> str:
+        """The names of what it is read from, without the folders that they lie in."""
+        files = list(self.files().items())
+        named = [f"{name} {path.name}" for name, path in files]
+        return ", ".join(([] if self.path is None else [self.path.name]) + named)
+
+    def below(self, folder: Path) -> PriorConfig:
+        """The same with relative paths taken from `folder`."""
+        paths = self.files() | ({} if self.path is None else {"path": self.path})
+        barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
+        return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})
+
 
 CANOPY_BANDS = ("cover", "height", "base_height", "bulk_density")
 

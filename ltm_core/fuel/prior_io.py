@@ -10,17 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.disk_io import is_folder, is_there
-from ltm_core.errors import RasterError
-from ltm_core.fuel.barriers_io import barrier_codes, with_barriers
-from ltm_core.fuel.codes import FuelSystem, fuel_models, system_of_codes
-from ltm_core.fuel.crosswalk import is_custom, of_one_fuel_type
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float32Array, Int16Array
+from ltm_core.fuel.codes import FuelSystem, fuel_models, is_custom, of_one_fuel_type, system_of_codes
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
-from ltm_core.fuel.prior_config import PriorConfig
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.raster_source import open_raster
-from ltm_core.types import Float32Array, Int16Array
+from ltm_core.fuel.overlays_io import barrier_codes, with_barriers
+from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior, PriorConfig
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.raster_io import open_raster
+from ltm_core.storage.disk_io import is_folder, is_there
 
 _NODATA_VALUES = (-9999, 32767)
 """That LANDFIRE's downloads and everybody else's use, whatever the file declares."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.fuel.life_form import NONBURNABLE
-from ltm_core.strict_model import StrictModel
 
 FRAME_CAP = 10.0
 """Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a

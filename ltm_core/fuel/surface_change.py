@@ -12,17 +12,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
+from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import Key, Tile
-from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
-from ltm_core.terrain.layers import SurfaceLayers
-from ltm_core.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.tile_store import Key, Tile
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
+from ltm_core.surface.layers import SurfaceLayers
 
 UNSEEN: Final = 255
 """Of a grid of changes: independent views have not looked."""

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
+from ltm_core.base.named_columns import Columns, take
+from ltm_core.base.types import Int32Array, Int64Array
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.named_columns import Columns, take
-from ltm_core.types import Int32Array, Int64Array
+from ltm_core.geometry.grid import GridGeometry
 
 MAX_BYTES = 64_000
 """Largest message of a frame's votes."""

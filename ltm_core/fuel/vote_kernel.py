@@ -9,11 +9,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
 from ltm_core.fuel.growth_limits import PARTS, GroundLimits
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 
 _NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 

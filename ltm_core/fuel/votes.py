@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
 from ltm_core.fuel.growth_limits import GroundLimits
 from ltm_core.fuel.rules import FRAME_CAP
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.dem import Dem
+from ltm_core.base.types import Float64Array
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.locating.locator import Agreement, Location
 from ltm_core.locating.place import PlaceView, place_views
 from ltm_core.locating.posterior import Ellipse
 from ltm_core.locating.turn_watch import TurnVerdict
-from ltm_core.types import Float64Array
+from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 

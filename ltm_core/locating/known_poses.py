@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from ltm_core.pose import Pose
-from ltm_core.types import Float64Array
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
 
 MOST = 200
 """Poses that are remembered; the one told longest ago goes first."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ltm_core.locating.slip_history import shared_views
-from ltm_core.pose_estimation.skyline_turns import SkylineTurns
+from ltm_core.pose_estimation.mount.skyline_turns import SkylineTurns
 
 _ONE_DIRECTION = 0.5
 """Of a view that another one shares, for both to be of one direction."""

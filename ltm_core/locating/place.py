@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.errors import RegionError
+from ltm_core.base.errors import RegionError
+from ltm_core.base.types import Float64Array
 from ltm_core.locating.sight_fan import sight_fan
-from ltm_core.types import Float64Array
-from ltm_core.visibility.line_of_sight import line_of_sight_vectors
-from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
+from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility, line_of_sight_vectors
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0

@@ -1,16 +1,20 @@
-"""Probability over places of the map: a sparse raster, its mean, covariance, ellipses, densest regions and modes."""
+"""Hold the probability over places of the map, and write it as a GeoTIFF."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
-from ltm_core.grid import GridGeometry
-from ltm_core.types import BoolArray, Float64Array, Int32Array
+from ltm_core.base.errors import RegionError
+from ltm_core.base.types import BoolArray, Float64Array, Int32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
 
 
 @dataclass(frozen=True)
@@ -174,3 +178,28 @@ def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
     return np.asarray(
         np.hypot(off @ along / ellipse.major, (off[:, 0] * along[1] - off[:, 1] * along[0]) / ellipse.minor), np.float64
     )
+
+
+def read_mask(path: Path, camera: Camera) -> BoolArray:
+    """A picture of the camera's size whose pixels that are not black are masked, (H, W).
+
+    Raises ImageError for a file that is no picture, RegionError for one of another size.
+    """
+    from ltm_core.storage.photo_io import open_picture
+
+    with open_picture(path) as (source, _):
+        mask = np.asarray(source.convert("L")) > 0
+    if mask.shape != (camera.height, camera.width):
+        raise RegionError(
+            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, the camera's pictures have "
+            f"{camera.width} x {camera.height}"
+        )
+    return mask
+
+
+def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
+    """Probability a cell, float32, in the frame's CRS; 0 where there is none."""
+    from ltm_core.raster.raster_io import write_geotiff
+
+    geometry = posterior.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)
+    write_geotiff(path, posterior.raster().astype(np.float32), geometry, nodata=0.0)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltm_core.camera import Camera
-from ltm_core.errors import RegionError
-from ltm_core.types import BoolArray, Float64Array
+from ltm_core.base.errors import RegionError
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.camera import Camera
 
 MOST_VERTICES = 1_000
 """Of a polygon: a detector's outline has tens."""

@@ -25,15 +25,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.dem import Dem
-from ltm_core.locating.direction_table import NEXT_DRIFT, DirectionTable
-from ltm_core.locating.directions import KNOTS
-from ltm_core.locating.drift_kernels import add_drifted, add_smeared
-from ltm_core.locating.kernel_arguments import Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
-from ltm_core.locating.settings import LocatingConfig
-from ltm_core.locating.sight_fan import SightFan
-from ltm_core.locating.sight_kernels import ROOT_2PI, ground_along, smoke_along
-from ltm_core.types import Float32Array, Float64Array
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.locating.directions import KNOTS, NEXT_DRIFT, DirectionTable
+from ltm_core.locating.locator import LocatingConfig
+from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
+from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
+from ltm_core.raster.dem import Dem
 
 LEVEL_SHARE = 0.1
 """Of a raster's cell size: the least sigma that its heights have between its nodes."""

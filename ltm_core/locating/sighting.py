@@ -7,18 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError, RegionError
-from ltm_core.locating.direction_table import MOST_TURNED, DirectionTable, direction_table, turned_table
-from ltm_core.locating.directions import MarkedDirections, marked_directions
+from ltm_core.base.errors import PoseError, RegionError
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.locating.directions import (
+    MOST_TURNED,
+    DirectionTable,
+    MarkedDirections,
+    direction_table,
+    marked_directions,
+    turned_table,
+)
+from ltm_core.locating.locator import LocatingConfig
 from ltm_core.locating.region import Mark
-from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.locating.sight_likelihood import SightLikelihood, level_errors, sight_likelihood
-from ltm_core.pose import Pose
-from ltm_core.types import Float32Array, Float64Array
-from ltm_core.visibility.point_uncertainty import checked_covariance
+from ltm_core.raster.dem import Dem
+from ltm_core.visibility.footprint import checked_covariance
 
 Bounds = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max."""

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ltm_core.base.types import Float64Array
+from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.turn_evidence import STEP, TURNS
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
-from ltm_core.types import Float64Array
-from ltm_core.utc_time import DAY_NS
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 
 _SHORTEST_NS = 10_000_000_000
 """Of the age of a slip, which is taken for log-uniform between about ten seconds and a day before all that was seen:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ltm_core.types import Float64Array
+from ltm_core.base.types import Float64Array
 
 _MEDIAN = math.radians(1.5)
 _SPREAD = 0.8

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltm_core.errors import RegionError
+from ltm_core.base.errors import RegionError
+from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.locator import Agreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.turn_watch import TurnVerdict, TurnWatch
-from ltm_core.utc_time import DAY_NS
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltm_core.locating.direction_table import MOST_TURNED, turn_density
-from ltm_core.locating.directions import KNOTS, MarkedDirections
-from ltm_core.types import Float64Array
+from ltm_core.base.types import Float64Array
+from ltm_core.locating.directions import KNOTS, MOST_TURNED, MarkedDirections, turn_density
 
 if TYPE_CHECKING:
     from ltm_core.locating.sighting import Sight

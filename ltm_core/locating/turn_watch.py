@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ltm_core.base.types import Float64Array
+from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.picture_memory import remembered
 from ltm_core.locating.slip_history import turned_ratios
 from ltm_core.locating.slips import LOST, slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
-from ltm_core.pose_estimation.skyline_turns import SkylineTurns
-from ltm_core.types import Float64Array
-from ltm_core.utc_time import DAY_NS
+from ltm_core.pose_estimation.mount.skyline_turns import SkylineTurns
 
 _ONE_PLACE = math.radians(1.0)
 """Within which the marks of all cameras are of one place."""

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.dem import Dem
+from ltm_core.base.types import BoolArray, Float32Array, RgbImage
 from ltm_core.fire.effect import FireEffect
 from ltm_core.fire.pyretechnics import FireRun
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.pictures.drawing import panel
 from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas, Scale, bare_map
 from ltm_core.pictures.legend import label_legend
 from ltm_core.pictures.maps import interesting_bounds
-from ltm_core.pictures.overlay import label_colors
-from ltm_core.pictures.panel import panel
-from ltm_core.types import BoolArray, Float32Array, RgbImage
+from ltm_core.pictures.photo_overlays import label_colors
+from ltm_core.raster.dem import Dem
 
 FLAME: Final = Scale.of(
     ("below 1.2 m: hand tools", "1.2 to 2.4 m: engines", "2.4 to 3.4 m: hard to control", "3.4 m and more"),

@@ -11,16 +11,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
-from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
-from ltm_core.pictures.overlay import label_colors
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pictures.drawing import Anchor, draw_texts, metres, text_width
+from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, label_legend, with_legend
+from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.relief import Window, hillshade, terrain_colors
-from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)

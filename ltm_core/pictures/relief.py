@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.dem import Dem
-from ltm_core.types import Float32Array, Float64Array, RgbImage
+from ltm_core.base.types import Float32Array, Float64Array, RgbImage
+from ltm_core.raster.dem import Dem
 
 Window = tuple[int, int, int, int]
 """Row, column, height and width of a part of a raster."""

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float32Array
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.prepared_heights_io import map_heights, write_heights
-from ltm_core.raster.raster_source import check_size, open_raster
-from ltm_core.types import Float32Array
+from ltm_core.raster.raster_io import check_size, open_raster
 
 Bounds = tuple[float, float, float, float]
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_io import read_around
 from ltm_core.raster.dem_seams import fill_holes, lead_over
-from ltm_core.types import Float64Array
 
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0

@@ -19,8 +19,8 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from ltm_core.errors import RasterError
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float64Array
 
 MOST_FEATURES: Final = 1_000_000
 _ENVELOPE: Final = {0: 0, 1: 32, 2: 48, 3: 48, 4: 64}

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.disk_io import free_bytes
-from ltm_core.types import Float32Array
+from ltm_core.base.types import Float32Array
+from ltm_core.storage.disk_io import free_bytes
 
 VERSION = 1
 """To be raised when the same raster is read into other heights."""

@@ -1,16 +1,103 @@
-"""Writes GeoTIFF files. Reading stands beside each raster's type (for elevation: `dem_io`)."""
+"""Open rasters of other programs for reading, and write GeoTIFF files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.disk_io import is_file
+
+_GDAL = {"GDAL_CACHEMAX": 32}
+"""MB; GDAL's own default is a twentieth of the machine's memory."""
+MOST_CELLS = 1 << 30
+"""Of a raster that is read whole: 32 km a side at 1 m."""
+_UNSUSPECTED = 16 << 20
+"""Cells up to which a raster may be of any contents."""
+MOST_BANDS = 100
+"""Landscape files have ten. Where a file interleaves its bands by cell, one band is not read without all others: of
+4,097 bands a block of 256 x 256 cells is a gigabyte."""
+_GRIDS_OF_TEXT = ("AAIGrid", "GRASSASCIIGrid", "ISG")
+_MOST_FOR_A_BYTE = 1000
+"""Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
+file may state any size, and need not hold the tiles of it."""
+
+
+@contextmanager
+def open_raster(path: Path | str) -> Iterator[Any]:
+    """The open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
+    import rasterio
+    from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
+    from rasterio.errors import CRSError, RasterioError
+
+    _check_is_data(Path(path))
+    try:
+        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+            _check_bands(source, path)
+            if source.driver in _GRIDS_OF_TEXT:
+                _check_rows(source, path)
+            yield source
+    except (RasterioError, CPLE_BaseError, CRSError, UnicodeDecodeError) as error:  # the last: a CRS's name, no text
+        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+
+
+def _check_bands(source: Any, path: Path | str) -> None:
+    """Raises RasterError."""
+    if source.count > MOST_BANDS:
+        raise RasterError(f"{path}: has {source.count} bands, at most {MOST_BANDS}; cut out the one that is meant (-b)")
+
+
+def _check_rows(source: Any, path: Path | str) -> None:
+    """GDAL looks for a row of text by reading those before it, and where one is missing for each of them anew: of one
+    that ends early the last row takes years. In order, the first that is missing ends it. Raises RasterError."""
+    from rasterio.errors import RasterioError
+    from rasterio.windows import Window
+
+    size = Path(path).stat().st_size if is_file(Path(path)) else None
+    if size is not None and 2 * source.width > size + 1:
+        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; fetch it again")
+    for row in range(source.height):
+        try:
+            source.read(1, window=Window(0, row, source.width, 1))
+        except RasterioError as error:
+            raise RasterError(
+                f"{path}: row {row + 1} of {source.height} is missing or holds what is no number; fetch it again"
+            ) from error
+
+
+def _check_is_data(path: Path) -> None:
+    """Some of GDAL's formats are a text that names a web service, whatever the file is called: of texts, VRT alone is
+    followed. Raises RasterError."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(1024)
+    except OSError:
+        return  # a folder, or GDAL's name of a part of a file; what is not there GDAL says best
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"<", b"{") and b"<VRTDataset" not in head:
+        raise RasterError(f"{path}: not a raster but a text that names other places ({head[:40]!r}); give the raster")
+
+
+def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
+    """Before so many cells of a raster are read at once. Raises RasterError where they are more than a map has, or than
+    the file can hold."""
+    cells = height * width
+    if cells <= _UNSUSPECTED:
+        return
+    files = [Path(name) for name in source.files]
+    size = sum(file.stat().st_size for file in files if is_file(file))
+    # A VRT holds nothing itself, and names files that may be elsewhere.
+    if cells > MOST_CELLS or (source.driver != "VRT" and cells > size * _MOST_FOR_A_BYTE):
+        raise RasterError(
+            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells are read, "
+            f"and {_MOST_FOR_A_BYTE} for each byte: cut it to the site (gdalwarp -te)"
+        )
+
 
 _BLOCK = 256
 _CACHE_MB = 64

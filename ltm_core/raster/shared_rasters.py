@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from weakref import WeakValueDictionary
 
-from ltm_core.dem import Dem
+from ltm_core.raster.dem import Dem
 
 _open: WeakValueDictionary[Hashable, Dem] = WeakValueDictionary()
 _lock = threading.Lock()

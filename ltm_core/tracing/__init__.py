@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ltm_core.range_image import RangeImage
+from ltm_core.geometry.range_image import RangeImage
 
 if TYPE_CHECKING:
     from ltm_core.tracing.tracer import TerrainTracer

@@ -1,4 +1,10 @@
-"""Fast tracing of a whole image: sweeps each column upwards over the horizon profile and finds hits cell by cell.
+"""Trace a whole image column by column, from the bottom up over the horizon profile.
+
+State of a block of neighbouring image columns during the column sweep, one row at a time.
+
+A block is one flat float64 array, in which each field has `COLUMNS` places from the index on that stands here.
+
+Fast tracing of a whole image: sweeps each column upwards over the horizon profile and finds hits cell by cell.
 
 Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
 of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
@@ -14,25 +20,10 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ltm_core.tracing.cell_intersection import FASTMATH
-from ltm_core.tracing.cell_walk import HIT, LEFT, cell_hit
-from ltm_core.tracing.column_block import (
-    BEGIN,
-    BY_PYRAMID,
-    COLUMNS,
-    FACE,
-    HINT,
-    MEETS_NOTHING,
-    NEAR,
-    ON_FROM_CELL,
-    PER_MAJOR,
-    SLOPE,
-    WEDGE,
-    T,
-    new_block,
-)
+from ltm_core.base.kernels import prefetch
+from ltm_core.base.types import Float32Array, Float64Array, Int32Array, Int64Array
+from ltm_core.tracing.cell_intersection import FASTMATH, HIT, LEFT, cell_hit
 from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
-from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.pyramid_traversal import (
     AFTER,
     OVER_KNOWN,
@@ -46,7 +37,20 @@ from ltm_core.tracing.pyramid_traversal import (
     over_raster,
     stretch,
 )
-from ltm_core.types import Float32Array, Float64Array, Int32Array, Int64Array
+
+COLUMNS = 64
+PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLUMNS)
+"""1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
+within its wedge; node line where the ray's entry begins, or one of the following; range from which the pyramid goes on.
+"""
+MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def new_block() -> Float64Array:
+    """A block before its first row."""
+    return np.zeros(8 * COLUMNS)
+
 
 _ROWS_AHEAD = 4
 """Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""

@@ -1,4 +1,6 @@
-"""Holes of a DEM: groups of nodata nodes, and how high the ground inside them may be.
+"""Bound the ground height where a DEM has no data: in its holes, over its edge and beyond it.
+
+Holes of a DEM: groups of nodata nodes, and how high the ground inside them may be.
 
 A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes, on which the surface is
 bilinear. A cell with any NaN node is a hole: its ground is unknown, but bounded (`possible_ground`). The *ceiling* of a
@@ -20,8 +22,35 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from pydantic import Field
 
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
+
+
+class PossibleGround(StrictModel):
+    """Bounds of unknown ground, by which a ray that has been over known ground goes on, or is unknown.
+
+    Unknown ground rises from known ground no more steeply than `steepest`, and outside of what known ground surrounds
+    no higher than `highest`, or where that is not stated, than `margin` above the highest ground of the DEM. A ray
+    above it all goes on, and is sky once nothing lies ahead; one that comes down to it is unknown.
+    """
+
+    steepest: float = Field(1.5, gt=0)
+    """Metres a metre."""
+    highest: float | None = None
+    """Metres in the DEM's vertical datum: no ground for tens of kilometres beyond the DEM is higher."""
+    margin: float = Field(100.0, ge=0)
+    """Metres above the DEM's highest ground, where `highest` is not stated."""
+
+    def limit(self, top: float) -> float:
+        """Metres above which there is no ground outside a DEM whose highest is `top`."""
+        return top + self.margin if self.highest is None else self.highest
+
+
+NOTHING_BEYOND = PossibleGround(highest=-1e4)
+"""The world ends with the DEM, as that of a rendered scene does: what climbs out of it is sky."""
+
 
 _DIAGONAL = float(np.sqrt(2.0))
 

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
 from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 
 WEDGES_A_FACE = 3072
 SECTOR = 64

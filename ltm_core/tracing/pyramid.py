@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.base.types import Float32Array, Int64Array, UInt8Array
 from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
-from ltm_core.types import Float32Array, Int64Array, UInt8Array
 
 LEAF = 2
 """The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""

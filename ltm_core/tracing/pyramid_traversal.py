@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.holes import filled_at, in_outer_hole
 from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
 # Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
 PLUMB_SINE = 1e-9

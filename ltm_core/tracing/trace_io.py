@@ -1,30 +1,32 @@
-"""Files of `ltm trace`: reads the pose file and writes the rasters."""
+"""Read what is known of the pose of a photo, and write the files of `ltm trace`."""
 
 from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ltm_core.camera import Camera
-from ltm_core.camera_config import CalibrationConfig, PlacedPose, PoseConfig
-from ltm_core.config_io import load_yaml
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, ImageError
-from ltm_core.geodesy import SiteFrame
-from ltm_core.plausibility import doubt_of_height, doubt_of_radians
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import UInt8Array, UInt32Array
+from ltm_core.cameras.camera_config import CalibrationConfig, PlacedPose, PoseConfig
+from ltm_core.cameras.plausibility import doubt_of_height, doubt_of_radians
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.strict_model import StrictModel
-from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.types import UInt8Array, UInt32Array
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.tracing.holes import PossibleGround
 
 _FORMER_POSE = ("position", "crs", "height_above_ground", "azimuth_deg", "pitch_deg", "roll_deg")
 """Keys of `pose` that stood beside it in former pose files."""
@@ -113,7 +115,7 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
-    from ltm_core.picture_io import open_picture, read_rgb
+    from ltm_core.storage.photo_io import open_picture, read_rgb
 
     photo = read_rgb(Path(path))
     if photo.shape[:2] != (camera.height, camera.width):
@@ -215,3 +217,50 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
                 sink.write(values, band)
                 sink.set_band_description(band, description)
             sink.update_tags(**tags)
+
+
+class GuessConfig(PoseFile):
+    """What is known of a camera before its pose is found: a pose file whose angles may be left out.
+
+    The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
+    """
+
+
+def write_pose_file(
+    path: Path | str,
+    camera: Camera,
+    pose: Pose,
+    sigmas: Mapping[str, float],
+    guess: GuessConfig,
+    frame: SiteFrame,
+    notes: Sequence[str],
+) -> None:
+    """Write a pose file that `ltm trace` reads. `sigmas`: by the keys of a pose file; `notes`: comments at its top."""
+    x, y, z = (float(v) for v in pose.position)
+    azimuth, pitch, roll = pose.angles_deg
+    k1, k2, p1, p2, k3 = (float(k) for k in camera.distortion)
+    content = {
+        "pose": {
+            "x": round(x + frame.x_origin, 4),
+            "y": round(y + frame.y_origin, 4),
+            "z": round(z, 4),
+            "crs": frame.crs,
+            "azimuth_deg": round(azimuth, 6),
+            "pitch_deg": round(pitch, 6),
+            "roll_deg": round(roll, 6),
+            **sigmas,
+        },
+        "calibration": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx": round(float(camera.fx), 4),
+            "fy": round(float(camera.fy), 4),
+            "cx": camera.cx,
+            "cy": camera.cy,
+            **{"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3},
+        },
+        "curvature": guess.curvature,
+        "refraction": guess.refraction,
+    }
+    head = "".join(f"# {note}\n" for note in notes)
+    Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -1,4 +1,6 @@
-"""The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
+"""Trace the ray of each pixel to the terrain and return the range image; cache horizon profiles and ranges between frames.
+
+The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
 
 Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: instead of sampling the nearest
 DEM cell at fixed steps, each ray is intersected with the bilinear surface, and earth curvature and refraction bend
@@ -30,26 +32,81 @@ pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Literal
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
-from ltm_core.geodesy import ray_bend
-from ltm_core.kernel_launch import ONE_LAUNCH
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
-from ltm_core.tracing.caches import BoundedCache, TracerStatistics
+from ltm_core.base.errors import PoseError
+from ltm_core.base.kernels import ONE_LAUNCH
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing.column_sweep import sweep_image
+from ltm_core.tracing.holes import PossibleGround
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
-from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
 from ltm_core.tracing.raster_stages import filled_corners, grounds, highest_possible, stages
-from ltm_core.types import Float32Array, Float64Array
+
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True)
+class TracerStatistics:
+    """Counts since the tracer was made, and what it holds.
+
+    A frame is a hit of `frame_hits` where camera and pose were as before, so that nothing was traced; a hit of
+    `profile_hits` where all of the position's profile that it needs was there.
+    """
+
+    frames: int = 0
+    frame_hits: int = 0
+    profile_hits: int = 0
+    profile_bytes: int = 0
+    frame_bytes: int = 0
+
+
+class BoundedCache(Generic[_Value]):
+    """Values by key, of which the least recently used go when together they exceed `most_bytes`. Thread-safe."""
+
+    def __init__(self, most_bytes: int, size_of: Callable[[_Value], int]) -> None:
+        self._most = most_bytes
+        self._size_of = size_of
+        self._values: OrderedDict[Hashable, _Value] = OrderedDict()
+        self._held = 0
+        self._lock = threading.Lock()
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory that the values take now."""
+        return self._held
+
+    def get(self, key: Hashable) -> _Value | None:
+        """The value, now the most recently used; None where there is none."""
+        with self._lock:
+            if key not in self._values:
+                return None
+            self._values.move_to_end(key)
+            return self._values[key]
+
+    def put(self, key: Hashable, value: _Value) -> None:
+        """Keep or replace a value; one that alone exceeds the bound is not kept."""
+        with self._lock:
+            if key in self._values:
+                self._held -= self._size_of(self._values.pop(key))
+            self._values[key] = value
+            self._held += self._size_of(value)
+            while self._held > self._most:
+                _, oldest = self._values.popitem(last=False)
+                self._held -= self._size_of(oldest)
+
 
 # Fewer pixels than this do not repay the profile of a position that may never be seen again.
 _FEW_PIXELS = 40_000

@@ -1,4 +1,4 @@
-"""Typed configuration of the link between towers and their region's map: a site's section `region`, and region.yaml."""
+"""Configure the link between towers and the map of their region; read region.yaml."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ltm_core.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.storage.config_io import load_yaml
 from ltm_core.uplink.envelope import NAME
 
 Name = Annotated[str, Field(pattern=NAME)]
@@ -95,3 +96,22 @@ class RegionConfig(StrictModel):
                     "rename one"
                 )
         return self
+
+
+def load_region(path: Path | str) -> RegionConfig:
+    """Its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
+    path = Path(path).expanduser().resolve()
+    region = load_yaml(path, RegionConfig)
+    changes: dict[str, object] = {
+        "site": path.parent / region.site,
+        "folder": path.parent / region.folder,
+        "broker": broker_beside(region.broker, path.parent),
+    }
+    if region.export is not None:
+        changes["export"] = region.export.model_copy(update={"folder": path.parent / region.export.folder})
+    return region.model_copy(update=changes)
+
+
+def broker_beside(broker: BrokerConfig, folder: Path) -> BrokerConfig:
+    """With the paths of its certificates below a folder."""
+    return broker.model_copy(update={name: folder / getattr(broker, name) for name in ("ca", "certificate", "key")})

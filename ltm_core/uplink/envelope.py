@@ -15,9 +15,9 @@ from typing import Final, TypeVar
 
 from pydantic import Field, ValidationError
 
-from ltm_core.errors import MessageError
-from ltm_core.grid import GridGeometry
-from ltm_core.strict_model import StrictModel
+from ltm_core.base.errors import MessageError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.geometry.grid import GridGeometry
 
 VERSION: Final = 1
 """Of the headers and bodies; another is refused in words."""

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from pyproj.exceptions import ProjError
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
+from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.fuel.export.export_grid import GridTransfer
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Float64Array, Int64Array
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
 
 MOST_CELLS: Final = 4_000_000
 """Of a tower's grid: 60 km square at 30 m."""

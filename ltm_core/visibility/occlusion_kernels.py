@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
+from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
 from ltm_core.tracing.pyramid_traversal import (
     TOUCH,
@@ -24,7 +25,6 @@ from ltm_core.tracing.pyramid_traversal import (
     outside_cell,
     stretch,
 )
-from ltm_core.types import Float64Array, UInt8Array
 
 BY_CEILING, OVER_KNOWN, BEYOND = 1, 2, 4
 """What a way has come to: a hole's ceiling stands highest; known ground; the terrain ends before the target."""

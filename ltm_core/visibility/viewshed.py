@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.errors import PoseError, RasterError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array
+from ltm_core.base.errors import PoseError, RasterError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals
-from ltm_core.visibility.line_of_sight import line_of_sight_vectors
-from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, project
+from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, line_of_sight_vectors, project
 
 _CELLS = 1 << 18
 """Cells at a time: bounds memory."""

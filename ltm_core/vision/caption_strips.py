@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ltm_core.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 
 _STRIP = 0.08
 """Of the height, at either edge, in which captions are looked for."""

@@ -16,7 +16,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.usable import WORKING_WIDTH, Unusable, judge
 
 ROWS, COLUMNS = 18, 24

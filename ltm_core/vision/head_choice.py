@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from ltm_core.types import BoolArray, Float32Array, Float64Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.manifest import SHIPPED_HEAD
 from ltm_core.vision.picture_domain import DomainSpace

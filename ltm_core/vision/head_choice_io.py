@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltm_core.errors import ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.vision.head_choice import HeadChoice
-from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.label_head_io import places_of_heads, read_head
+from ltm_core.vision.label_head import LabelHead, places_of_heads, read_head
 from ltm_core.vision.manifest import AUTO_HEAD, Manifest
 from ltm_core.vision.picture_domain import DomainSpace
 from ltm_core.vision.picture_domain_io import domain_path, load_domain

@@ -9,9 +9,9 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
-from ltm_core.disk_io import is_file
-from ltm_core.errors import ModelError
-from ltm_core.vision.label_calibration_io import calibration_path
+from ltm_core.base.errors import ModelError
+from ltm_core.storage.disk_io import is_file
+from ltm_core.vision.label_confidence import calibration_path
 from ltm_core.vision.manifest import Manifest, added_folder, shipped_names
 
 _CHUNK = 1 << 20

@@ -1,4 +1,6 @@
-"""A head: a linear correction of a network's class scores, read from its decoder's maps, taught for one kind of place.
+"""Correct a network's class scores by a linear label head; read, find and write the files of heads.
+
+A head: a linear correction of a network's class scores, read from its decoder's maps, taught for one kind of place.
 
 A network's maps tell more apart than its own scores do. A head adds to the score of class k at a pixel
 b_k + sum over maps m of w_mk . f_m, f_m being the map's vector there, interpolated bilinearly; as interpolation and the
@@ -7,16 +9,25 @@ product commute, each map's part is formed at its own size and enlarged.
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
+import yaml
+from pydantic import Field, model_validator
 
-from ltm_core.errors import ModelError
-from ltm_core.types import Float32Array
-from ltm_core.vision.label_agreement import Agreement
-from ltm_core.vision.manifest import Withdrawal
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float32Array
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.disk_io import is_file
+from ltm_core.vision.label_confidence import Agreement, Calibration, doubt_of_photographs
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest, Withdrawal, added_folder
 from ltm_core.vision.picture_domain import HeadDomain
 
 
@@ -60,3 +71,145 @@ class LabelHead:
             for score, plane in zip(scores, part, strict=True):
                 same = plane.shape == (rows, cols)
                 score += plane if same else cv2.resize(plane, (cols, rows), interpolation=cv2.INTER_LINEAR)
+
+
+_Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
+_DIGITS: Final = 4
+
+
+class HeadFile(StrictModel):
+    """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
+    `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `one_view`:
+    it was taught by one view and is for that alone. `by_name`: no picture chooses it. `calibration`: how its labels
+    err, on photos held out.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
+    network: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    made: str = ""
+    licence: str = ""
+    classes: tuple[str, ...] = Field(min_length=2)
+    temperature: float = Field(gt=0)
+    withdraw: Withdrawal = Withdrawal()
+    agreement: Agreement = Agreement()
+    bias: tuple[_Weight, ...]
+    maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
+    domain: HeadDomain | None = None
+    one_view: bool = False
+    by_name: bool = False
+    calibration: Calibration | None = None
+
+    @model_validator(mode="after")
+    def _shapes_agree(self) -> HeadFile:
+        count = len(self.classes)
+        if self.name == SHIPPED_HEAD:
+            raise ValueError(f"name: {SHIPPED_HEAD!r} is the network's own head; choose another")
+        if self.name == AUTO_HEAD:
+            raise ValueError(f"name: {AUTO_HEAD!r} stands for a choice among heads; choose another")
+        if len(self.bias) != count:
+            raise ValueError(f"bias has {len(self.bias)} values, expected {count}, one for each of classes")
+        for name, rows in self.maps.items():
+            widths = {len(row) for row in rows}
+            if len(rows) != count or len(widths) != 1 or not max(widths):
+                raise ValueError(
+                    f"maps.{name}: expected {count} rows of as many numbers each, one row for each of classes; got "
+                    f"{len(rows)} rows of {', '.join(map(str, sorted(widths))) or 'none'}"
+                )
+        return self
+
+
+def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
+    """The head of a file, for the network of a manifest, and all that the file says.
+
+    Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
+    """
+    try:
+        content = load_yaml(path, HeadFile)
+    except ConfigError as reason:
+        raise ModelError(str(reason)) from reason
+    if content.sha256 != manifest.sha256:
+        raise ModelError(
+            f"{path}: is a head of network {content.network!r} with sha256 {content.sha256}; the camera's network is "
+            f"{manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model {manifest.name}"
+        )
+    if content.classes != manifest.classes:
+        raise ModelError(
+            f"{path}: is of classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
+        )
+    absent = [name for name in content.maps if name not in manifest.maps]
+    if absent:
+        raise ModelError(
+            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} states {', '.join(manifest.maps) or 'none'} "
+            "(`maps` in its manifest)"
+        )
+    wrong = [f"{name} ({len(rows[0])}, not {manifest.maps[name]})" for name, rows in content.maps.items()
+             if len(rows[0]) != manifest.maps[name]]  # fmt: skip
+    if wrong:
+        raise ModelError(f"{path}: weights for another number of channels: {', '.join(wrong)}")
+    checksum = hashlib.sha256(path.read_bytes()).hexdigest()
+    head = LabelHead(
+        name=content.name,
+        described=f"{content.name} {checksum[:12]}",
+        weights={name: np.asarray(rows, np.float32) for name, rows in content.maps.items()},
+        bias=np.asarray(content.bias, np.float32),
+        temperature=content.temperature,
+        withdraw=content.withdraw,
+        agreement=content.agreement,
+        doubt=doubt_of_photographs(content.calibration),
+        domain=content.domain,
+    )
+    return head, content
+
+
+def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path | None:
+    """The file of a camera's head; None for the network's own, `landscape`.
+
+    `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
+    the user taught. Raises ModelError with every place looked at.
+    """
+    if name == SHIPPED_HEAD:
+        return None
+    if name.endswith((".yaml", ".yml")) or os.sep in name:
+        path = Path(name) if folder is None else folder / name
+        places = [path]
+    else:
+        places = [place / f"{name}.yaml" for place in places_of_heads(manifest, folder)]
+    for place in places:
+        if is_file(place):
+            return place
+    raise ModelError(
+        f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm train "
+        f"head PHOTOS --out {Path(name).stem}"
+    )
+
+
+def places_of_heads(manifest: Manifest, site: Path | None) -> list[Path]:
+    """The folders that heads of a network are looked for in, the first one first: `site` (a site's), beside the
+    manifest, among what the user taught."""
+    beside = dict.fromkeys([manifest.folder, added_folder()])
+    return [*([] if site is None else [site]), *(heads_folder(manifest, folder) for folder in beside)]
+
+
+def heads_folder(manifest: Manifest, folder: Path | None = None) -> Path:
+    """Where heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
+    return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
+
+
+def write_head(path: Path, content: HeadFile) -> None:
+    """Write a head; weights with four digits. The folder is made."""
+    data = content.model_dump(mode="json", exclude_none=True)
+    data["bias"] = _rounded(data["bias"])
+    data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
+    if "domain" in data:
+        data["domain"]["centre"] = _rounded(data["domain"]["centre"])
+    if "calibration" in data:
+        data["calibration"]["confusion"] = [_rounded(row, 4) for row in data["calibration"]["confusion"]]
+        data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
+    path.write_text(f"# A head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
+
+
+def _rounded(row: list[float], digits: int = _DIGITS) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in row]

@@ -13,11 +13,11 @@ from typing import Any, Final
 import numpy as np
 from pydantic import Field
 
-from ltm_core.config_io import load_yaml
-from ltm_core.errors import ConfigError
-from ltm_core.resources import config_path
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import BoolArray
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray
+from ltm_core.storage.config_io import load_yaml
 
 UNLABELLED: Final = 255
 

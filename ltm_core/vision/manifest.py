@@ -1,4 +1,6 @@
-"""Model manifests: a network's file, its input and output tensors, and the labels that its classes stand for."""
+"""Read model manifests: the file of a network, its input and output tensors, and the labels of its classes."""
+
+from __future__ import annotations
 
 import os
 from pathlib import Path
@@ -6,11 +8,17 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
-from ltm_core.config_io import load_yaml
-from ltm_core.disk_io import is_file
-from ltm_core.errors import ConfigError, ModelError
-from ltm_core.resources import config_path
-from ltm_core.strict_model import StrictModel
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.disk_io import is_file
+
+DEFAULT_MODEL: Final = "landscape_v2"
+"""Of labels,"""
+DEFAULT_DEPTH_MODEL: Final = "landscape_v2_depth"
+"""and of depth: the same file's other output."""
+
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
@@ -55,7 +63,7 @@ class InputSpec(StrictModel):
         return std
 
     @model_validator(mode="after")
-    def _bytes_stay_bytes(self) -> "InputSpec":
+    def _bytes_stay_bytes(self) -> InputSpec:
         if self.dtype == "uint8" and (self.scale != 1.0 or any(self.mean) or set(self.std) != {1.0}):
             raise ValueError("scale, mean and std belong to float32 inputs; remove them for dtype uint8")
         return self
@@ -129,7 +137,7 @@ class OutputSpec(StrictModel):
         return self.kind in DEPTH_KINDS
 
     @model_validator(mode="after")
-    def _metric_alone_has_units(self) -> "OutputSpec":
+    def _metric_alone_has_units(self) -> OutputSpec:
         if self.kind != "metric" and (self.inverse or self.canonical_focal_px is not None):
             raise ValueError(f"inverse and canonical_focal_px belong to kind metric; remove them for {self.kind}")
         if self.kind != "logits" and self.offsets:
@@ -179,7 +187,7 @@ class Manifest(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _classes_are_known(self) -> "Manifest":
+    def _classes_are_known(self) -> Manifest:
         strangers = sorted(set(self.output.offsets) - set(self.classes))
         if strangers:
             raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
@@ -218,7 +226,7 @@ class Manifest(StrictModel):
         return self
 
     @classmethod
-    def load(cls, path: Path) -> "Manifest":
+    def load(cls, path: Path) -> Manifest:
         """Read a manifest. Raises ModelError naming the file and each key at fault."""
         try:
             manifest = load_yaml(path, cls)
@@ -228,7 +236,7 @@ class Manifest(StrictModel):
         return manifest
 
     @classmethod
-    def find(cls, path_or_name: str | Path) -> "Manifest":
+    def find(cls, path_or_name: str | Path) -> Manifest:
         """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
@@ -239,7 +247,7 @@ class Manifest(StrictModel):
             raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
         return cls.load(path)
 
-    def serving(self, head: str) -> "Manifest":
+    def serving(self, head: str) -> Manifest:
         """The network that answers where a camera has this head: itself, or the one whose heads it takes (`heads_of`).
 
         Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.

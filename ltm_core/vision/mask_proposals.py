@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ltm_core.errors import ImageError
-from ltm_core.types import BoolArray, Float64Array, UInt8Array
-from ltm_core.vision.camera_mask import fill
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.vision.areas import ERASED, NamedArea
 from ltm_core.vision.caption_strips import caption_strips
 from ltm_core.vision.labels import Label
 from ltm_core.vision.lens_corners import lens_corners
-from ltm_core.vision.polygons_io import ERASED, NamedArea
+from ltm_core.vision.masks import fill
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.standing_structures import labelled_skyline, standing_structures
 

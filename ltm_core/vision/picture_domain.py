@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltm_core.errors import ModelError
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import BoolArray, Float32Array, Float64Array
+from ltm_core.base.errors import ModelError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 
 LEAST_LAND = 0.05
 """Share of a picture that must be land for it to say where it was taken."""

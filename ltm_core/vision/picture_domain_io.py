@@ -6,9 +6,9 @@ from pathlib import Path
 
 import yaml
 
-from ltm_core.config_io import load_yaml
-from ltm_core.disk_io import is_file
-from ltm_core.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.manifest import DOMAIN_SUFFIX, Manifest
 from ltm_core.vision.picture_domain import DomainSpace
 

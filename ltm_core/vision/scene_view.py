@@ -9,16 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ltm_core.errors import ConfigError, ImageError
-from ltm_core.site import Site
-from ltm_core.sun import sun_elevation
-from ltm_core.types import BoolArray, UInt8Array
-from ltm_core.vision.camera_mask import CameraMask
-from ltm_core.vision.camera_mask_io import read_mask
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.geometry.sun import sun_elevation
+from ltm_core.site.site import Site
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.mask_config import MaskConfig
+from ltm_core.vision.masks import CameraMask, Looking, MakeMask, MaskConfig, ViewMasks, packed, read_mask
 from ltm_core.vision.usable import Unusable, Usability, judge
-from ltm_core.vision.view_masks import Looking, MakeMask, ViewMasks, packed
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,28 +9,22 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.errors import ImageError, ModelError
-from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.vision.coarse_look import with_coarse_look
-from ltm_core.vision.default_networks import DEFAULT_MODEL
+from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import open_choice
-from ltm_core.vision.input_tensor import as_tensor, fitted, input_tensor
-from ltm_core.vision.label_agreement import agreed
-from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
-from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.label_head_io import find_head, read_head
+from ltm_core.vision.label_confidence import agreed, doubt_of_photographs, load_calibration
+from ltm_core.vision.label_corrections import against_green, withdraw
+from ltm_core.vision.label_head import LabelHead, find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, InputSpec, Manifest, Withdrawal
+from ltm_core.vision.manifest import AUTO_HEAD, DEFAULT_MODEL, SHIPPED_HEAD, InputSpec, Manifest, Withdrawal
 from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.photo_colour import against_green
-from ltm_core.vision.text_io import load_text
-from ltm_core.vision.tiling import with_distant_tiles
-from ltm_core.vision.upsample import upsampled_winner
-from ltm_core.vision.withdrawal import withdraw
+from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
+from ltm_core.vision.tensors import as_tensor, fitted, input_tensor, upsampled_winner
+from ltm_core.vision.vocabulary import load_text
 
 if TYPE_CHECKING:
-    from ltm_core.site import Site
+    from ltm_core.site.site import Site
 
 
 @dataclass(frozen=True)

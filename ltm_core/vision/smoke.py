@@ -20,7 +20,7 @@ from typing import Final, Self
 import cv2
 import numpy as np
 
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
 WORKING_WIDTH: Final = 320

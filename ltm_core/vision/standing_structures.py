@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 
 _REACH = 0.035
 """Of the width: structures that are this wide or less stand out from their surroundings in a top-hat."""

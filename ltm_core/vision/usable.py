@@ -16,8 +16,8 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
-from ltm_core.errors import ImageError
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 
 WORKING_WIDTH = 480
 ROWS, COLUMNS = 9, 12

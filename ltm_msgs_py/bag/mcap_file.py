@@ -12,9 +12,9 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from ltm_core.disk_io import DiskReserve
-from ltm_msgs_py.bag.mcap_repair import finish_cut_file
+from ltm_core.storage.disk_io import DiskReserve
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, to_yaml
+from ltm_msgs_py.bag.repair import finish_cut_file
 from ltm_msgs_py.bag.schemas import schema_text
 
 RESERVE_BYTES = 1 << 20

@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdError
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_NS = 2**63 - 1

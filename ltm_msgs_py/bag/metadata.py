@@ -11,8 +11,8 @@ from typing import Any
 
 import yaml
 
-from ltm_core.errors import ConfigError, RecordingError
-from ltm_core.yaml_io import parse_yaml, read_yaml
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.storage.config_io import parse_yaml, read_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"

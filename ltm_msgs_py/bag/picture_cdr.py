@@ -10,8 +10,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ltm_core.errors import ImageError, RecordingError
-from ltm_core.types import UInt8Array
+from ltm_core.base.errors import ImageError, RecordingError
+from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_rgb
 from ltm_msgs_py.stamp import NS_PER_S
 

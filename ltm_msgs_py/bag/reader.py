@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ltm_core.disk_io import is_file, is_folder
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
 from ltm_msgs_py.bag.schemas import message_class

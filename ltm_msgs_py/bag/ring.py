@@ -17,9 +17,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from ltm_core.errors import RecordingError
-from ltm_msgs_py.bag.bag_repair import repair_bag, rewrite_metadata
+from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.metadata import FILE_NAME
+from ltm_msgs_py.bag.repair import repair_bag, rewrite_metadata
 
 _HEAD = struct.Struct("<8sBQ")
 _LONGEST_HEADER = 4096

@@ -12,8 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ltm_core.disk_io import is_file
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_core.storage.disk_io import is_file
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _PRIMITIVES = {

@@ -11,9 +11,8 @@ from typing import Any, Literal, NoReturn, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 
-from ltm_core.disk_io import is_folder, is_there
-from ltm_core.errors import RecordingError
-from ltm_core.output_io import require_folder
+from ltm_core.base.errors import RecordingError
+from ltm_core.storage.disk_io import is_folder, is_there, require_folder
 from ltm_msgs_py.bag.mcap_file import McapFile
 from ltm_msgs_py.bag.mcap_index import LATEST_NS
 from ltm_msgs_py.bag.metadata import (

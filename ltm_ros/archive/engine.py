@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from ltm_core.errors import ArchiveError, LtmError
+from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport, work
-from ltm_ros.launching.ros_environment import available_cores
+from ltm_ros.runtime.ros_environment import available_cores
 
 _DEATHS = 3
 """Workers beyond the first that may die while they have a task, before it is given up as their killer."""

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, TypeVar
 
 import fsspec
 
-from ltm_core.errors import ArchiveError
+from ltm_core.base.errors import ArchiveError
 from ltm_ros.archive.content_digest import digest
 
 WAITS_S = (0.5, 1.0, 2.0, 4.0)

@@ -13,17 +13,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltm_core.errors import LtmError
-from ltm_core.frame import PosedImage
-from ltm_core.frame_at_work import FrameSteps, FrameVotes, MeasuredFrame
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.base.errors import LtmError
+from ltm_core.base.named_columns import Columns
+from ltm_core.base.types import Float32Array
 from ltm_core.fuel.vote_columns import columns_to_votes
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.fusing_step import FusingConfig
-from ltm_core.grid import GridGeometry
-from ltm_core.named_columns import Columns
-from ltm_core.site_io import load_site
-from ltm_core.types import Float32Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.frame import FrameSteps, FrameVotes, MeasuredFrame, PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.pipeline.fusing_step import FusingConfig
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import measured_digest, votes_digest
 from ltm_ros.archive.files import ArchiveFiles

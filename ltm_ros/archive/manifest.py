@@ -18,20 +18,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ArchiveError, LtmError, RecordingError
-from ltm_core.pose import Pose
-from ltm_core.site import Site
-from ltm_core.types import Float64Array
-from ltm_core.utc_time import DAY_NS
+from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
+from ltm_core.base.types import Float64Array
+from ltm_core.base.utc_time import DAY_NS
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site import Site
 from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.repeat_check import RepeatCheck
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_check import RepeatCheck, StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
 

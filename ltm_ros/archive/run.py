@@ -14,30 +14,26 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ltm_core.errors import ArchiveError, LtmError
-from ltm_core.fuel.burns_io import Burn, read_burns
+from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.fuel.export.provenance import software
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.terrain.site_terrain import STORE_FILE as TERRAIN_FILE
-from ltm_core.terrain.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.choice import chosen
-from ltm_ros.archive.content_digest import code_digest
+from ltm_core.fuel.overlays_io import Burn, read_burns
+from ltm_core.pipeline.site_surface import STORE_FILE as TERRAIN_FILE
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
+from ltm_ros.archive.content_digest import code_digest, node_rules, refuse_terrain
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
-from ltm_ros.archive.node_rules import node_rules, refuse_terrain
 from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
 from ltm_ros.archive.publish import RUN, publish
-from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
-from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.sampling import Sample
+from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
+from ltm_ros.archive.results import ResultFolder, map_digest, standing_record
+from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import recordings, scan
-from ltm_ros.archive.standing_map import map_digest, standing_record
-from ltm_ros.archive.terrain_fold import TerrainFold
 
 MANIFEST = "manifest.parquet"
 _NAMED = 1000

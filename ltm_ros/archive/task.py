@@ -16,17 +16,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltm_core.errors import ArchiveError
-from ltm_core.fuel.burns_io import Burn
+from ltm_core.base.errors import ArchiveError
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.evidence_merge import PartialEvidence
-from ltm_core.fuel.site_map import empty_maps
-from ltm_core.fuel.stored_map import fuel_schema
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store_schema import Key
-from ltm_core.resources import config_path
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
+from ltm_core.fuel.overlays_io import Burn
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import empty_maps
+from ltm_core.pipeline.stored_fuel import fuel_schema
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store_schema import Key
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, evidence_digest
 from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_packed, read_votes

@@ -12,9 +12,9 @@ from ltm_ros.cli.output import Overwrite
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ltm_core.source_config import SecretConfig
-    from ltm_ros.sources.probe import Found
-    from ltm_ros.sources.site_entry import Placing
+    from ltm_core.site.source_config import SecretConfig
+    from ltm_ros.cameras.probe import Found
+    from ltm_ros.cameras.site_entry import Placing
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
 """Environment variable of this process in which a password that was typed is kept."""
@@ -45,12 +45,11 @@ def probe(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_edit_io import dumped, write_camera_section
-    from ltm_core.site_io import load_site
-    from ltm_ros.sources.errors import UnauthorisedError
-    from ltm_ros.sources.probe import probe as ask
-    from ltm_ros.sources.site_entry import lacking, site_entry
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import dumped, load_site, write_camera_section
+    from ltm_ros.cameras.probe import probe as ask
+    from ltm_ros.cameras.protocols.errors import UnauthorisedError
+    from ltm_ros.cameras.site_entry import lacking, site_entry
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: which camera of which site file is written")
@@ -103,7 +102,7 @@ def discover(
     from rich.markup import escape
     from rich.table import Table
 
-    from ltm_ros.sources.discovery import discover as ask
+    from ltm_ros.cameras.discovery import discover as ask
 
     found, wrong = ask(interface, seconds, port=port)
     table = Table("host", "name", "hardware", "address", title=f"{len(found)} cameras answered")
@@ -128,10 +127,10 @@ def watch(
     from rich.console import Console
     from rich.live import Live
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
     from ltm_ros.cli.cameras_watch import CameraWatch, state_table
-    from ltm_ros.launching.ros_environment import apply_to_process
+    from ltm_ros.runtime.ros_environment import apply_to_process
 
     config = load_site(site)
     asked = [name for name, camera in config.cameras.items() if camera.source is not None]
@@ -173,7 +172,7 @@ def snapshot(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_ros.cli.cameras_snapshot import take_snapshot
+    from ltm_ros.cli.cameras_watch import take_snapshot
 
     console = Console()
     with console.status(f"asking {camera}"):
@@ -186,9 +185,9 @@ def snapshot(
 
 def _checked_address(url: str) -> str:
     """Raises ConfigError for a password in it, and for what is no address."""
-    from ltm_core.errors import ConfigError
-    from ltm_core.redaction import redacted
-    from ltm_core.source_config import url_without_secrets
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.base.redaction import redacted
+    from ltm_core.site.source_config import url_without_secrets
 
     if "://" not in url:
         url = f"http://{url}"
@@ -211,8 +210,8 @@ def _secret(
     """Where the password stands now, and where the site file shall look for it."""
     import os
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.source_config import SecretConfig
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.source_config import SecretConfig
 
     if password_env is not None and password_file is not None:
         raise ConfigError("give either --password-env or --password-file, not both")
@@ -233,8 +232,8 @@ def _secret(
 def _placing(
     lonlat: str | None, height: float | None, azimuth: float | None, pitch: float, hfov: float | None
 ) -> Placing:
-    from ltm_core.errors import ConfigError
-    from ltm_ros.sources.site_entry import Placing
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.cameras.site_entry import Placing
 
     lon = lat = None
     if lonlat is not None:
@@ -249,8 +248,7 @@ def _found_table(found: Found) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from ltm_core.redaction import redacted
-    from ltm_ros.sources.strangers_text import plain
+    from ltm_core.base.redaction import plain, redacted
 
     def row(what: str, told: str) -> None:
         """Cameras' own words are text, not markup; the address that one states may hold its password."""

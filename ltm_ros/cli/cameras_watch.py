@@ -1,12 +1,16 @@
-"""`ltm cameras watch`: what the diagnostics of a running graph say of its cameras."""
+"""`ltm cameras watch` and `ltm cameras snapshot`: watch the cameras of a graph, and take one image."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
@@ -15,7 +19,28 @@ from rclpy.node import Node
 from rich.markup import escape
 from rich.table import Table
 
-from ltm_ros.launching.dds_shutdown import limit_shutdown
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
+from ltm_core.pictures import to_png
+from ltm_core.pictures.photo_overlays import depth_picture, map_picture
+from ltm_core.pose_estimation.mount.mount_io import append_reading
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
+from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_ros.cameras.camera_source import CameraSource, Frame
+from ltm_ros.cameras.gaze import calibration_of, gaze_of
+from ltm_ros.cameras.opening import open_reader
+from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.runtime.clocks import SystemClock
+from ltm_ros.runtime.dds_shutdown import limit_shutdown
+from ltm_ros.runtime.health import Health
 
 STYLES = {"alive": "green", "connecting": "cyan", "night": "blue", "moved": "cyan"}
 """Of the states that need nobody; the others are red."""
@@ -96,3 +121,108 @@ def _since(epoch: str | None) -> str:
     if not epoch:
         return ""
     return datetime.fromtimestamp(float(epoch)).strftime("%m-%d %H:%M:%S")
+
+
+READINGS = "readings.csv"
+
+
+def take_snapshot(
+    site_file: Path, camera_name: str, out: Path, name: str, trace: bool, tries: int, overwrite: bool
+) -> tuple[list[Path], list[str]]:
+    """The files that were written, and what is to be said. Raises ConfigError, and SourceError where no picture came
+    that can be used, in words."""
+    site = load_site(site_file)
+    require_folder(out, "a picture")
+    frame, reason = _frame(site, camera_name, tries)
+    if frame is None:
+        raise SourceError(f"{camera_name} gave no picture that can be used: {reason}")
+    taken = datetime.fromtimestamp(frame.stamp_ns / 1e9, UTC)
+    name = name or f"{camera_name}_{taken:%Y%m%dT%H%M%SZ}"
+    picture = out / f"{name}.jpg"
+    files = [picture]
+    if frame.pose is not None:
+        files += [out / f"{name}.yaml"] + ([out / f"{name}_depth.png", out / f"{name}_map.png"] if trace else [])
+    require_files(files, overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    photo = frame.rgb if frame.jpeg is None else decode_rgb(frame.jpeg)
+    assert photo is not None  # nosec B101 # tells the type checker what holds
+    picture.write_bytes(frame.jpeg if frame.jpeg is not None else encode_rgb(photo, "jpeg", 95))
+    told = [f"taken {taken:%Y-%m-%d %H:%M:%S} UTC +- {frame.uncertainty:.2f} s, by {frame.told_by}"]
+    if frame.reading is not None:
+        reading = frame.reading
+        told.append(f"head: pan {reading.pan_deg:.3f}, tilt {reading.tilt_deg:.3f}, zoom {reading.zoom:g}")
+        append_reading(out / READINGS, picture.name, reading.pan_deg, reading.tilt_deg, reading.zoom)
+        files.append(out / READINGS)
+    if frame.pose is None:
+        return files, [*told, "the site file states no pose of it, so that it cannot be traced"]
+    told.append(_pose_line(frame.pose, frame))
+    notes = [f"Picture of {camera_name} of {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."]
+    guess = GuessConfig.model_validate(
+        {
+            "pose": dict(zip("xyz", map(float, frame.pose.position), strict=True)),
+            "calibration": {"width": frame.camera.width, "height": frame.camera.height, "fx": frame.camera.fx},
+            "curvature": site.curvature,
+            "refraction": site.refraction,
+        }
+    )
+    sigmas = {} if frame.covariance is None else sigma_keys(frame.pose, frame.covariance)
+    write_pose_file(files[1], frame.camera, frame.pose, sigmas, guess, site.frame, notes)
+    if trace:
+        told.append(_traced(site, site.open_dem(), frame.camera, frame.pose, photo, files[2], files[3], camera_name))
+    return files, told
+
+
+def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
+    """The first good picture; else what was wrong with the last."""
+    camera = site.camera(name)
+    if camera.source is None:
+        raise ConfigError(f"camera {name} of site {site.name} has no section `source`: nobody can ask it for a picture")
+    clock, frames = SystemClock(), list[Frame]()
+    # By hand, a picture at night is wanted too.
+    settings = camera.source.model_copy(update={"night": "publish"})
+    source = CameraSource(
+        settings,
+        calibration_of(camera, name),
+        # By hand a head is asked and not driven: what runs for the site may drive it just now.
+        replace(gaze_of(site, camera), patrol=None),
+        partial(open_reader, settings, site.limits.image_bytes, clock),
+        frames.append,
+        Health(),
+        clock,
+    )
+    why = ""
+    try:
+        for _ in range(tries):
+            pause = source.step()
+            if frames:
+                return frames[0], ""
+            why = f"{source.state.value}: {source.why}"
+            if source.state.value in ("unauthorised", "stalled"):
+                break
+            time.sleep(min(pause, 1.0))
+    finally:
+        source.close()
+    return None, why
+
+
+def _pose_line(pose: Pose, frame: Frame) -> str:
+    azimuth, pitch, roll = pose.angles_deg
+    line = f"looks to azimuth {azimuth:.2f}, pitch {pitch:+.2f}, roll {roll:+.2f} deg"
+    if frame.covariance is not None:
+        sigmas = pose_sigmas(pose, frame.covariance)[3:]
+        line += f" (sigmas {', '.join(f'{sigma:.2f}' for sigma in sigmas)})"
+    return f"{line}; field of view {frame.camera.hfov_deg:.1f} deg"
+
+
+def _traced(
+    site: Site, dem: Dem, camera: Camera, pose: Pose, photo: UInt8Array, depth: Path, on_map: Path, name: str
+) -> str:
+    traced = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground).trace(camera, pose)
+    depth.write_bytes(to_png(depth_picture(traced, dem, photo)))
+    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"what {name} sees")))
+    ranges = traced.range
+    known = ranges[np.isfinite(ranges)]
+    if not known.size:
+        return "no pixel sees the terrain: check the pose"
+    share = np.isfinite(ranges).mean()
+    return f"{share:.0%} of the pixels see terrain, {known.min():,.0f} to {known.max():,.0f} m away"

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.findings import findings_table
+from ltm_ros.cli.doctor import findings_table
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_core.finding import Finding
-    from ltm_core.site_check import SiteCheck
-    from ltm_core.types import RgbImage
+    from ltm_core.base.finding import Finding
+    from ltm_core.base.types import RgbImage
+    from ltm_core.site.site_check import SiteCheck
 
 _CELLS = 100_000
 """At which the view of the cameras is judged: a second or two a camera."""
@@ -35,8 +35,8 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
     from rich.console import Console
 
-    from ltm_core.finding import Verdict
-    from ltm_core.output_io import require_files
+    from ltm_core.base.finding import Verdict
+    from ltm_core.storage.disk_io import require_files
     from ltm_ros.launching.site_check import Wanted, examine
 
     if out is not None:
@@ -61,7 +61,7 @@ def check(
 
 
 def _print(console: Console, findings: list[Finding]) -> None:
-    from ltm_core.finding import Verdict
+    from ltm_core.base.finding import Verdict
 
     styles = {Verdict.OK: "green", Verdict.DOUBTFUL: "yellow", Verdict.WRONG: "bold red"}
     order = list(dict.fromkeys(finding.area for finding in findings))
@@ -72,9 +72,9 @@ def _print(console: Console, findings: list[Finding]) -> None:
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """The views that a recording has of cameras without a pose in the site file."""
-    from ltm_core.camera_check import check_views
-    from ltm_core.errors import LtmError
-    from ltm_core.finding import Finding
+    from ltm_core.base.errors import LtmError
+    from ltm_core.base.finding import Finding
+    from ltm_core.site.camera_check import check_views
     from ltm_ros.recordings.recorded_views import recorded_views
 
     assert found.site is not None  # nosec B101 # tells the type checker what holds
@@ -95,7 +95,7 @@ def _picture(found: SiteCheck) -> RgbImage:
     from dataclasses import replace
 
     from ltm_core.pictures import MapCamera
-    from ltm_core.pictures.site import site_picture
+    from ltm_core.site.picture import site_picture
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import viewshed
 

@@ -27,8 +27,8 @@ def demo(
 
     from rich.console import Console
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_folder
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_folder
 
     console = Console()
     target = out or Path("out/demo-real" if real else "out/demo")
@@ -43,11 +43,11 @@ def demo(
 def _simulated(out: Path, domain: int, console: Console) -> None:
     from rich.table import Table
 
-    from ltm_core.resources import project_path
+    from ltm_core.base.resources import project_path
+    from ltm_lab.evaluation.score_tables import bin_name
+    from ltm_ros.cli.output import print_nodes
     from ltm_ros.cli.progress import message_bar
-    from ltm_ros.cli.summary import print_nodes
     from ltm_ros.demo.simulated import run_demo
-    from ltm_ros.evaluation.score_tables import bin_name
 
     with message_bar(console, "demo") as progress:
         result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))
@@ -98,9 +98,9 @@ def _print_walk(console: Console, walk: Walk) -> None:
 def _real(out: Path, domain: int, console: Console) -> None:
     from rich.table import Table
 
-    from ltm_core.resources import config_path
+    from ltm_core.base.resources import config_path
+    from ltm_ros.cli.output import print_nodes
     from ltm_ros.cli.progress import message_bar
-    from ltm_ros.cli.summary import print_nodes
     from ltm_ros.demo.real import medians, run_real_demo
 
     site, poses = config_path("sites/engabreen.yaml"), config_path("sites/engabreen_poses.csv")

@@ -1,13 +1,32 @@
-"""`ltm doctor`: checks the installation; for each thing that is missing, names the command that installs it."""
+"""`ltm doctor`: check the installation, and print the command that installs what is missing."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.findings import findings_table
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def findings_table(rows: Iterable[tuple[str, str, str, str, str]]) -> Table:
+    """`rows`: area, state, the state's style, what was looked at, and what was found; those of an area together."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table("", "", "what", "found")
+    last = ""
+    for area, state, style, name, found in rows:
+        if area != last:
+            table.add_section()
+        table.add_row(escape(area) if area != last else "", f"[{style}]{state}[/]", escape(name), escape(found))
+        last = area
+    for column in table.columns:
+        column.overflow = "fold"
+    return table
 
 
 def doctor(
@@ -19,8 +38,7 @@ def doctor(
     """Look at the installation. Exit code 1 when something required is missing."""
     from rich.console import Console
 
-    from ltm_ros.doctor import as_json, examine, healthy, summed_up
-    from ltm_ros.doctor_finding import Condition
+    from ltm_ros.tower.doctor import Condition, as_json, examine, healthy, summed_up
 
     findings = examine(site)
     if json:

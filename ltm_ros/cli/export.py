@@ -11,7 +11,7 @@ import typer
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
-    from ltm_core.grid import GridGeometry
+    from ltm_core.geometry.grid import GridGeometry
 
 
 class Format(StrEnum):
@@ -77,8 +77,8 @@ def export(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map, into another CRS by nearest cell on a grid with edges at 15 mod 30; or a living terrain."""
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files, require_folder
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.fuel_map.export import export_site, sidecars
 
     if source.suffix == ".sqlite":
@@ -108,7 +108,7 @@ def export(
     else:
         if site is None:
             raise ConfigError(f"{kind} needs the terrain and the prior fuel map of a site: name its file with --site")
-        from ltm_core.site_io import load_site
+        from ltm_core.site.site_io import load_site
         from ltm_ros.fuel_map.source import FuelSource
 
         with FuelSource.open(source, load_site(site)) as map_:
@@ -120,10 +120,10 @@ def export(
 
 def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, unfit: list[str | None]) -> GridGeometry:
     """`unfit`: options that a terrain does not have."""
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
-    from ltm_core.terrain.stored_surface import open_stored_surface
-    from ltm_core.terrain.terrain_io import BANDS, write_export
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.pipeline.site_surface import open_stored_surface
+    from ltm_core.site.site_io import load_site
+    from ltm_core.surface.layers import BANDS, write_export
 
     if site is None:
         raise ConfigError(f"{source} holds what differs from its site's terrain: name the site file with --site")
@@ -142,12 +142,12 @@ def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, un
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
-    from ltm_core.errors import ConfigError
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.fuel.export.companion_files_io import write_palette_style
     from ltm_core.fuel.export.provenance import software
-    from ltm_core.fuel.export.qgis_style_io import write_palette_style
     from ltm_core.fuel.fuel_map_io import read_fuel_map, resampled, write_fuel_map
     from ltm_core.fuel.life_form import life_form_labels
-    from ltm_core.site_io import load_site
+    from ltm_core.site.site_io import load_site
     from ltm_core.vision.labels import LabelSet
     from ltm_ros.fuel_map.source import FuelSource
 
@@ -165,7 +165,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
                 classes, geometry, labels = layers.life_form, map_.geometry, map_.labels
                 tags = map_.provenance(layers, None, as_of).tags()
         else:
-            from ltm_ros.recordings.recorded_map import last_fuel_map
+            from ltm_ros.recordings.recorded_run import last_fuel_map
 
             classes, geometry, labels = last_fuel_map(source, loaded)
     if crs is not None:

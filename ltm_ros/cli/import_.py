@@ -80,12 +80,12 @@ def import_(
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.table import Table
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
-    from ltm_ros.importer.assumptions import Assumptions
-    from ltm_ros.importer.build import import_photos
-    from ltm_ros.importer.photo_time import time_zone as zone_named
-    from ltm_ros.importer.refinement import PoseRefinement
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.recordings.importing.assumptions import Assumptions
+    from ltm_ros.recordings.importing.build import import_photos
+    from ltm_ros.recordings.importing.photo_time import time_zone as zone_named
+    from ltm_ros.recordings.importing.refinement import PoseRefinement
 
     zone = zone_named(time_zone) if time_zone is not None else None
     place = load_site(site) if site is not None else None

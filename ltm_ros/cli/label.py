@@ -22,9 +22,9 @@ def label(
     """
     import webbrowser
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_folder
-    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_folder
+    from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.labelling.server import LabelServer
     from ltm_ros.labelling.session import LabelSession

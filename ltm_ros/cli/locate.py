@@ -11,7 +11,7 @@ from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
     from ltm_core.locating.answer import Answer
-    from ltm_core.locating.settings import LocatingConfig
+    from ltm_core.locating.locator import LocatingConfig
     from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
 
@@ -62,10 +62,9 @@ def locate(
     """Where is it? From marks in pictures to a place with its ellipses; with --place, from a place to the pictures."""
     from rich.console import Console
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files
-    from ltm_ros.cli.locate_cameras import of_poses, of_site
-    from ltm_ros.cli.locate_marks import hidden_by, marked
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_files
+    from ltm_ros.cli.locate_cameras import hidden_by, marked, of_poses, of_site
 
     reverse = place is not None or lonlat is not None or points is not None
     marks = [*(pixel or []), *(box or []), *(polygon or [])]
@@ -109,7 +108,7 @@ def locate(
 
         print(json.dumps(as_data(said, scene.frame), indent=2))
     else:
-        from ltm_ros.cli.locate_tables import show_answer
+        from ltm_ros.cli.locate_places import show_answer
 
         show_answer(said, scene.frame, console)
     if out is not None:
@@ -132,7 +131,7 @@ def _write(out: Path, said: Answer, scene: LocatingScene, marked: list[str]) -> 
     import json
 
     from ltm_core.locating.answer import SHARES, as_data, as_geojson
-    from ltm_core.locating.locating_io import write_posterior
+    from ltm_core.locating.posterior import write_posterior
     from ltm_core.pictures import MapCamera, to_png
     from ltm_core.pictures.locating import location_picture
 

@@ -1,22 +1,40 @@
-"""The cameras and the terrain that `ltm locate` works on: of a site, of pose files, or of both."""
+"""Read the cameras, terrain and marks that `ltm locate` works on."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError
+import numpy as np
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.geodesy import SiteFrame, ray_bend
-from ltm_core.locating.settings import LocatingConfig
-from ltm_core.pose import Pose
-from ltm_core.site_sections import PoseErrorConfig
-from ltm_core.types import BoolArray, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+from ltm_core.geometry.pose import Pose
+from ltm_core.locating.locator import LocatingConfig
+from ltm_core.locating.posterior import read_mask
+from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
+from ltm_core.locating.sighting import Sighting
+from ltm_core.raster.dem import Dem
+from ltm_core.site.sections import PoseErrorConfig
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
+
+
+def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
+    """Numbers with commas. Raises ConfigError: others, or not as many as the option takes."""
+    try:
+        values = [float(part) for part in text.replace(";", ",").replace(" ", ",").split(",") if part]
+    except ValueError as error:
+        raise ConfigError(f"{option} must be numbers with commas, got {text!r}") from error
+    if not all(math.isfinite(value) for value in values) or (counts and len(values) not in counts) or not values:
+        wanted = f"{' or '.join(map(str, counts))} " if counts else ""
+        raise ConfigError(f"{option} wants {wanted}finite numbers with commas, got {text!r}")
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +80,10 @@ class LocatingScene:
 def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
     """A site, with pose files `NAME=FILE` for cameras that have none there, or in the place of theirs."""
     from ltm_core.fuel.prior_io import load_prior
-    from ltm_core.site_io import load_site
+    from ltm_core.site.site_io import load_site
     from ltm_core.tracing.trace_io import load_picture_config
+    from ltm_core.vision.masks import Looking
     from ltm_core.vision.scene_view import SceneFilter
-    from ltm_core.vision.view_masks import Looking
 
     site = load_site(path)
     ground = site.open_dem()
@@ -131,3 +149,39 @@ def _named(text: str) -> tuple[str, Path]:
     if not given or not name or not path:
         raise ConfigError(f"--pose {text!r}: with --site, name the camera: --pose north=north.yaml")
     return name, Path(path)
+
+
+def hidden_by(scene: LocatingScene, given: list[str]) -> dict[str, BoolArray | None]:
+    """Of each camera, (H, W): what its site file hides, and what is given besides as NAME=PNG. Raises ConfigError."""
+    found = {name: camera.hidden for name, camera in scene.cameras.items()}
+    for text in given:
+        name, equals, path = text.partition("=")
+        if not equals:
+            raise ConfigError(f"--mask {text!r}: name its camera: --mask north=mast.png")
+        more, hidden = read_mask(Path(path), scene.camera(name).camera), found[name]
+        found[name] = more if hidden is None else more | hidden
+    return found
+
+
+def marked(
+    scene: LocatingScene,
+    name: str,
+    text: str,
+    config: LocatingConfig,
+    smoke: bool,
+    masks: dict[str, BoolArray | None],
+) -> Sighting:
+    """A mark in a camera's picture: a pixel, a box or a polygon, by how many numbers it has. Raises ConfigError."""
+    camera = scene.camera(name)
+    values = numbers(text, "a mark")
+    mask = masks.get(name)
+    if len(values) == 2:
+        mark = marked_pixel(camera.camera, values, config.pixel_sigma, mask)
+    elif len(values) == 4:
+        mark = marked_box(camera.camera, values, config.pixel_sigma, config.box_sigma, smoke, mask)
+    elif len(values) % 2 == 0:
+        outline = np.array(values).reshape(-1, 2)
+        mark = marked_polygon(camera.camera, outline, config.pixel_sigma, config.box_sigma, smoke, mask)
+    else:
+        raise ConfigError(f"a mark is u,v, or u_min,v_min,u_max,v_max, or three or more points u,v; got {text!r}")
+    return Sighting(name, camera.camera, camera.pose, camera.covariance, mark)

@@ -8,14 +8,16 @@ import sys
 
 import typer
 
-from ltm_core.errors import LtmError
-from ltm_ros.cli.bench import bench
+from ltm_core.base.errors import LtmError
+from ltm_lab.cli.bench import bench
+from ltm_lab.cli.eval import evaluate
+from ltm_lab.cli.simulate import simulate
+from ltm_lab.cli.train import train
 from ltm_ros.cli.cameras import cameras
 from ltm_ros.cli.certs import certs
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
-from ltm_ros.cli.eval import evaluate
 from ltm_ros.cli.export import export
 from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
@@ -29,10 +31,8 @@ from ltm_ros.cli.region import region
 from ltm_ros.cli.replay import replay
 from ltm_ros.cli.reprocess import reprocess
 from ltm_ros.cli.run import run
-from ltm_ros.cli.simulate import simulate
 from ltm_ros.cli.status import status
 from ltm_ros.cli.trace import trace
-from ltm_ros.cli.train import train
 from ltm_ros.cli.upgrade import rollback, upgrade
 from ltm_ros.cli.view import view
 from ltm_ros.cli.viewshed import viewshed

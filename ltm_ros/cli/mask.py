@@ -10,11 +10,11 @@ import typer
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
-    from ltm_core.site import Site
-    from ltm_core.types import Float64Array, UInt8Array
-    from ltm_core.vision.mask_config import ViewMask
+    from ltm_core.base.types import Float64Array, UInt8Array
+    from ltm_core.site.site import Site
+    from ltm_core.vision.areas import NamedArea
     from ltm_core.vision.mask_proposals import Proposal
-    from ltm_core.vision.polygons_io import NamedArea
+    from ltm_core.vision.masks import ViewMask
 
 
 def mask(
@@ -56,15 +56,15 @@ def mask(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files
+    from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.mask_proposals import mask_picture
-    from ltm_core.site_io import load_site
-    from ltm_core.vision.camera_mask_io import write_mask
-    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.pictures.photo_overlays import mask_picture
+    from ltm_core.site.site_io import load_site
+    from ltm_core.storage.disk_io import require_files
+    from ltm_core.vision.areas import read_areas, write_areas
+    from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
-    from ltm_core.vision.polygons_io import read_areas, write_areas
+    from ltm_core.vision.masks import write_mask
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
 
@@ -124,8 +124,8 @@ def _view(name: str, looking: str) -> ViewMask | None:
     """What --view and --looking say; its mask is still to be found. Raises ConfigError."""
     from pydantic import ValidationError
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.vision.mask_config import ViewMask
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.vision.masks import ViewMask
 
     if bool(name) != bool(looking):
         raise ConfigError("give --view and --looking together: a view has a name, and looks somewhere")
@@ -155,7 +155,7 @@ def _line(mask: str, view: ViewMask | None) -> str:
 
 
 def _kept(keep: str, count: int) -> list[bool]:
-    from ltm_core.errors import ConfigError
+    from ltm_core.base.errors import ConfigError
 
     if keep in ("", "all"):
         return [True] * count
@@ -172,8 +172,7 @@ def _kept(keep: str, count: int) -> list[bool]:
 
 
 def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
-    from ltm_core.vision.outlines import polygons_of
-    from ltm_core.vision.polygons_io import NamedArea
+    from ltm_core.vision.areas import NamedArea, polygons_of
 
     return [
         NamedArea(image=image, kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)

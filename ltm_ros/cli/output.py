@@ -1,13 +1,19 @@
-"""Options that name a place for results: whether it can be written is known before the work, not after it."""
+"""Check output paths of commands, and print tables of what nodes did."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from ltm_core.output_io import require_files, require_folder
+from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_ros.runtime.diagnostics import NodeRow
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Write over files that are there already.")]
 
@@ -29,3 +35,74 @@ def writable_folder(path: Path | None) -> Path | None:
 JsonFile = Annotated[
     Path | None, typer.Option("--json", help="Also write every figure to this file.", callback=writable_file)
 ]
+
+
+def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
+    """One row a node, by name, from the key -> value texts of their diagnostics."""
+    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]
+
+
+def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
+    """Messages in and out, drops by cause with the first of each in words, and latency from the moment a frame was
+    taken."""
+    table = Table(title="nodes: frames and latency", title_justify="left")
+    table.add_column("node", no_wrap=True)
+    for name in ("in", "out", "drops", "p50 ms", "p95 ms", "work ms"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if any(row.causes for row in rows):
+        table.add_column("why dropped")
+    for row in rows:
+        times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
+        shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]
+        drops = f"[red]{row.dropped}[/red]" if row.dropped else "0"
+        causes = [row.causes] if row.causes else []
+        table.add_row(_short(row), str(row.received), str(row.published), drops, *shown, *causes)
+    console.print(table)
+    for row in rows:
+        for reason in row.reasons:
+            console.print(f"[red]{escape(_short(row))}[/red] dropped by {escape(reason)}", highlight=False)
+    console.print("in, out: frames; p50, p95: latency since the frame was taken; work: the node's own time, median")
+
+
+def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
+    """What became of a replay: verdicts of depth fusion, cells that were seen and changed, what was noted. What was
+    refused and why stands under the nodes (`print_nodes`).
+    """
+    said = outcome(summaries)
+    if not said:
+        return
+    table = Table(title="what became of it", title_justify="left", show_header=False)
+    table.add_column("what", no_wrap=True)
+    table.add_column("how much")
+    for what, how_much in said:
+        table.add_row(what, escape(how_much))  # reasons may hold brackets
+    console.print(table)
+
+
+def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
+    """Rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
+    rows = []
+    for name, summary in sorted(summaries.items()):
+        node = "/".join(name.split("/")[2:]) or name
+        verdicts = _counts(summary, "noted.verdict.")
+        if verdicts:
+            counted = sum(verdicts.values())
+            shares = (f"{verdict} {n} ({n / counted:.0%})" for verdict, n in verdicts.items())
+            rows.append((f"{node}: verdicts", ", ".join(shares)))
+            if "last_verdict" in summary:
+                rows.append((f"{node}: the last that was not ok", summary["last_verdict"]))
+        cells = _counts(summary, "cells.")
+        if cells:
+            rows.append((f"{node}: cells", ", ".join(f"{what} {n:,}" for what, n in cells.items())))
+        events = {k: n for k, n in _counts(summary, "noted.").items() if not k.startswith("verdict.")}
+        if events:
+            rows.append((f"{node}: noted", ", ".join(f"{event} {n:,}" for event, n in events.items())))
+    return rows
+
+
+def _counts(summary: Mapping[str, str], prefix: str) -> dict[str, int]:
+    return {key.removeprefix(prefix): int(value) for key, value in summary.items() if key.startswith(prefix)}
+
+
+def _short(row: NodeRow) -> str:
+    return "/".join(row.node.split("/")[2:]) or row.node

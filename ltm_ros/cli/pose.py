@@ -86,8 +86,8 @@ def pose(
     With both, the points' pose is where the search in the photo starts. With --site and --camera, the mount of a
     pan-tilt-zoom head, from points or photos of several presets.
     """
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files, require_folder
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.cli.pose_points import fit_to_points
 
     if photo is None and gcps is None:
@@ -142,7 +142,7 @@ def pose(
 
 def _refuse_unused(context: typer.Context, *ways: str) -> None:
     """Raises ConfigError for options that were given and that none of these ways looks at."""
-    from ltm_core.errors import ConfigError
+    from ltm_core.base.errors import ConfigError
 
     taken = _SHARED.union(*(_TAKEN[way] for way in ways))
     sources = {name: context.get_parameter_source(name) for name in context.params}
@@ -166,8 +166,8 @@ def _mount(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_files
     from ltm_ros.cli.pose_mount import calibrate_from_photos, calibrate_from_points, head_of, write_mount
 
     unknown = set(_names(free)) - {"focal", "position"}
@@ -208,10 +208,10 @@ def _photos(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.config_io import load_yaml
-    from ltm_core.errors import ConfigError
-    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_core.base.errors import ConfigError
     from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.storage.config_io import load_yaml
+    from ltm_core.tracing.trace_io import GuessConfig
     from ltm_ros.cli.pose_photo import PhotoOptions, guesses_of, search_photos, write_photos
 
     unknown = set(_names(free)) - {"focal", "position"}

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ltm_core.pose_estimation.mount_config import MountConfig
-    from ltm_core.pose_estimation.mount_model import MountModel
-    from ltm_core.pose_estimation.mount_resection import MountResection
-    from ltm_core.site import Site
-    from ltm_core.zoom_lens import ZoomLens
+    from ltm_core.geometry.zoom_lens import ZoomLens
+    from ltm_core.pose_estimation.mount.mount_config import MountConfig
+    from ltm_core.pose_estimation.mount.mount_model import MountModel
+    from ltm_core.pose_estimation.mount.mount_resection import MountResection
+    from ltm_core.site.site import Site
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,9 @@ class Head:
 
 def head_of(site_file: Path, camera: str) -> Head:
     """Raises ConfigError for a camera that has no mount, or no lens."""
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
-    from ltm_core.zoom_lens import ZoomLens
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.geometry.zoom_lens import ZoomLens
+    from ltm_core.site.site_io import load_site
 
     site = load_site(site_file)
     settings = site.camera(camera)
@@ -55,8 +55,8 @@ def calibrate_from_points(
     """Fit to landmarks; prints what was found."""
     from rich.console import Console
 
-    from ltm_core.pose_estimation.mount_io import read_head_points
-    from ltm_core.pose_estimation.mount_resection import resect_mount
+    from ltm_core.pose_estimation.mount.mount_io import read_head_points
+    from ltm_core.pose_estimation.mount.mount_resection import resect_mount
 
     points = read_head_points(gcps, head.site.frame, first_pixel)
     found = resect_mount(
@@ -85,18 +85,18 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     where they do not tell."""
     from rich.console import Console
 
-    from ltm_core.errors import ConfigError, ImageError, PoseError
-    from ltm_core.pose_estimation.mount_fit import fit_mount, widened
-    from ltm_core.pose_estimation.mount_io import read_readings
-    from ltm_core.pose_estimation.picture_evidence import picture_evidence
-    from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky
-    from ltm_core.pose_estimation.pose_from_picture import find_pose
-    from ltm_core.pose_estimation.pose_prior import PosePrior
-    from ltm_core.pose_estimation.site_terrain import site_terrain
+    from ltm_core.base.errors import ConfigError, ImageError, PoseError
+    from ltm_core.pipeline.site_surface import site_terrain
+    from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
+    from ltm_core.pose_estimation.mount.mount_io import read_readings
+    from ltm_core.pose_estimation.skyline.find_pose import find_pose
+    from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+    from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
+    from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior
     from ltm_core.tracing.trace_io import read_photo
+    from ltm_core.vision.masks import Looking
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_core.vision.view_masks import Looking
 
     terrain, config = site_terrain(head.site)
     segmenter = Segmenter.of(head.site, head.camera, model_name)
@@ -134,8 +134,8 @@ def write_mount(head: Head, model: MountModel, lens: ZoomLens, site_file: Path, 
     """Into the site file, or into `out` alone. Prints what changed."""
     from rich.console import Console
 
-    from ltm_core.pose_estimation.mount_config import written_mount
-    from ltm_core.site_edit_io import dumped, write_camera_section
+    from ltm_core.pose_estimation.mount.mount_config import written_mount
+    from ltm_core.site.site_io import dumped, write_camera_section
 
     section = written_mount(model, lens if head.config.lens is not None else None, head.site.frame)
     console = Console()

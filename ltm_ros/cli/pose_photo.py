@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ltm_core.dem import Dem
-    from ltm_core.pose_estimation.picture_pose_io import PoseResult, SearchSetup
-    from ltm_core.pose_estimation.pose_file_io import GuessConfig
-    from ltm_core.pose_estimation.pose_from_picture import PictureSearch
-    from ltm_core.types import UInt8Array
+    from ltm_core.base.types import UInt8Array
+    from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
+    from ltm_core.pose_estimation.skyline.picture_pose_io import PoseResult, SearchSetup
+    from ltm_core.raster.dem import Dem
+    from ltm_core.tracing.trace_io import GuessConfig
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
 
@@ -53,10 +53,10 @@ class FoundPhoto:
 
 def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
     """The photos of a folder that a photo list names, with what it knows of them. Raises ConfigError."""
-    from ltm_core.config_io import checked
-    from ltm_core.errors import ConfigError
-    from ltm_core.pose_estimation.pose_file_io import GuessConfig
-    from ltm_ros.importer.pose_file import read_pose_file
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.config_io import checked
+    from ltm_core.tracing.trace_io import GuessConfig
+    from ltm_ros.recordings.importing.pose_file import read_pose_file
 
     found = {}
     for name, row in read_pose_file(poses).items():
@@ -73,9 +73,9 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
 
 def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOptions) -> list[FoundPhoto]:
     """Search the pose of each photo; with `mount`, one correction for all of them."""
-    from ltm_core.pose_estimation.crest_cover import CANOPY_SURFACE
-    from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, SkylineConfig
-    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
+    from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+    from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
 
@@ -95,10 +95,10 @@ def _find(
     options: PhotoOptions,
     config: Any,
 ) -> FoundPhoto:
-    from ltm_core.errors import ImageError
-    from ltm_core.pose_estimation.picture_evidence import picture_evidence
-    from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
-    from ltm_core.pose_estimation.pose_from_picture import find_pose
+    from ltm_core.base.errors import ImageError
+    from ltm_core.pose_estimation.skyline.find_pose import find_pose
+    from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+    from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.tracing.trace_io import read_photo
 
     setup = set_up_search(guess, dem)
@@ -125,8 +125,8 @@ def _find(
 
 
 def _as_one_mount(found: list[FoundPhoto], config: Any, options: PhotoOptions) -> list[FoundPhoto]:
-    from ltm_core.pose_estimation.mount_fit import fit_mount
-    from ltm_core.pose_estimation.picture_pose_io import PoseResult
+    from ltm_core.pose_estimation.mount.mount_fit import fit_mount
+    from ltm_core.pose_estimation.skyline.picture_pose_io import PoseResult
 
     focal = FOCAL_SIGMA if "focal" in options.free else 0.0
     fit = fit_mount([f.setup.prior for f in found], [f.search for f in found], config, focal_sigma=focal)
@@ -143,8 +143,8 @@ def _as_one_mount(found: list[FoundPhoto], config: Any, options: PhotoOptions) -
 def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, report: Path | None, folder: bool) -> None:
     """Pose files, pictures before and after, and the figures as JSON. `folder`: `out` and `picture` are folders."""
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.pose_fit import pose_fit_picture
-    from ltm_core.pose_estimation.picture_pose_io import figures, write_figures_of, write_result
+    from ltm_core.pictures.photo_overlays import pose_fit_picture
+    from ltm_core.pose_estimation.skyline.picture_pose_io import figures, write_figures_of, write_result
 
     content = {}
     for f in found:

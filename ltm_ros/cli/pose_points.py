@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ltm_core.camera import Camera
-    from ltm_core.pose_estimation.resection import Resection
-    from ltm_core.pose_estimation.resection_check import TracedErrors
-    from ltm_core.pose_estimation.resection_io import ResectionSetup
+    from ltm_core.geometry.camera import Camera
+    from ltm_core.pose_estimation.points.control_points import ResectionSetup
+    from ltm_core.pose_estimation.points.resection import Resection
+    from ltm_core.pose_estimation.points.resection_check import TracedErrors
 
 
 def fit_to_points(
@@ -33,19 +33,19 @@ def fit_to_points(
     from rich.console import Console
     from rich.markup import escape
 
-    from ltm_core.config_io import load_yaml
-    from ltm_core.geodesy import ray_bend
-    from ltm_core.pose_estimation.pose_file_io import GuessConfig
-    from ltm_core.pose_estimation.resection import resect
-    from ltm_core.pose_estimation.resection_adjustment import Parameter
-    from ltm_core.pose_estimation.resection_io import (
+    from ltm_core.geometry.geodesy import ray_bend
+    from ltm_core.pose_estimation.points.control_points import (
         held_notes,
         read_control_points,
         set_up_resection,
         write_pose,
         write_report,
     )
+    from ltm_core.pose_estimation.points.resection import resect
+    from ltm_core.pose_estimation.points.resection_adjustment import Parameter
     from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.storage.config_io import load_yaml
+    from ltm_core.tracing.trace_io import GuessConfig
 
     guess = load_yaml(pose_guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
@@ -116,7 +116,7 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
     table = Table("point", "u", "v", "du px", "dv px", "residual px")
     traced = None
     if setup.dem is not None:
-        from ltm_core.pose_estimation.resection_check import traced_errors
+        from ltm_core.pose_estimation.points.resection_check import traced_errors
         from ltm_core.tracing import TerrainTracer
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)

@@ -37,10 +37,10 @@ def record(
     """Record a site's topics to OUT until Ctrl-C; of a long recording the newest files stay (--max-gb)."""
     from dataclasses import replace
 
-    from ltm_core.output_io import require_folder
-    from ltm_core.site_io import load_site
+    from ltm_core.site.site_io import load_site
+    from ltm_core.storage.disk_io import require_folder
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.log_folder import new_log_folder
+    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}

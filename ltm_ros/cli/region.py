@@ -16,12 +16,12 @@ def region(
     """
     import os
 
-    from ltm_ros.launching.ros_environment import thread_limits
+    from ltm_ros.runtime.ros_environment import thread_limits
 
     # Before NumPy is loaded: its threads would fight over arrays of a thousand cells.
     os.environ.update(thread_limits(busy=False))
 
-    from ltm_core.uplink.region_io import load_region
-    from ltm_ros.region.process import run_region
+    from ltm_core.uplink.config import load_region
+    from ltm_ros.region.service import run_region
 
     run_region(load_region(config))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
-from ltm_ros.replay import LONGEST_PAUSE
+from ltm_ros.recordings.replay import LONGEST_PAUSE
 
 
 def replay(
@@ -35,7 +35,7 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
-    from ltm_core.errors import ConfigError
+    from ltm_core.base.errors import ConfigError
 
     if offline and (loop or rrd or publish_only or rate != 1.0):
         raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
@@ -44,11 +44,11 @@ def replay(
 
     from rich.console import Console
 
-    from ltm_core.output_io import require_files
+    from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
+    from ltm_ros.cli.output import node_rows, print_nodes, print_outcome
     from ltm_ros.cli.progress import message_bar, stop_on_signals
-    from ltm_ros.cli.summary import node_rows, print_nodes, print_outcome
-    from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
+    from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
 
     console = Console()
     if publish_only:
@@ -96,11 +96,11 @@ def _publish(
 
     from rich.console import Console
 
-    from ltm_core.site_io import load_site
+    from ltm_core.site.site_io import load_site
     from ltm_ros.cli.progress import message_bar, stop_on_signals
-    from ltm_ros.launching.ros_environment import apply_to_process
-    from ltm_ros.replay.live import LivePlayer
-    from ltm_ros.replay.selection import Selection
+    from ltm_ros.recordings.replay.live import LivePlayer
+    from ltm_ros.recordings.replay.selection import Selection
+    from ltm_ros.runtime.ros_environment import apply_to_process
 
     apply_to_process(domain)
     selection = Selection.open(bag, load_site(site), start, duration)

@@ -46,8 +46,8 @@ def reprocess(
     """
     from rich.console import Console
 
-    from ltm_ros.archive.dry_run import dry_run_table
     from ltm_ros.archive.files import CacheConfig
+    from ltm_ros.archive.plan import dry_run_table
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
     from ltm_ros.cli.progress import counting_bar
@@ -107,7 +107,7 @@ def _print(console: Console, summary: Summary, out: str) -> None:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    from ltm_core.errors import ArchiveError
+    from ltm_core.base.errors import ArchiveError
 
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
@@ -117,7 +117,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _share(text: str) -> float:
-    from ltm_core.errors import ArchiveError
+    from ltm_core.base.errors import ArchiveError
 
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(%?)", text)
     share = float(found[1]) / (100 if found[2] else 1) if found else -1.0

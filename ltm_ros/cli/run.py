@@ -52,7 +52,7 @@ def run(
     What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
     """
     from ltm_ros.launching.graph import describe
-    from ltm_ros.launching.log_folder import new_log_folder
+    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner, print_line
     from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready

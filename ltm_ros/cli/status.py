@@ -18,10 +18,10 @@ def status(
     """Ask a running tower how it is. Exit code 0 where all nodes report and all frames come, else 1."""
     import json
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
-    from ltm_ros.health.status_table import print_status
-    from ltm_ros.health.web_client import ask
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.tower.health_client import ask
+    from ltm_ros.tower.status_table import print_status
 
     config = load_site(site).health
     if config is None:

@@ -30,13 +30,13 @@ def trace(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.output_io import require_files
+    from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.trace import depth_picture, map_picture
+    from ltm_core.pictures.photo_overlays import depth_picture, map_picture
     from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing import TerrainTracer
     from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-    from ltm_core.unknown_share import MOST_UNKNOWN, unknown_share
 
     console = Console()
     require_files((out / name for name in OUTPUTS), overwrite)

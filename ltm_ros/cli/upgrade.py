@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ltm_ros.deployment.upgrade import Upgrade
+    from ltm_ros.tower.upgrade import Upgrade
 
 READY_MINUTES = 2.0
 """Kernels are compiled before, so a good release starts in seconds; a tower shall not stand still for longer than
@@ -30,7 +30,7 @@ def upgrade(
     import os
     import subprocess  # nosec B404 # argument lists, no shell
 
-    from ltm_ros.deployment.package_file import PackageFile
+    from ltm_ros.tower.releases import PackageFile
 
     change = _upgrade(ready_minutes)
     opened = PackageFile.open(package)
@@ -65,10 +65,10 @@ def _upgrade(ready_minutes: float) -> Upgrade:
     import os
     import signal
 
-    from ltm_core.errors import ConfigError
-    from ltm_ros.deployment.releases import ROOT, Releases
-    from ltm_ros.deployment.service import SystemdService
-    from ltm_ros.deployment.upgrade import Places, Upgrade
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.tower.releases import ROOT, Releases
+    from ltm_ros.tower.service import SystemdService
+    from ltm_ros.tower.upgrade import Places, Upgrade
 
     releases = Releases()
     _ = releases.current  # first: that this is an installed tower at all

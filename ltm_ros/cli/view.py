@@ -34,8 +34,8 @@ def view(
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
     """Show a site in Rerun: its graph while it runs, or a recording. Listens on loopback only; Ctrl-C ends it."""
-    from ltm_core.errors import ConfigError, RecordingError
-    from ltm_core.output_io import require_files, require_folder
+    from ltm_core.base.errors import ConfigError, RecordingError
+    from ltm_core.storage.disk_io import require_files, require_folder
 
     if (site is None) == (rrd is None):
         raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
@@ -79,10 +79,10 @@ def _show_graph(
 ) -> None:
     from dataclasses import replace
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.log_folder import new_log_folder
+    from ltm_ros.launching.node_log import new_log_folder
     from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
 

@@ -10,7 +10,7 @@ import typer
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
-    from ltm_core.geodesy import SiteFrame
+    from ltm_core.geometry.geodesy import SiteFrame
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera
 
@@ -48,11 +48,11 @@ def viewshed(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.errors import ConfigError
-    from ltm_core.output_io import require_files
+    from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
+    from ltm_core.pictures.viewshed_io import coverage_picture, write_coverage
+    from ltm_core.storage.disk_io import require_files
     from ltm_core.visibility.viewshed import viewshed as covered
-    from ltm_core.visibility.viewshed_io import coverage_picture, write_coverage
 
     console = Console()
     picture = out.with_suffix(".png") if picture is None else picture
@@ -99,8 +99,8 @@ def _title(views: list[PosedCamera], target_height: float) -> str:
 
 
 def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str]]:
-    from ltm_core.errors import ConfigError
-    from ltm_core.site_io import load_site
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera
 

@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.dem import Dem
-from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
+from ltm_core.fuel.cell_counts import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
-from ltm_core.pictures.fuel_maps import CameraMark
-from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet
-from ltm_core.site import Site
-from ltm_core.types import BoolArray, RgbImage, UInt8Array
+from ltm_core.pictures.fuel_maps import CameraMark, change_sheet, coverage_sheet, fuel_sheet
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.evaluation.run_report import CameraPictures, Sheet
+from ltm_lab.evaluation.run_report import CameraPictures, Sheet
 from ltm_ros.fuel_map.pictures import canvas_of, seen_window
 from ltm_ros.recordings.recorded_run import RecordedFrame
 

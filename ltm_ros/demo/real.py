@@ -13,23 +13,23 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.range_image import RangeImage
-from ltm_core.resources import config_path
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.cli.summary import node_rows
+from ltm_lab.evaluation.run_report import ReportData, Table, write_report
+from ltm_ros.cli.output import node_rows
 from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, range_scale, write_pictures
-from ltm_ros.evaluation.run_report import ReportData, Table, write_report
-from ltm_ros.importer.build import import_photos
+from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.recorded_run import RecordedFrame, recorded_frames
-from ltm_ros.replay.run import ReplayOptions, run_live
-from ltm_ros.runtime.node_summary import NodeRow
+from ltm_ros.recordings.replay.run import ReplayOptions, run_live
+from ltm_ros.runtime.diagnostics import NodeRow
 
 PHOTO = "IMG_8902.jpg"
 CONTROL_POINTS = "gcp8902.csv"

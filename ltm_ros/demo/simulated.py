@@ -7,16 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
 from ltm_core.pictures import to_png
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.cli.summary import node_rows
+from ltm_lab.evaluation.run_report import ReportData, write_report
+from ltm_lab.evaluation.run_score import BagScore, DepthRow, score_bag
+from ltm_lab.evaluation.score_tables import tables
+from ltm_ros.cli.output import node_rows
 from ltm_ros.demo.outcome import (
     camera_pictures,
     conditions,
@@ -27,14 +30,11 @@ from ltm_ros.demo.outcome import (
     write_pictures,
 )
 from ltm_ros.demo.walk import Walk, run_walk, walk_sheet
-from ltm_ros.evaluation.run_report import ReportData, write_report
-from ltm_ros.evaluation.run_score import BagScore, DepthRow, score_bag
-from ltm_ros.evaluation.score_tables import tables
 from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
 from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
-from ltm_ros.replay.run import ReplayOptions, run_live
-from ltm_ros.runtime.node_summary import NodeRow
+from ltm_ros.recordings.replay.run import ReplayOptions, run_live
+from ltm_ros.runtime.diagnostics import NodeRow
 
 
 @dataclass(frozen=True, eq=False)

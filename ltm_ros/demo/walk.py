@@ -8,22 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.evaluation.metrics.fuel import score_fuel
-from ltm_core.evaluation.pictures.walk import walk_map
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import Float64Array, RgbImage
+from ltm_core.fuel.cell_counts import MajorityFuelMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
-from ltm_core.fuel.majority import MajorityFuelMap
-from ltm_core.resources import config_path
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array, RgbImage
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.evaluation.recorded_pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
-from ltm_ros.evaluation.run_report import Sheet
-from ltm_ros.importer.assumptions import Assumptions
-from ltm_ros.importer.build import import_photos
-from ltm_ros.importer.refinement import PoseRefinement
+from ltm_lab.evaluation.metrics.fuel import score_fuel
+from ltm_lab.evaluation.pictures.walk import walk_map
+from ltm_lab.evaluation.recorded_pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
+from ltm_lab.evaluation.run_report import Sheet
+from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.build import import_photos
+from ltm_ros.recordings.importing.refinement import PoseRefinement
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 PHONE = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
 """What the recording does not tell: its lens, and how high it was held."""

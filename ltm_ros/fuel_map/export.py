@@ -5,21 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.export.companion_files_io import item_path, write_item
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
 from ltm_core.fuel.export.kmz_io import write_kmz
 from ltm_core.fuel.export.landscape import Landscape
-from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
-from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
-from ltm_core.fuel.export.stac_item_io import item_path, write_item
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.site_map import spare_heights
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png
-from ltm_core.pictures.fuel_maps import overlay_picture
-from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
+from ltm_core.pictures.fuel_maps import change_sheet, coverage_sheet, fuel_sheet, overlay_picture, seen_sheet
 from ltm_core.pictures.legend import label_legend
+from ltm_core.pipeline.site_fuel import spare_heights
 from ltm_ros.fuel_map.pictures import canvas_of, places_of, seen_window
 from ltm_ros.fuel_map.source import FuelSource
 

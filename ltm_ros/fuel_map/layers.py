@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.base.types import Int16Array, UInt8Array
 from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.stored_map import JOURNALED
-from ltm_core.raster.tile_store import CellChanges, TileStore
-from ltm_core.types import Int16Array, UInt8Array
+from ltm_core.pipeline.stored_fuel import JOURNALED
+from ltm_core.storage.tile_store import CellChanges, TileStore
 
 
 class ShownLayers:

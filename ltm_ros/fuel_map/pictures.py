@@ -8,17 +8,17 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError, RasterError
-from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.base.errors import ConfigError, PoseError, RasterError
+from ltm_core.base.types import BoolArray, Float32Array
+from ltm_core.fuel.cell_counts import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.stored_map import JOURNALED
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.site import Site
-from ltm_core.types import BoolArray, Float32Array
+from ltm_core.pipeline.stored_fuel import JOURNALED
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.storage.tile_store import TileStore
 
 
 def places_of(site: Site, dem: Dem) -> list[CameraMark]:

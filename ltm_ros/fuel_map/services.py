@@ -10,24 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.confirmed_terrain import exported_terrain
-from ltm_core.errors import ImageError, MessageError
+from ltm_core.base.errors import ImageError, MessageError
+from ltm_core.base.types import BoolArray, Int16Array
+from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.evidence_state import TILE
+from ltm_core.fuel.export.companion_files_io import write_item
 from ltm_core.fuel.export.export_grid import make_landscape
-from ltm_core.fuel.export.landscape_io import write_landscape
-from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.export.provenance import landscape_units, provenance_of
-from ltm_core.fuel.export.stac_item_io import write_item
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import system_of
-from ltm_core.fuel.site_canopy import site_canopy
-from ltm_core.fuel.site_map import spare_heights
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import Key, Tile, TileStore
-from ltm_core.site import Site
-from ltm_core.types import BoolArray, Int16Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import site_canopy, spare_heights
+from ltm_core.pipeline.site_surface import exported_terrain
+from ltm_core.site.site import Site
+from ltm_core.storage.tile_store import Key, Tile, TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import stamp_of
 

@@ -9,27 +9,25 @@ from typing import Self
 
 import numpy as np
 
-from ltm_core.confirmed_terrain import ConfirmedTerrain, exported_terrain
-from ltm_core.errors import ConfigError, RasterError
+from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import BoolArray
+from ltm_core.fuel.cell_counts import UNSEEN, CoverageMap
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
-from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance, provenance_of
 from ltm_core.fuel.fuel_map_io import read_fuel_map
-from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.fuel.site_canopy import SiteCanopy, site_canopy
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import open_stored_map
 from ltm_core.fuel.surface_change import LivingFuelMap
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.surface_versions_io import SurfaceVersion
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.resources import config_path
-from ltm_core.site import Site
-from ltm_core.types import BoolArray
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import SiteCanopy, site_canopy, site_evidence_map
+from ltm_core.pipeline.site_surface import ConfirmedTerrain, exported_terrain
+from ltm_core.pipeline.stored_fuel import open_stored_map
+from ltm_core.site.site import Site
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface.surface_versions_io import SurfaceVersion
 from ltm_core.vision.labels import LabelSet
 
 
@@ -68,7 +66,7 @@ class FuelSource:
                 raise RasterError(f"{path} is in {grid.crs}, the site in {site.crs}: export the site's own map")
             bag = None
         else:
-            from ltm_ros.recordings.recorded_map import last_fuel_map
+            from ltm_ros.recordings.recorded_run import last_fuel_map
 
             (classes, grid, _), bag = last_fuel_map(path, site), path
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)

@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.evidence import Window
-from ltm_core.fuel.stored_map import SURFACE_LAYER
 from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews
-from ltm_core.fuel.surface_news import SurfaceMoves, take_news
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import CellChanges
-from ltm_core.terrain.change import ChangeKind
-from ltm_core.types import BoolArray, UInt8Array
-from ltm_msgs_py.grid import msg_to_classes, tile_window
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.stored_fuel import SURFACE_LAYER, SurfaceMoves, take_news
+from ltm_core.storage.tile_store import CellChanges
+from ltm_core.surface.change import ChangeKind
+from ltm_msgs_py.grid import msg_to_changed, msg_to_classes, tile_window
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.fuel_map.persistence import FuelMapPersistence
 from ltm_ros.runtime.health import Health
 

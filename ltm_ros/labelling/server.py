@@ -8,7 +8,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, cast
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.labelling.session import LabelSession
 
 LOOPBACK = "127.0.0.1"

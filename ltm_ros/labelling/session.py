@@ -12,23 +12,25 @@ import numpy as np
 from PIL import Image
 from pydantic import Field
 
-from ltm_core.config_io import checked
-from ltm_core.errors import ConfigError
-from ltm_core.picture_io import open_picture, read_rgb
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.pictures import to_jpeg
-from ltm_core.strict_model import StrictModel
-from ltm_core.vision.area_labels import areas_of, labels_of, stroke_areas
-from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.mask_config import MOST_POINTS, Point
-from ltm_core.vision.polygons_io import (
+from ltm_core.storage.config_io import checked
+from ltm_core.storage.photo_io import open_picture, read_rgb
+from ltm_core.vision.areas import (
     ERASED,
     MASKED,
     POLYGONS_FILE,
     NamedArea,
+    areas_of,
+    labels_of,
     read_areas,
     replace_file,
+    stroke_areas,
     write_areas,
 )
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.masks import MOST_POINTS, Point
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.recordings.camera_pictures import pictures_in
 

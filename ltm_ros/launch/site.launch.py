@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue as TypedValue
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_ros.launching.graph import (
     CAMERAS_PROCESS,
     PACKAGE,
@@ -21,8 +21,8 @@ from ltm_ros.launching.graph import (
     describe,
     nodes_json,
 )
-from ltm_ros.launching.ros_environment import ros_additions, thread_limits
 from ltm_ros.launching.site_check import Wanted, require_ready
+from ltm_ros.runtime.ros_environment import ros_additions, thread_limits
 
 ARGUMENTS = {
     "site": (None, "site file (YAML)"),

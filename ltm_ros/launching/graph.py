@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
-from ltm_core.errors import ConfigError
-from ltm_core.raster.surface_versions_io import FOLDER
-from ltm_core.site import Site
-from ltm_core.site_sections import WatchdogConfig
+from ltm_core.base.errors import ConfigError
+from ltm_core.site.sections import WatchdogConfig
+from ltm_core.site.site import Site
+from ltm_core.surface.surface_versions_io import FOLDER
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 

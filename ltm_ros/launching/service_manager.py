@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import MutableMapping
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 START_EXTENSION_S = 120.0

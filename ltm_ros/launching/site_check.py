@@ -14,21 +14,20 @@ from types import ModuleType
 
 from pydantic import BaseModel
 
-from ltm_core.config_io import checked
-from ltm_core.disk_io import free_bytes
-from ltm_core.errors import ConfigError, LtmError
-from ltm_core.finding import Finding, Verdict
-from ltm_core.output_io import require_folder
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.finding import Finding, Verdict
 from ltm_core.raster.dem_io import prepare_heights
-from ltm_core.site import Site
-from ltm_core.site_check import SiteCheck, check_site
-from ltm_core.site_io import load_site
-from ltm_core.site_sections import HealthConfig
-from ltm_ros.health.ports import bind_error, refusal
+from ltm_core.site.sections import HealthConfig
+from ltm_core.site.site import Site
+from ltm_core.site.site_check import SiteCheck, check_site
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.config_io import checked
+from ltm_core.storage.disk_io import free_bytes, require_folder
+from ltm_ros.cameras.readiness import doubts_of
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.launching.supervisor import EX_CONFIG
-from ltm_ros.sources.readiness import doubts_of
+from ltm_ros.runtime.ports import bind_error, refusal
 
 LEAST_SPACE = 200 << 20
 """Bytes without which nothing can be kept."""

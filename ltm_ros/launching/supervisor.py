@@ -14,12 +14,11 @@ from enum import Enum
 from pathlib import Path
 from typing import IO
 
-from ltm_core.site_sections import WatchdogConfig
-from ltm_ros.launching.hearing import GraphTraffic, HearingWatch
+from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
-from ltm_ros.launching.watchdog import HangWatch, process_use
+from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
 
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h)."""

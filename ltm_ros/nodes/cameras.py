@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 from ltm_ros.launching.graph import CAMERAS_PROCESS, nodes_of_json
+from ltm_ros.launching.site_process import SiteProcess
 from ltm_ros.runtime.node_process import run_until_stopped
-from ltm_ros.runtime.site_process import SiteProcess
 
 
 def main() -> None:

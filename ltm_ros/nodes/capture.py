@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import Field
 
-from ltm_core.camera import Camera
-from ltm_core.frame import PosedImage
-from ltm_core.pose_estimation.pose_correction import PoseCorrection
-from ltm_core.site_io import load_site
+from ltm_core.geometry.camera import Camera
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import pose_to_msg
@@ -24,8 +24,7 @@ from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.repeat_check import RepeatCheck
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_check import RepeatCheck, StampCheck
 from ltm_ros.runtime.stamp_join import data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,

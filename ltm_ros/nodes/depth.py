@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.frame_steps import TracingConfig, TracingStep, seen
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.site_io import load_site
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.frame_steps import TracingConfig, TracingStep, seen
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.confirmed_surface import traced_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.confirmed_surface.follower import SurfaceFollower
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -37,6 +36,7 @@ from ltm_ros.runtime.topics import (
     TERRAIN_SURFACE,
     site_topic,
 )
+from ltm_ros.surface.follower import SurfaceFollower
 
 
 class DepthConfig(JoinConfig, TracingConfig):

@@ -12,21 +12,21 @@ from typing import Any
 from pydantic import Field
 from std_msgs.msg import String
 
-from ltm_core.confirmed_terrain import terrain_grid
-from ltm_core.disk_io import make_folder
-from ltm_core.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.resources import config_path
-from ltm_core.site import SITE_NAMES
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.site_surface import terrain_grid
+from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
+from ltm_core.site.site import SITE_NAMES
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.disk_io import make_folder
+from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.kernels import compile_kernels
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher

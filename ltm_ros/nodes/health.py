@@ -14,22 +14,22 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from pydantic import Field
 from rclpy.node import Node
 
-from ltm_core.errors import ConfigError, LtmError
-from ltm_core.site_io import load_site
-from ltm_ros.health import machine
-from ltm_ros.health.last_pictures import LastPictures
-from ltm_ros.health.marks import Marks
-from ltm_ros.health.metrics import METRICS_KIND, exposition
-from ltm_ros.health.patient_server import PatientServer
-from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
-from ltm_ros.health.web_server import Answer, Route
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.site.site_io import load_site
+from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.traffic import TRAFFIC
+from ltm_ros.tower import machine
+from ltm_ros.tower.last_pictures import LastPictures
+from ltm_ros.tower.marks import Marks
+from ltm_ros.tower.metrics import METRICS_KIND, exposition
+from ltm_ros.tower.patient_server import PatientServer
+from ltm_ros.tower.tower_status import TowerStatus, TowerWatch, camera_of
+from ltm_ros.tower.web_server import Answer, Route
 
 
 class HealthNodeConfig(NodeConfig):
@@ -57,7 +57,7 @@ class HealthNode(Node):  # type: ignore[misc]
         self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self._health})
-        page = (files("ltm_ros.health") / "status_page.html").read_bytes()
+        page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         routes: dict[str, Route] = {
             "/": lambda: Answer(page, "text/html; charset=utf-8"),
             "/metrics": lambda: Answer(exposition(self.status()), METRICS_KIND),

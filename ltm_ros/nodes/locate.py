@@ -12,10 +12,13 @@ import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ConfigError, MessageError
+from ltm_core.base.errors import ConfigError, MessageError
+from ltm_core.base.types import Float64Array
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
 from ltm_core.locating.answer import Answer, answer, as_geojson, turned_data
 from ltm_core.locating.compiled_kernels import compile_kernels
 from ltm_core.locating.known_poses import KnownPoses
@@ -24,14 +27,11 @@ from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
 from ltm_core.locating.turn_evidence import STEP
-from ltm_core.pose import Pose
-from ltm_core.rotations import matrix_of_vector, vector_of_matrix
-from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array
+from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import String
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ConfigError, StoreError
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.mount_memory_io import memory_file, mount_terms, recall_memory, write_memory
-from ltm_core.pose_estimation.mount_watch import MountWatch
-from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.site_terrain import site_terrain
-from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pose_estimation.mount.mount_io import memory_file, mount_terms, recall_memory, write_memory
+from ltm_core.pose_estimation.mount.mount_watch import MountWatch
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -29,9 +29,8 @@ from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.picture_health import note_picture
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,

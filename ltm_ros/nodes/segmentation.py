@@ -6,20 +6,19 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from ltm_core.frame_steps import LabellingConfig, LabellingStep
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.base.resources import config_path
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.view_masks import Looking
+from ltm_core.vision.masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, note_picture
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.picture_health import note_picture
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     FINISHED,

@@ -8,21 +8,21 @@ from functools import partial
 
 from std_msgs.msg import String
 
-from ltm_core.errors import ConfigError
-from ltm_core.site_io import load_site
+from ltm_core.base.errors import ConfigError
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.cameras.camera_source import CameraSource, Frame
+from ltm_ros.cameras.gaze import calibration_of, gaze_of
+from ltm_ros.cameras.opening import open_reader
+from ltm_ros.cameras.source_thread import SourceThread
+from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, SOURCE_INFO
-from ltm_ros.sources.camera_source import CameraSource, Frame
-from ltm_ros.sources.gaze import calibration_of, gaze_of
-from ltm_ros.sources.opening import open_reader
-from ltm_ros.sources.source_thread import SourceThread
-from ltm_ros.sources.system_clock import SystemClock
 
 JPEG_QUALITY = 92
 """Of a video's pictures, where the camera sends no JPEGs."""

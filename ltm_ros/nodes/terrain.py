@@ -11,18 +11,17 @@ from typing import Any
 
 from pydantic import Field
 
-from ltm_core.errors import ConfigError, StoreError
-from ltm_core.raster.tile_store import StoreSchema, TileStore
-from ltm_core.site_io import load_site
-from ltm_core.terrain.change import Changed
-from ltm_core.terrain.compiled_kernels import compile_kernels
-from ltm_core.terrain.site_terrain import STORE_FILE, UNCOMMITTED, SiteTerrain
-from ltm_core.terrain.terrain_io import write_surface
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.pipeline.site_surface import STORE_FILE, UNCOMMITTED, SiteTerrain
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store import StoreSchema, TileStore
+from ltm_core.surface.change import Changed
+from ltm_core.surface.compiled_kernels import compile_kernels
+from ltm_core.surface.layers import write_surface
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.confirmed_surface.confirmation import Confirmation
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
@@ -42,7 +41,7 @@ from ltm_ros.runtime.topics import (
     TERRAIN_UPDATE,
     camera_topic,
 )
-from ltm_ros.terrain.publisher import TerrainPublisher
+from ltm_ros.surface.confirmation import Confirmation, TerrainPublisher
 
 GRID_CELLS_PER_S = 1_000_000
 """Of the latched grid of changes: a large one goes out less often."""

@@ -13,19 +13,19 @@ import numpy as np
 from pydantic import ValidationError
 from rclpy.serialization import serialize_message
 
-from ltm_core.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.vote_columns import MAX_BYTES
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.region.tower_link import TowerLink
+from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
 from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ltm_core.disk_io import SpaceFloor, disk_bytes
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_core.storage.disk_io import SpaceFloor, disk_bytes
 from ltm_msgs_py.bag.ring import RecordingRing
 from ltm_msgs_py.bag.writer import BagWriter, Split
 from ltm_ros.runtime.health import Health

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ltm_core.errors import RecordingError
-from ltm_core.evenly import evenly
-from ltm_core.picture_io import open_picture, read_rgb
-from ltm_core.site import Site
-from ltm_core.types import UInt8Array
-from ltm_core.vision.mask_config import ViewMask
-from ltm_core.vision.view_masks import Looking
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.evenly import evenly
+from ltm_core.base.types import UInt8Array
+from ltm_core.site.site import Site
+from ltm_core.storage.photo_io import open_picture, read_rgb
+from ltm_core.vision.masks import Looking, ViewMask
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose

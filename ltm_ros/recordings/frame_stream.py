@@ -15,7 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import camera_topic

@@ -1,4 +1,4 @@
-"""Opens a recorded run: its bag, site and truth rasters, and the decoded contents of each frame."""
+"""Open a recorded run: its bag, site, frames, votes and the map that it ended with."""
 
 from __future__ import annotations
 
@@ -7,26 +7,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ltm_core.camera import Camera
-from ltm_core.errors import LtmError, RecordingError
+from ltm_core.base.errors import LtmError, RecordingError
+from ltm_core.base.resources import config_path, project_path
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.resources import project_path
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.recordings.frame_stream import FrameStream, Parts, StreamedFrame
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    FUEL_MAP,
     FUEL_VOTES,
     FUSED_DEPTH,
     IMAGE_COMPRESSED,
@@ -39,6 +41,7 @@ from ltm_ros.runtime.topics import (
     TRUTH_DEPTH,
     TRUTH_GROUND_DEPTH,
     TRUTH_LABELS,
+    site_topic,
 )
 
 FUEL_TRUTH = "fuel_truth.tif"
@@ -176,3 +179,16 @@ def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet)
     """The votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
     for frame in recorded.stream().frames(["votes"]):
         yield msg_to_votes(frame.take("votes"), geometry, labels.names, frame.camera_name)
+
+
+def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
+    """Class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError where none is."""
+    reader = BagReader(bag)
+    topic = site_topic(site.name, FUEL_MAP)
+    last = None
+    for message in reader.messages([topic]):
+        last = message
+    if last is None:
+        raise RecordingError(f"{bag} holds no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
+    classes, geometry = msg_to_classes(reader.decode(last))
+    return classes, site.in_crs(geometry), LabelSet.load(config_path(site.labels))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ltm_core.camera import Camera
-from ltm_core.errors import LtmError, RecordingError
-from ltm_core.pose import Pose
-from ltm_core.site import Site
+from ltm_core.base.errors import LtmError, RecordingError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site import Site
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera

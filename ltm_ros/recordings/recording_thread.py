@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.recordings.bounded_recording import BoundedRecording
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT

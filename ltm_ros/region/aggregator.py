@@ -11,14 +11,15 @@ from collections.abc import Callable
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from ltm_core.errors import LtmError, MessageError
+from ltm_core.base.errors import LtmError, MessageError
+from ltm_core.base.redaction import plain
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.evidence import Window
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
 from ltm_core.fuel.vote_columns import MAX_BYTES
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store import TileStore
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_core.uplink.envelope import (
     LONGEST_REASON,
@@ -35,13 +36,12 @@ from ltm_core.uplink.envelope import (
 )
 from ltm_core.uplink.vote_transfer import VoteTransfer
 from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.persistence import Counted, Counting, FuelMapPersistence
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_check import StampCheck
-from ltm_ros.sources.strangers_text import plain
 
 FrameId = tuple[str, str, int]
 """(tower, camera, stamp in nanoseconds)."""

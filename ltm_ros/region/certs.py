@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_core.uplink.config import AGGREGATOR
 from ltm_core.uplink.envelope import NAME
 from ltm_ros.region.mqtt_link import LARGEST_PACKET, ROOT

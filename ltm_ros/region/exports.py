@@ -6,10 +6,10 @@ import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from ltm_core.errors import ArchiveError, LtmError, StoreError
-from ltm_core.fuel.export.stac_item_io import item_path
+from ltm_core.base.errors import ArchiveError, LtmError, StoreError
+from ltm_core.fuel.export.companion_files_io import item_path
 from ltm_core.fuel.prior import system_of
-from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.uplink.config import ExportConfig
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.source import FuelSource

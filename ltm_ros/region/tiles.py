@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
+from ltm_core.base.types import UInt8Array
+from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.evidence import Window
-from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import Key
-from ltm_core.types import UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.tile_store import Key
 from ltm_core.uplink.config import AGGREGATOR
 from ltm_core.uplink.envelope import TileHeader, VotesGrid, header_of
 from ltm_msgs_py.grid import msg_to_classes, tile_to_msg

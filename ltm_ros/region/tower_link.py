@@ -18,7 +18,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from ltm_core.errors import MessageError, StoreError
+from ltm_core.base.errors import MessageError, StoreError
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import Outcome, VotesGrid
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame

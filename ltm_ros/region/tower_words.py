@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
 from ltm_core.uplink.outbox_io import OutboxFrame

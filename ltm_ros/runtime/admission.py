@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Set
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.runtime.health import Health, cause_of
 
 FrameT = TypeVar("FrameT")

@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ImageError
-from ltm_core.pose import Pose
-from ltm_core.sensor_pose import Attitude, Fix, sensed_pose
-from ltm_core.site import Site
-from ltm_core.strict_model import StrictModel
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.cameras.sensor_pose import Attitude, Fix, sensed_pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site import Site
 from ltm_msgs_py.camera_info import msg_to_camera
-from ltm_msgs_py.imu import msg_to_attitude
-from ltm_msgs_py.navsat import msg_to_fix
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import msg_to_attitude, msg_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health

@@ -1,4 +1,4 @@
-"""Counters of a node's health: rates, latencies, drops by cause, the last error."""
+"""Count a node's rates, latencies and drops, and report the state of a camera's photos."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from collections import Counter
 
 import numpy as np
 
-from ltm_core.errors import LtmError
-from ltm_core.site import SITE_NAMES
-from ltm_core.types import Float64Array
+from ltm_core.base.errors import LtmError
+from ltm_core.base.types import Float64Array
+from ltm_core.site.site import SITE_NAMES
+from ltm_core.vision.scene_view import SceneView
 
 WINDOW = 200
 """Messages over which latencies are summarised."""
@@ -160,3 +161,16 @@ class _Window:
     def values(self) -> Float64Array:
         """In no order."""
         return self._values[: self._count].copy()
+
+
+def note_picture(health: Health, seen: SceneView) -> None:
+    """Count a picture that is not used by its reason, and say how the last one was."""
+    if seen.reason is not None:
+        health.note(f"unusable.{seen.reason}")
+    if seen.smoke > 0:
+        health.note("smoke")
+    smoke = "" if seen.smoke == 0 else f"usable but for {seen.smoke:.1%}, smoke before the land"
+    doubtful = "" if seen.doubtful is None else f"usable but for {seen.doubtful.mean():.0%}, burnt out or black"
+    if seen.masked:
+        health.gauge("mask", seen.masked)
+    health.gauge("picture", seen.unusable or smoke or doubtful or "usable")

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.runtime.retry import RetryPace
 
 LONGEST_PAUSE_S = 120.0

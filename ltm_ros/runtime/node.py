@@ -15,7 +15,7 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic

@@ -11,14 +11,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from ltm_core.config_io import checked
+from ltm_core.storage.config_io import checked
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_ros.runtime.clock_watch import ClockWatch
-from ltm_ros.runtime.discovery_check import LISTENERS, unheard
+from ltm_ros.runtime.clocks import ClockWatch
+from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.message_info import with_info
-from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.traffic import TRAFFIC, TopicCount
 
 WIRING_S = 5.0

@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from ltm_ros.launching.dds_shutdown import wait_for_quiet
+from ltm_ros.runtime.dds_shutdown import wait_for_quiet
 
 
 class SpinningNode:

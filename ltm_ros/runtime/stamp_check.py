@@ -1,4 +1,4 @@
-"""Checks that a message's stamp agrees with the graph's time: one check for all nodes that count by stamps."""
+"""Check stamps of messages against the time of the graph, and detect repeated photos."""
 
 from __future__ import annotations
 
@@ -71,3 +71,18 @@ class StampCheck:
             self._health.drop("future", f"{what}: {ahead:.0f} s ahead of this node's clock; set the clocks")
             return True
         return False
+
+
+class RepeatCheck:
+    """Of one camera's pictures, in the order in which they come."""
+
+    def __init__(self) -> None:
+        self._last = ""
+
+    def repeats(self, content: str) -> bool:
+        """Whether a picture is the one before, byte for byte; `content`: its digest. From here on it is the one before.
+
+        Two pictures of a living camera never are: its sensor's noise differs.
+        """
+        same, self._last = content == self._last, content
+        return same

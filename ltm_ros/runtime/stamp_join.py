@@ -1,4 +1,4 @@
-"""Joins messages of several topics into frames by their stamps."""
+"""Join messages of several topics into frames by their stamps."""
 
 from __future__ import annotations
 
@@ -8,13 +8,37 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from ltm_core.errors import LtmError
-from ltm_core.site_sections import Limits
+from ltm_core.base.errors import LtmError
+from ltm_core.site.sections import Limits
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.recent_stamps import RecentStamps
+
+_NONE = np.iinfo(np.int64).min
+
+
+class RecentStamps:
+    """The last `count` stamps, nanoseconds, in one block of memory.
+
+    Not a set or a dictionary: for each frame that came and went they would put small things among all others, to be
+    freed a thousand frames later, and the holes keep pages. To look through a thousand takes microseconds.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._stamps: NDArray[np.int64] = np.full(count, _NONE)
+        self._next = 0
+
+    def __contains__(self, stamp_ns: int) -> bool:
+        return bool((self._stamps == stamp_ns).any())
+
+    def add(self, stamp_ns: int) -> None:
+        """In the place of the one that was added `count` stamps ago."""
+        self._stamps[self._next] = stamp_ns
+        self._next = (self._next + 1) % len(self._stamps)
+
 
 WAITING_BYTES = Limits().waiting_bytes
 REMEMBERED = 1000

@@ -10,12 +10,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
-from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
-from ltm_core.pictures.error_colors import error_colors, error_legend
-from ltm_core.pose import Pose
-from ltm_core.types import Float32Array, RgbImage, UInt8Array
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, error_colors, error_legend
 from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float32Array, Float64Array, IndexArray, RgbImage, UInt8Array, UInt32Array
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import label_colors, terrain_colors
-from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
-from ltm_core.types import Float32Array, Float64Array, IndexArray, RgbImage, UInt8Array, UInt32Array
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.raster.dem import Dem
 
 MAX_TRIANGLES = 300_000
 MAX_TEXTURE = 2048

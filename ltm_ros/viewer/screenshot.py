@@ -1,19 +1,49 @@
-"""Takes a screenshot of an .rrd file in the Rerun viewer, without a screen."""
+"""Take a screenshot of an .rrd file in the Rerun viewer, without a screen.
+
+Selects the front tab of a Rerun blueprint, in the form in which a running viewer reports it.
+
+The form is a nested mapping: entity path -> archetype -> field.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_ros.viewer.server import LOOPBACK, RerunProcess, grpc_url
-from ltm_ros.viewer.tabs import with_tab
+
+
+def with_tab(blueprint: dict[str, Any], tab: str) -> dict[str, Any]:
+    """The blueprint with another tab in front, by its name, whatever its case; a copy.
+
+    Raises ConfigError, with the names that there are, on a tab that it lacks, or where it has none.
+    """
+    chosen = copy.deepcopy(blueprint)
+    viewport = chosen.get("/viewport", {}).get("ViewportBlueprint", {})
+    root = chosen.get(f"/container/{viewport.get('root_container')}", {}).get("ContainerBlueprint", {})
+    parts = root.get("contents", []) if root.get("container_kind") == "Tabs" else []
+    names = {_name(chosen, part): part for part in parts}
+    for name, part in names.items():
+        if name.casefold() == tab.casefold():
+            root["active_tab"] = part
+            return chosen
+    raise ConfigError(f"no tab {tab!r}; the recording has: {', '.join(names) or 'no tabs'}")
+
+
+def _name(blueprint: dict[str, Any], part: str) -> str:
+    """What a tab is called; `part` is container/ID or view/ID."""
+    fields = blueprint.get(f"/{part}", {})
+    named = fields.get("ContainerBlueprint") or fields.get("ViewBlueprint") or {}
+    return str(named.get("display_name", part))
+
 
 T = TypeVar("T")
 SETTLE_S = 3.0

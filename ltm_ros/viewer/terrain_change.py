@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import rerun as rr
 
-from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import UNLABELLED
-from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.terrain_io import CHANGE_COLORS
-from ltm_core.types import Float32Array, Int32Array, UInt8Array
+from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pictures.legend import UNLABELLED
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.layers import CHANGE_COLORS
 
 PICTURE_PIXELS = 1600
 """Longer side of the picture of changes."""

@@ -13,16 +13,16 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError, PoseError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
-from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.fuel_maps import CameraMark
-from ltm_core.pose import Pose
-from ltm_core.site import Site
-from ltm_core.types import Float32Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
 from ltm_ros.viewer import archetypes, scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
 from ltm_ros.viewer.fuel_maps import FuelMaps

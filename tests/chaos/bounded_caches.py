@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ltm_core.raster.tile_store_file import CACHE_KB
+from ltm_core.storage.tile_store_file import CACHE_KB
 from ltm_core.vision.smoke import REMEMBERED as PICTURES
 from ltm_core.vision.smoke import WORKING_WIDTH
 from ltm_ros.nodes.recorder import RecorderConfig

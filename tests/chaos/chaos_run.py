@@ -18,7 +18,7 @@ from chaos.faults import Arena, Fault, draw_fault
 from chaos.heartbeats import Heartbeats
 from chaos.resources import waited_s
 from chaos.running_site import CLEANUP, RUNNER
-from ltm_ros.bench.process_usage import usage_of
+from ltm_lab.bench.process_usage import usage_of
 
 BACK_S = 15.0
 """In which every camera's frames are acknowledged again after a fault is over."""

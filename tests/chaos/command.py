@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from chaos.disks import enter_own_mounts
-from ltm_ros.launching.ros_environment import apply_to_process
+from ltm_ros.runtime.ros_environment import apply_to_process
 
 DOMAIN = 99
 """Below those of the tests."""

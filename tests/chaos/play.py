@@ -26,9 +26,9 @@ from chaos.living_site import write_living_site
 from chaos.running_site import RunningSite
 from chaos.soak import Soak
 from chaos.verdict import judge, votes_of_phases
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
+from ltm_lab.bench.process_usage import Usage, usage_of
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching import shared_memory
 
 DISK_MB = {"state": 320, "recording": 640}

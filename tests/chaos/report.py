@@ -9,7 +9,7 @@ from chaos.cameras import CAMERAS
 from chaos.chaos_run import Outcome
 from chaos.soak import InUseGrowth
 from chaos.verdict import Verdict
-from ltm_ros.bench.growth import Growth
+from ltm_lab.bench.growth import Growth
 
 
 def heading() -> str:

@@ -1,4 +1,4 @@
-"""What processes wait for, beside `ltm_ros.bench.process_usage`."""
+"""What processes wait for, beside `ltm_lab.bench.process_usage`."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ import time
 import uuid
 from pathlib import Path
 
-from ltm_core.site_io import load_site
+from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import CAMERAS_MODULE, CAMERAS_PROCESS, Graph, describe
-from ltm_ros.launching.ros_environment import ros_environment
+from ltm_ros.runtime.ros_environment import ros_environment
 
 RUNNER, CLEANUP = "runner", "orphan_cleanup"
 LAST_MOMENTS_S = 2.0

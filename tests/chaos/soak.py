@@ -11,7 +11,7 @@ import numpy as np
 
 from chaos.heartbeats import Heartbeats
 from chaos.running_site import RunningSite
-from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, Sample, medians, memory_growth
+from ltm_lab.bench.growth import SUM, Growth, GrowthWatch, Sample, medians, memory_growth
 from ltm_ros.runtime.process_memory import MemoryInUse
 
 EVERY_S = 5.0

@@ -14,17 +14,17 @@ from scenes.outlets import Kept
 from scenes.small_site import NAME, SmallSite
 
 from chaos.cameras import CAMERAS, PHASES, Photos, Sent
-from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import JOURNALED, STORE_FILE, open_stored_map
-from ltm_core.resources import config_path
+from ltm_core.base.resources import config_path
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import JOURNALED, STORE_FILE, open_stored_map
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
 from ltm_ros.launching.graph import CAMERA_NODES, Graph, describe
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
-from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_VOTES, camera_topic
 

@@ -13,11 +13,11 @@ import yaml
 from scenes.networks import HEIGHT, WIDTH, write_classifier
 
 from fuzz.target import Target
-from ltm_core.camera import Camera
-from ltm_core.errors import ConfigError
-from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
-from ltm_core.numpy_io import load_arrays
+from ltm_core.base.errors import ConfigError
+from ltm_core.geometry.camera import Camera
+from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
 
 
 def _network(folder: Path) -> list[bytes]:

@@ -14,9 +14,9 @@ from rclpy.serialization import serialize_message
 
 from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
-from ltm_core.camera import Camera
-from ltm_core.errors import LtmError, RecordingError
-from ltm_core.pose import Pose
+from ltm_core.base.errors import LtmError, RecordingError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter

@@ -13,14 +13,14 @@ from scenes.phone_site import STAMP, taken
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
-from ltm_core.device_attitude import phone_camera
-from ltm_core.geodesy import SiteFrame
-from ltm_core.simulator.sensor_logger_io import write_sensor_logger
-from ltm_ros.importer.assumptions import Assumptions
-from ltm_ros.importer.dji import read_subtitles
-from ltm_ros.importer.gopro import read_gopro
-from ltm_ros.importer.pictures import find_pictures
-from ltm_ros.importer.sensor_logger import read_sensor_logger_json
+from ltm_core.cameras.sensor_pose import phone_camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
+from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.dji import read_subtitles
+from ltm_ros.recordings.importing.gopro import read_gopro
+from ltm_ros.recordings.importing.pictures import find_pictures
+from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger_json
 
 FRAME = SiteFrame("EPSG:32611", 402_000.0, 3_787_000.0)
 

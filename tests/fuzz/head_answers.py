@@ -10,11 +10,11 @@ from pydantic import TypeAdapter
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
-from ltm_core.ptz_config import PtzConfig
-from ltm_core.source_config import HttpSettings
-from ltm_ros.sources.discovery import camera_in
-from ltm_ros.sources.http_client import Answer
-from ltm_ros.sources.ptz.opening import open_head
+from ltm_core.site.ptz_config import PtzConfig
+from ltm_core.site.source_config import HttpSettings
+from ltm_ros.cameras.discovery import camera_in
+from ltm_ros.cameras.protocols.http_client import Answer
+from ltm_ros.cameras.ptz.opening import open_head
 
 _VAPIX = (
     b"pan=12.5\r\ntilt=-3.25\r\nzoom=120\r\nMinPan=-180\r\nMaxPan=180\r\npresetposno1=north\r\npresetposno2=east\r\n"

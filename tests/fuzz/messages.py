@@ -28,24 +28,23 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_core.fuel.votes import VoteCaster
-from ltm_core.pose_estimation.pose_correction import PoseCorrection
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
-from ltm_core.raster.surface_versions_io import AS_GIVEN, SurfaceManifest
-from ltm_core.terrain.change import Changed
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.surface.change import Changed
+from ltm_core.surface.surface_versions_io import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.confirmed_surface import manifest_to_msg, traced_to_msg
-from ltm_msgs_py.grid import classes_to_msg
+from ltm_msgs_py.grid import changed_to_msg, classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_msgs_py.terrain import changed_to_msg
-from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
@@ -233,7 +232,7 @@ def _small(folder: Path) -> SmallSite:
 
 def _frame(small: SmallSite, stamp: int = BEGIN_NS) -> dict[str, Any]:
     """A frame of the tower at a tenth of its size, message by message."""
-    from ltm_core.camera import Camera
+    from ltm_core.geometry.camera import Camera
 
     camera, pose = Camera.from_fov(48, 32, 62.0), small.tower_pose(20.0)
     traced = small.tracer.trace(camera, pose).depth()

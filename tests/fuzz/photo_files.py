@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image
 
 from fuzz.target import Target
-from ltm_core.camera import Camera
+from ltm_core.geometry.camera import Camera
 from ltm_core.tracing import trace_io
-from ltm_core.vision.camera_mask_io import read_mask
-from ltm_ros.importer.photo import read_photo
+from ltm_core.vision.masks import read_mask
+from ltm_ros.recordings.importing.photo import read_photo
 
 
 def _exif() -> Image.Exif:

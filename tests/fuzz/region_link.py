@@ -9,7 +9,7 @@ from pathlib import Path
 from scenes.region_scene import REGION, RegionScene, stamp_of, write_region_scene
 
 from fuzz.target import Target
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.uplink.envelope import AckHeader, Outcome, Outcomes, TileHeader, header_of, outcomes_of, unpacked
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_ros.region.aggregator import Aggregator

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.target import Target
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 
 _IMPORTED_BY = os.getpid()
 

@@ -14,11 +14,11 @@ from scenes.small_site import write_small_site
 
 from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_KIND, fuel_schema, open_stored_map, votes_to_bytes
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.raster.tile_store import CellChanges, FrameRecord, TileStore
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_KIND, fuel_schema, open_stored_map, votes_to_bytes
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store import CellChanges, FrameRecord, TileStore
 from ltm_core.vision.labels import LabelSet
 
 

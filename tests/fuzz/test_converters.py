@@ -17,20 +17,17 @@ from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 
-from ltm_core.errors import LtmError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import LtmError
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.camera_info import msg_to_camera
-from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
-from ltm_msgs_py.grid import msg_to_classes, tile_window
+from ltm_msgs_py.grid import msg_to_changed, msg_to_classes, tile_window
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.label_info import msg_to_label_set, msg_to_model
-from ltm_msgs_py.pointcloud import msg_to_columns
+from ltm_msgs_py.pointcloud import msg_to_columns, msg_to_fuel_cells, msg_to_votes
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import msg_to_changed
-from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.services import region_of
 
 FRESH = bool(os.environ.get("LTM_FUZZ"))

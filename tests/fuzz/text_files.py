@@ -17,37 +17,36 @@ from std_msgs.msg import String
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
-from ltm_core.config_io import load_yaml
-from ltm_core.dem import Dem
+from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.evaluation.segmentation.mask_score import read_mask_truths
-from ltm_core.evaluation.truth_frames_io import read_truth_frames
-from ltm_core.fuel.burns_io import read_burns
 from ltm_core.fuel.codes import FuelModels, FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.pose_estimation.mount_config import MountConfig
-from ltm_core.pose_estimation.mount_io import read_head_points, read_readings
-from ltm_core.pose_estimation.pose_file_io import GuessConfig
-from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
-from ltm_core.raster.surface_versions_io import MANIFEST, Counted, SurfaceManifest, SurfaceVersion, SurfaceVersions
-from ltm_core.resources import config_path
-from ltm_core.simulator.scenario_io import load_scenario
-from ltm_core.site_io import load_site
-from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
-from ltm_core.training.config import TrainingConfig
-from ltm_core.vision.label_calibration_io import Calibration
-from ltm_core.vision.label_head_io import read_head
+from ltm_core.fuel.overlays_io import read_burns
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pose_estimation.mount.mount_config import MountConfig
+from ltm_core.pose_estimation.mount.mount_io import read_head_points, read_readings
+from ltm_core.pose_estimation.points.control_points import read_control_points, set_up_resection
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.surface.surface_versions_io import MANIFEST, Counted, SurfaceManifest, SurfaceVersion, SurfaceVersions
+from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
+from ltm_core.vision.areas import read_areas
+from ltm_core.vision.label_confidence import Calibration
+from ltm_core.vision.label_head import read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
-from ltm_core.vision.polygons_io import read_areas
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.vocabulary import Vocabulary
+from ltm_lab.evaluation.segmentation.mask_score import read_mask_truths
+from ltm_lab.evaluation.truth_frames_io import read_truth_frames
+from ltm_lab.simulator.scenario_io import load_scenario
+from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.importer.pose_file import read_pose_file
 from ltm_ros.launching.graph import describe
+from ltm_ros.recordings.importing.pose_file import read_pose_file
 
 _ENTRY = SurfaceVersion(
     version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from fuzz.targets import target_named
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 
 SPARE = 2 << 30
 """Bytes that a process may take beyond what it begins with: faults end here, not the machine."""

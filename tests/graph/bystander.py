@@ -13,8 +13,7 @@ from scenes.waiting import PATIENCE_S, wait_for
 from std_srvs.srv import Trigger
 
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.discovery_check import unmatched
-from ltm_ros.runtime.message_info import with_info
+from ltm_ros.runtime.delivery_checks import unmatched, with_info
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.spinning_node import SpinningNode
 

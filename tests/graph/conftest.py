@@ -21,7 +21,7 @@ from scenes.compiled_kernels import compile_kernels
 from scenes.small_site import SmallSite, write_small_site
 from scenes.waiting import wait_for
 
-from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, ros_environment
+from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, ros_environment
 
 DOMAINS = range(100, 201)
 GRAPHS = (os.cpu_count() or 1) + 2

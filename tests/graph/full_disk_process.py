@@ -15,8 +15,8 @@ from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 from tower_frames import TOPICS, send_frame
 
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
-from ltm_core.raster.tile_store import TileStore
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
+from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, IMAGE_COMPRESSED, camera_topic, site_topic
 

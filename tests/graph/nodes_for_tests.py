@@ -11,7 +11,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_ros.runtime.node_process import run_until_stopped
 
 

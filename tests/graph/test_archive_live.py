@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from scenes.small_site import FRAMES, NAME, SmallSite
 
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
-from ltm_core.raster.tile_store import TileStore
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
+from ltm_core.storage.tile_store import TileStore
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
-from ltm_ros.replay.run import ReplayOptions, run_live
+from ltm_ros.recordings.replay.run import ReplayOptions, run_live
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 

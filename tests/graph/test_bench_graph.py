@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_ros.cli.bench.graph import graph
+from ltm_lab.cli.bench.graph import graph
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.usefixtures("kernels")]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.errors import LtmError
-from ltm_core.vision.default_networks import DEFAULT_MODEL
+from ltm_core.base.errors import LtmError
+from ltm_core.vision.manifest import DEFAULT_MODEL
 from ltm_core.vision.usable import judge
-from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
-from ltm_ros.cli.bench.segmentation import segmentation
+from ltm_lab.bench.segmentation import drawn_landscape, run_segmentation
+from ltm_lab.cli.bench.segmentation import segmentation
 
 pytestmark = pytest.mark.graph
 

@@ -19,7 +19,7 @@ from leftovers import wait_gone
 from scenes.fuel_frames import NAME, write_site
 from scenes.waiting import wait_for
 
-from ltm_ros.launching.ros_environment import PROFILE_VARIABLES
+from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES
 
 pytestmark = pytest.mark.graph
 

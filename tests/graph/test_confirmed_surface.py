@@ -10,11 +10,11 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 from scenes.waiting import wait_for
 
-from ltm_core.evaluation.terrain.hillside_scenes import trial
+from ltm_lab.evaluation.terrain.hillside_scenes import trial
+from ltm_lab.evaluation.update_score import score_update
+from ltm_lab.evaluation.update_site import write_update_site
+from ltm_lab.evaluation.update_trial import live_depths
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
-from ltm_ros.evaluation.update_score import score_update
-from ltm_ros.evaluation.update_site import write_update_site
-from ltm_ros.evaluation.update_trial import live_depths
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

@@ -11,7 +11,7 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, built_up, mast_pose, photo_of_depth, write_fusing_site
 from scenes.waiting import wait_for
 
-from ltm_core.confirmed_terrain import exported_terrain
+from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import image_to_msg, msg_to_depth

@@ -20,7 +20,7 @@ from scenes.waiting import wait_for
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.image import encode_rgb, image_to_msg
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.topics import (

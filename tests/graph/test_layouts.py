@@ -12,7 +12,7 @@ from scenes.terrain_frames import write_fusing_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import CAMERA_NODES, FUSION_NODES
-from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     FUEL_VOTES,

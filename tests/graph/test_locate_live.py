@@ -15,9 +15,9 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.located import CAMERA, hills, sighting
 from scenes.waiting import wait_for
 
-from ltm_core.dem import Dem
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
-from ltm_core.site_io import load_site
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg

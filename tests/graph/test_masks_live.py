@@ -9,15 +9,15 @@ import pytest
 from scenes.masked_site import hidden_of, write_masked_site
 from scenes.small_site import FRAMES, NAME, SmallSite
 
-from ltm_core.site_io import load_site
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner
-from ltm_ros.replay.live import LivePlayer
-from ltm_ros.replay.run import ReplayOptions, run_offline
-from ltm_ros.replay.selection import Selection
+from ltm_ros.recordings.replay.live import LivePlayer
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.selection import Selection
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, camera_topic
 
 # What masks do is tested in tests/replay/test_masks.py, that a living graph makes what a replay makes in test_layouts.

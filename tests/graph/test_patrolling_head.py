@@ -20,12 +20,12 @@ from scenes.ptz_camera import FakeHead, Place, ptz_camera
 from scenes.small_site import NAME, Frame, SmallSite, like_its_paint
 from scenes.waiting import wait_for
 
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.mount_config import written_mount
-from ltm_core.pose_estimation.mount_model import MountModel
-from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
-from ltm_core.zoom_lens import LensConfig, ZoomPoint
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
+from ltm_core.pose_estimation.mount.mount_config import written_mount
+from ltm_core.pose_estimation.mount.mount_model import MountModel
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.launching.graph import describe

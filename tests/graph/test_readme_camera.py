@@ -20,10 +20,10 @@ from scenes.small_site import NAME, Frame, SmallSite, paint_at, write_small_site
 from scenes.timed_picture import jpeg
 from scenes.waiting import wait_for
 
-from ltm_core.camera import Camera
-from ltm_core.fuel.stored_map import STORE_FILE
-from ltm_core.pose import Pose
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
 
-from ltm_ros.replay.live import QUIET, LivePlayer
-from ltm_ros.replay.selection import Selection
+from ltm_ros.recordings.replay.live import QUIET, LivePlayer
+from ltm_ros.recordings.replay.selection import Selection
 
 pytestmark = pytest.mark.graph
 

@@ -15,8 +15,8 @@ from scenes.rtsp_camera import PASSWORD, SIZE, USER, RtspCamera, running
 from scenes.small_site import NAME, Frame, SmallSite, like_its_paint
 from scenes.waiting import wait_for
 
-from ltm_core.camera import Camera
-from ltm_core.site_io import load_site
+from ltm_core.geometry.camera import Camera
+from ltm_core.site.site_io import load_site
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, FUEL_VOTES, IMAGE_COMPRESSED, camera_topic, site_topic

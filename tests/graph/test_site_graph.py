@@ -18,7 +18,7 @@ from leftovers import ports_of_process
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite, apart, like_its_paint
 from scenes.waiting import wait_for
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
@@ -26,9 +26,9 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import CAMERA_NODES, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.replay.live import LivePlayer
-from ltm_ros.replay.run import ReplayOptions, run_offline
-from ltm_ros.replay.selection import Selection
+from ltm_ros.recordings.replay.live import LivePlayer
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.selection import Selection
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,

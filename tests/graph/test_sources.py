@@ -17,7 +17,7 @@ from scenes.small_site import NAME, SmallSite, like_its_paint
 from scenes.timed_picture import jpeg
 from scenes.waiting import wait_for
 
-from ltm_core.site_io import load_site
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner

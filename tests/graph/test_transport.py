@@ -12,9 +12,9 @@ import pytest
 from leftovers import owned_by_process, segments, wait_gone
 from scenes.waiting import wait_for
 
-from ltm_core.resources import config_path
+from ltm_core.base.resources import config_path
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.ros_environment import PROFILE_VARIABLES
+from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES
 
 pytestmark = pytest.mark.graph
 

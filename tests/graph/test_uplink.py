@@ -19,11 +19,11 @@ from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 from tower_frames import TOPICS, send_frame
 
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.surface_change import LivingFuelMap
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, camera_topic, site_topic

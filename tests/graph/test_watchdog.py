@@ -14,7 +14,7 @@ from scenes.small_site import NAME, SmallSite, apart
 from scenes.waiting import wait_for
 from std_msgs.msg import Header
 
-from ltm_core.site_sections import WatchdogConfig
+from ltm_core.site.sections import WatchdogConfig
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, NodeSpec, describe
 from ltm_ros.launching.runner import Runner

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scenes.small_site import SmallSite, write_small_site
 
-from ltm_ros.archive.page import write_page
+from ltm_ros.archive.publish import write_page
 
 PAGE = "ltm_ros.archive.publish.write_page"
 

@@ -17,28 +17,27 @@ from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
-from ltm_core.errors import ArchiveError, ConfigError, LtmError
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.resources import config_path
-from ltm_core.site import Site
-from ltm_core.types import Int16Array
+from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import Int16Array
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
+from ltm_core.site.site import Site
+from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.archive.choice import REPEATED
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
-from ltm_ros.archive.sampling import Sample
+from ltm_ros.archive.sampling import REPEATED, Sample
 from ltm_ros.archive.task import work
 from ltm_ros.cli.main import cli
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
 
 pytestmark = pytest.mark.usefixtures("without_page")

@@ -17,9 +17,9 @@ from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
 from scenes.waiting import wait_for
 
-from ltm_core.errors import ArchiveError
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
-from ltm_core.raster.tile_store import TileStore
+from ltm_core.base.errors import ArchiveError
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
+from ltm_core.storage.tile_store import TileStore
 from ltm_ros.archive.engine import Cluster, Engine, on_cluster, on_workers, serial
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.reduction import store_digest

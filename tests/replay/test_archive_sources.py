@@ -19,16 +19,17 @@ from scenes.own_disk import run_on_own_disk
 from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
 
-from ltm_core.errors import ArchiveError
-from ltm_core.fuel.stored_map import STORE_FILE
+from ltm_core.base.errors import ArchiveError
+from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.archive import files, photo_folder
+from ltm_ros.archive import files
+from ltm_ros.archive import pictures as photo_folder
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
-from ltm_ros.importer.build import import_photos
+from ltm_ros.recordings.importing.build import import_photos
 
 pytestmark = pytest.mark.usefixtures("without_page")
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from scenes.small_site import BEGIN_NS, FRAMES, SmallSite
 
-from ltm_core.fuel.stored_map import STORE_FILE
+from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.publish import LAYERS, RUN
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run

@@ -16,17 +16,17 @@ from scenes.terrain_frames import write_fusing_site
 from scenes.terrain_recording import LOOKS, TOWER_HOURS, write_block_recording
 from typer.testing import CliRunner
 
-from ltm_core.errors import ArchiveError
-from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND, SURFACE_LAYER
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.site_terrain import STORE_FILE as TERRAIN_FILE
-from ltm_core.terrain.tile_pool import KIND as TERRAIN_KIND
+from ltm_core.base.errors import ArchiveError
+from ltm_core.pipeline.site_surface import STORE_FILE as TERRAIN_FILE
+from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND, SURFACE_LAYER
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.cli.main import cli
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 pytestmark = pytest.mark.usefixtures("without_page")
 

@@ -16,7 +16,7 @@ from ltm_msgs_py.confirmed_surface import msg_to_traced
 from ltm_msgs_py.image import image_to_msg, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
-from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.topics import DEPTH_IMAGE, DEPTH_INFO, FUSED_DEPTH, IMAGE_RAW, camera_topic
 
 STAMPS = [BEGIN_NS + look * 2 * HOUR for look in range(5)]

@@ -13,8 +13,8 @@ import yaml
 from rasterio.windows import from_bounds
 from typer.testing import CliRunner
 
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.resources import config_path
 from ltm_ros.cli.main import cli
 
 pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")

@@ -15,10 +15,10 @@ import pytest
 from scenes.fuel_frames import LABELS, camera_of, grid_of, message, write_site
 from scenes.outlets import Kept
 
-from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
-from ltm_core.site_io import load_site
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.site_io import load_site
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health
 

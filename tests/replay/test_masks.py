@@ -10,12 +10,12 @@ import pytest
 from scenes.masked_site import VIEW, hidden_of, hidden_of_view, write_masked_site, write_turning_site
 from scenes.small_site import FRAMES, NAME, SmallSite, write_small_site
 
-from ltm_core.depth.hidden_pixels import hidden_at
 from ltm_core.depth.topodepth import Source
+from ltm_core.depth.unseen_terrain import hidden_at
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
-from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_msgs_py.pointcloud import msg_to_votes
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,

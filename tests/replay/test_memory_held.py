@@ -11,11 +11,11 @@ from chaos.cameras import CAMERAS, PHASES, Photos
 from chaos.living_site import write_living_site
 from scenes.small_site import NAME
 
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import Field, FrameRecord, StoreSchema, TileStore
-from ltm_core.terrain.site_terrain import UNCOMMITTED
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_surface import UNCOMMITTED
+from ltm_core.storage.tile_store import Field, FrameRecord, StoreSchema, TileStore
 from ltm_ros.launching.graph import describe
-from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.process_memory import memory_in_use
 from ltm_ros.runtime.stamp_join import REMEMBERED
 from ltm_ros.runtime.topics import camera_topic

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import yaml
 
-from ltm_core.site_io import load_site
-from ltm_ros.importer.build import import_photos
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_core.site.site_io import load_site
+from ltm_ros.recordings.importing.build import import_photos
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 BAGS = Path(__file__).parents[2] / "bags"
 

@@ -21,8 +21,8 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_array, msg_t
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
-from ltm_ros.recordings.recorded_map import last_fuel_map
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.recorded_run import last_fuel_map
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,

@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,

@@ -19,7 +19,7 @@ from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.nodes.fuel_votes import FuelVotes
 from ltm_ros.nodes.terrain import Terrain
 from ltm_ros.nodes.topodepth import TopoDepth
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, FUSED_INFO, camera_topic
 

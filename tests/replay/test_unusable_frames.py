@@ -15,7 +15,7 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     FUEL_VOTES,

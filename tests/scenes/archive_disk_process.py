@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.archive import publish
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run

@@ -14,34 +14,34 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.bench.mountains import ridged_terrain
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.expectation import FusionSettings
+from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.evidence_merge import PartialEvidence
+from ltm_core.fuel.frame_evidence import tell_by_look
 from ltm_core.fuel.life_form import FORMS
-from ltm_core.fuel.look_kernel import tell_by_look
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import Locator
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.pose_from_picture import find_pose
-from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.pose_estimation.skyline.find_pose import find_pose
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
-from ltm_core.simulator.clouds import Clouds
-from ltm_core.simulator.run import make_site, rasters_at
-from ltm_core.simulator.scenario import CloudConfig
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.march import march
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.training.fusion_samples import frame_samples
+from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_core.vision.labels import Label, LabelSet
-from ltm_core.vision.upsample import upsampled_winner
+from ltm_core.vision.tensors import upsampled_winner
+from ltm_lab.bench.mountains import ridged_terrain
+from ltm_lab.simulator.clouds import Clouds
+from ltm_lab.simulator.run import make_site, rasters_at
+from ltm_lab.simulator.scenario import CloudConfig
+from ltm_lab.tracers.march import march
+from ltm_lab.training.fusion_samples import frame_samples
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.tracing.holes import NOTHING_BEYOND
 
 CAMERA = Camera.from_fov(640, 360, 50.0)
 SKY, GRASS, TREE = 0, 1, 3

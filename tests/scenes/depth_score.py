@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from ltm_core.errors import ImageError
-from ltm_core.evaluation.metrics.depth import RANGE_BINS, DepthScore
-from ltm_core.types import Float32Array, Float64Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_lab.evaluation.metrics.depth import RANGE_BINS, DepthScore
 
 
 def score_depth(estimate: Sequence[Float32Array], truth: Sequence[Float32Array]) -> list[DepthScore]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltm_core.errors import StoreError
+from ltm_core.base.errors import StoreError
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health

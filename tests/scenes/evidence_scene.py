@@ -11,7 +11,7 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 
 GRID = GridGeometry(15.0, 75.0, 30.0, 3, 2)

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ltm_core.dem import Dem
+from ltm_core.base.resources import config_path
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.resources import config_path
-from ltm_core.site_io import load_site
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 
 NAME = "kept"
 CAMERAS = ("north", "east", "south")

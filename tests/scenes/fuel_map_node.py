@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health
 from scenes.fuel_frames import (

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.sighting import Sighting
-from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_covariance
-from ltm_core.types import Float64Array
+from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import project
 
 CAMERA = Camera.from_fov(1920, 1080, 54.0)

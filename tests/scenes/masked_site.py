@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ltm_core.types import BoolArray
-from ltm_core.vision.camera_mask_io import write_mask
+from ltm_core.base.types import BoolArray
+from ltm_core.vision.masks import write_mask
 from scenes.networks import write_depth_network
 from scenes.small_site import MAST, TOWER, SmallSite
 

@@ -6,15 +6,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.geodesy import ray_bend
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.pose_from_picture import Terrain
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.types import UInt8Array
+from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.vision.labels import Label
 
 BEND = ray_bend(True, 0.13)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 from PIL import Image
 
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
 
 _MATRICES = {
     0: (1, 0, 0, 1),

@@ -6,7 +6,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from ltm_core.errors import StoreError
+from ltm_core.base.errors import StoreError
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_ros.region.tower_link import OPEN_S, TowerLink

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.simulator.phone_photo_io import PhonePhoto
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_lab.simulator.phone_photo_io import PhonePhoto
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose

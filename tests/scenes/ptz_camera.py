@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import parse_qs, unquote
 
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
 from scenes.http_camera import HttpCamera, Request, Route
 from scenes.timed_picture import jpeg, scene, time_in, with_time
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Float64Array
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 Surface = Callable[[Float64Array, Float64Array], Float64Array]
 

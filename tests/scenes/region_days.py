@@ -16,13 +16,13 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from ltm_core.errors import StoreError
-from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.base.errors import StoreError
 from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.outbox_io import OutboxFrame
-from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.bench.network_towers import stamped
+from ltm_lab.bench.network_towers import stamped
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.region.mqtt_link import Taker
 from ltm_ros.region.service import RegionService
 from ltm_ros.region.tower_link import TowerLink

@@ -10,12 +10,11 @@ from typing import Any
 import yaml
 from rclpy.serialization import serialize_message
 
-from ltm_core.grid import GridGeometry
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.uplink.config import AGGREGATOR, BrokerConfig, RegionConfig
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.uplink.config import AGGREGATOR, BrokerConfig, RegionConfig, load_region
 from ltm_core.uplink.envelope import VotesGrid, VotesHeader
-from ltm_core.uplink.region_io import load_region
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.identity import Identity
 from scenes.fuel_frames import BEGIN_NS, message, write_site

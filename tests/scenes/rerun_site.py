@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.site import Site
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 
 LABELS = LabelSet.load()

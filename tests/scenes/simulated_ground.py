@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltm_core.grid import GridGeometry
-from ltm_core.simulator.changes import (
+from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_lab.simulator.changes import (
     Change,
     MaskConfig,
 )
-from ltm_core.simulator.landcover import SHRUB, LandCover, Stand
-from ltm_core.simulator.stand import stand_at
-from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain
-from ltm_core.types import BoolArray, UInt8Array
+from ltm_lab.simulator.landcover import SHRUB, LandCover, Stand
+from ltm_lab.simulator.stand import stand_at
+from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain
 
 GRID = GridGeometry(0.0, 300.0, 4.0, 100, 75)  # 400 m by 300 m  # 400 m by 300 m
 BOX = MaskConfig(box=(100.0, 60.0, 240.0, 180.0), ragged=0.0)

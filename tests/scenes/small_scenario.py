@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ltm_core.simulator.scenario import Scenario
+from ltm_lab.simulator.scenario import Scenario
 
 CAMERA = {"name": "a", "x": 120.0, "y": 90.0, "mast": 25.0, "patrol": {"azimuth_deg": [40.0], "pitch_deg": [-14.0]}}
 

@@ -15,15 +15,15 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.fuel_map_io import read_fuel_map
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter

@@ -8,12 +8,12 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from ltm_core.camera import Camera
-from ltm_core.source_config import SourceConfig
+from ltm_core.geometry.camera import Camera
+from ltm_core.site.source_config import SourceConfig
+from ltm_ros.cameras.backoff import Backoff
+from ltm_ros.cameras.camera_source import CameraSource, Frame, Gaze
+from ltm_ros.cameras.opening import open_reader
 from ltm_ros.runtime.health import Health
-from ltm_ros.sources.backoff import Backoff
-from ltm_ros.sources.camera_source import CameraSource, Frame, Gaze
-from ltm_ros.sources.opening import open_reader
 
 MOST_BYTES = 4 << 20
 CALIBRATION = Camera.from_fov(320, 180, 62.0)

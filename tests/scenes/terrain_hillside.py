@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.site_sections import TerrainConfig
-from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.site.sections import TerrainConfig
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.types import BoolArray, Float64Array
+from ltm_core.tracing.holes import NOTHING_BEYOND
 
 GEOMETRY = GridGeometry(0.0, 230.0, 1.0, 300, 230)
 CAMERA = Camera.from_fov(320, 180, 55.0)

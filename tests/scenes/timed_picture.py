@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import PIL.Image
 
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
 
 BITS, SQUARE, ACROSS = 44, 16, 11
 """Milliseconds since the epoch have 41 bits until 2039."""

@@ -9,10 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ltm_ros.deployment.package_file import PackageFile
-from ltm_ros.deployment.releases import Releases
-from ltm_ros.deployment.service import ServiceState
-from ltm_ros.deployment.upgrade import Places, Upgrade
+from ltm_ros.tower.releases import PackageFile, Releases
+from ltm_ros.tower.service import ServiceState
+from ltm_ros.tower.upgrade import Places, Upgrade
 
 CONTROL = """Package: {name}
 Version: {version}

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ltm_core.types import BoolArray, UInt8Array
+from ltm_core.base.types import BoolArray, UInt8Array
 
 WIDTH, HEIGHT = 800, 520
 HORIZON = 300

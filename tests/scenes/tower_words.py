@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ltm_ros.health.machine import Disk
-from ltm_ros.health.tower_status import TowerStatus, TowerWatch
+from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.kernel_clock import KernelClock
+from ltm_ros.tower.machine import Disk
+from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
 NOW_S = 1_750_000_000.0
 NODES = (

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.bench.mountains import ridged_terrain
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.geodesy import SiteFrame
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_lab.bench.mountains import ridged_terrain
 from scenes.rasters import with_holes
 
 

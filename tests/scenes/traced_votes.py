@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.fuel.votes import CellVotes, VoteCaster
-from ltm_core.grid import GridGeometry
-from ltm_core.range_image import RangeImage
-from ltm_core.types import BoolArray, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
 
 
 def cast_votes(

@@ -18,14 +18,14 @@ import pytest
 import typer
 import yaml
 
-from ltm_core.resources import project_path
-from ltm_core.site import Site
+from ltm_core.base.resources import project_path
+from ltm_core.site.site import Site
 from ltm_core.tracing.trace_io import PictureConfig
 from ltm_core.uplink.config import RegionConfig
+from ltm_lab.cli import eval as eval_commands
+from ltm_lab.cli import train as train_commands
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
-from ltm_ros.cli import eval as eval_commands
-from ltm_ros.cli import train as train_commands
 from ltm_ros.cli.main import cli
 
 REPOSITORY = Path(__file__).parents[2]
@@ -230,7 +230,7 @@ def python_files() -> frozenset[str]:
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_python_names_exist(page: Path) -> None:
-    """Dotted names of our packages, in text and in the API pages (`::: ltm_core.dem.Dem`)."""
+    """Dotted names of our packages, in text and in the API pages (`::: ltm_core.raster.dem.Dem`)."""
     text = page.read_text(encoding="utf-8")
     for name in set(re.findall(r"(?:`|::: |\]\[)((?:ltm_core|ltm_msgs_py|ltm_ros)(?:\.\w+)+)", text)):
         assert resolves(name), name

@@ -22,8 +22,8 @@ ROS = {
     "builtin_interfaces", "rosgraph_msgs", "rcl_interfaces", "cv_bridge", "tf2_ros", "rosbags", "mcap_ros2",
 }  # fmt: skip
 STUDY = {
-    "ltm_core.evaluation", "ltm_core.training", "ltm_core.simulator", "ltm_core.bench", "ltm_core.tracing.baselines",
-    "ltm_ros.evaluation", "ltm_ros.bench", "ltm_ros.demo",
+    "ltm_lab.evaluation", "ltm_lab.training", "ltm_lab.simulator", "ltm_lab.bench", "ltm_lab.tracers",
+    "ltm_lab.evaluation", "ltm_lab.bench", "ltm_ros.demo",
 }  # fmt: skip
 """The study wing. The command line is the door to both wings: its modules import when a command runs."""
 DOOR = "ltm_ros.cli"

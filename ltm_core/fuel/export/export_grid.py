@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
+from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
+from ltm_core.fuel.cell_counts import UNSEEN
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import Landscape, canopy_bands, surface_codes, terrain_bands
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.seen_canopy import SeenCanopy, with_seen_canopy
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 _LIKE_HEIGHTS = 50.0
 """Metres of the median difference up to which a prior's elevations are of the same ground in the same unit."""

@@ -9,10 +9,10 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.export.provenance import Provenance, as_rows
-from ltm_core.grid import GridGeometry
-from ltm_core.types import UInt8Array
+from ltm_core.geometry.grid import GridGeometry
 
 
 def write_kmz(

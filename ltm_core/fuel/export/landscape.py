@@ -8,14 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.errors import RasterError
-from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models
-from ltm_core.fuel.crosswalk import to_fbfm40
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Float64Array, Int16Array
+from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models, to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Float64Array, Int16Array
+from ltm_core.geometry.grid import GridGeometry
 
 LANDSCAPE_BANDS: Final = (
     "elevation",
@@ -154,7 +153,7 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
 
     Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
-    (`ltm_core.fuel.crosswalk`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
+    (`ltm_core.fuel.codes`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
     and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`).
     """
     own = system_of(prior)

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Float64Array, Int16Array, UInt8Array
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Float64Array, Int16Array, UInt8Array
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
 _LAS_CLASS: Final = {

@@ -16,8 +16,8 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.raster.surface_versions_io import SurfaceVersion
-from ltm_core.site import Site
+from ltm_core.site.site import Site
+from ltm_core.surface.surface_versions_io import SurfaceVersion
 
 NOTHING_SEEN = "nothing seen"
 WITHOUT_DATES = "not known: a map without dates"

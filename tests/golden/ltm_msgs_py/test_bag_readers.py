@@ -18,22 +18,21 @@ from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from ltm_core.camera import Camera
 from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
-from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pointcloud import fuel_cells_to_msg, votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg, pose_to_stamped
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_msgs_py.votes import votes_to_msg
 
 T0 = 1_700_000_000_123_456_789
 LATCHED = {"/ridge/fuel_map", "/ridge/fuel_map/info", "/ridge/east/labels/info"}

@@ -12,18 +12,17 @@ from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ImageError, MessageError
+from ltm_core.base.errors import ImageError, MessageError
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_window
 from ltm_msgs_py.image import ENCODINGS, image_to_msg, msg_to_array
-from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, msg_to_votes, votes_to_msg
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import LATEST_NS, ns_to_time, time_to_ns
-from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 
 quick = settings(max_examples=60, deadline=None)
 

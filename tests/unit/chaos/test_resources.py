@@ -14,9 +14,9 @@ from chaos.resources import waited_s
 from chaos.soak import Soak
 from scenes.waiting import wait_for
 
-from ltm_core.resources import project_path
-from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
-from ltm_ros.bench.process_usage import Usage, usage
+from ltm_core.base.resources import project_path
+from ltm_lab.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
+from ltm_lab.bench.process_usage import Usage, usage
 from ltm_ros.runtime.process_memory import MemoryInUse
 
 _BYTES = 10_000 * mmap.PAGESIZE

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from nav_msgs.msg import OccupancyGrid
 
-from ltm_core.errors import MessageError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import MessageError
+from ltm_core.geometry.grid import GridGeometry
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_to_msg, tile_window
 
 GRID = GridGeometry(-585.0, 315.0, 30.0, 4, 3)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from sensor_msgs.msg import CompressedImage, Image
 
-from ltm_core.errors import ImageError
-from ltm_core.types import UInt8Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import (
     ENCODINGS,
     compressed_to_msg,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from std_msgs.msg import String
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import label_set_to_msg, msg_to_label_set
 

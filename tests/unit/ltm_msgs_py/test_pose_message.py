@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltm_core.errors import PoseError
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg, pose_to_stamped
 
 POSE = Pose.from_angles((722.0, 671.0, 770.0), 230.77, -5.79, -0.77)

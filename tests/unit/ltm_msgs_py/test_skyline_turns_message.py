@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from std_msgs.msg import String
 
-from ltm_core.errors import MessageError
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.base.errors import MessageError
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_msgs_py.skyline_turns import ToldTurns, msg_to_turns, turns_to_msg
 
 LOGS = np.linspace(3.0, 120.0, len(SKYLINE_TURNS))

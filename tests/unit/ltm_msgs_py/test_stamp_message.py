@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from builtin_interfaces.msg import Time
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_msgs_py.stamp import LATEST_NS, make_header, ns_to_time, stamp_of, time_to_ns
 
 

@@ -10,12 +10,12 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.vote_columns import MAX_BYTES, fitting
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
+from ltm_core.geometry.grid import GridGeometry
+from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 
 GRID = GridGeometry(-585.0, 315.0, 30.0, 7, 5)
 NAMES = ("grass", "shrub", "tree")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scenes.depth_order import depth_order
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import Verdict, fuse
-from ltm_core.geodesy import SiteFrame
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE

@@ -15,12 +15,12 @@ import pytest
 import rasterio
 from scipy.ndimage import uniform_filter
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_core.fire.pyretechnics import Pyretechnics, interpreter
 from ltm_core.fire.scenario import FireScenario, Moisture, Wind
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.export.landscape import Landscape, terrain_bands
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 
 def available() -> bool:

@@ -9,19 +9,18 @@ import pytest
 import rasterio
 from rasterio.warp import Resampling, reproject
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.evaluation.fuel.crosswalk_score import score_crosswalk
+from ltm_core.base.errors import RasterError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
-from ltm_core.fuel.export.landscape_io import write_landscape
-from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.prior_io import load_prior, prior_heights
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_lab.evaluation.fuel.crosswalk_score import score_crosswalk
 
 EARLIER, LATER = "earlier_elmfire_lcc/fbfm40r5.tif", "later_gridfire_utm10/fbfm40.tif"
 

@@ -13,12 +13,11 @@ from scipy import ndimage
 
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import FLAT, LANDSCAPE_BANDS, Landscape, slope_and_aspect, terrain_bands
-from ltm_core.fuel.export.landscape_io import write_cog, write_elmfire, write_landscape
-from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.landscape_io import write_cog, write_elmfire, write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(531_783.25, 4_280_398.25, 30.0, 37, 29, "EPSG:32610")
 

@@ -16,7 +16,7 @@ import pytest
 
 from ltm_core.fuel.export.landscape import Landscape, terrain_bands
 from ltm_core.fuel.export.landscape_io import write_landscape
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 INTERPRETER = os.environ.get("LTM_PYRETECHNICS", "")
 

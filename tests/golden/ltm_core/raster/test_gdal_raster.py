@@ -10,8 +10,8 @@ from rasterio.enums import Resampling
 from rasterio.warp import reproject
 from scenes.rasters import rough_terrain
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 
 def test_cells_lie_where_gdal_puts_them(tmp_path: Path) -> None:

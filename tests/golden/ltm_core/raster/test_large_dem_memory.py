@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.bench.mountains import ridged_terrain
+from ltm_lab.bench.mountains import ridged_terrain
 
 SIDE = 10_000
 MOST_MB = 900.0
 
 CHILD = """
 import json, sys
-from ltm_core.bench.measure import peak_mb
-from ltm_core.bench.mountains import ridged_terrain
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.pose import Pose
+from ltm_lab.bench.measure import peak_mb
+from ltm_lab.bench.mountains import ridged_terrain
+from ltm_core.geometry.camera import Camera
+from ltm_core.raster.dem import Dem
+from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
 
 def run(dem, camera):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, standing
 
-from ltm_core.dem import Dem
+from ltm_core.base.types import Float64Array
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import Float64Array
 
 embreex = pytest.importorskip("embreex")
 

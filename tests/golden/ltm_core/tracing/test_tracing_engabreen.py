@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.geodesy import SiteFrame
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 
 # Angles, focal length and k1 fitted to the control points; the position is the surveyed one.

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import LtmError
-from ltm_core.evaluation.terrain.canyon_io import read_canyon
-from ltm_core.geodesy import SiteFrame
-from ltm_core.pose import Pose
+from ltm_core.base.errors import LtmError
+from ltm_core.base.types import BoolArray, Float32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
-from ltm_core.types import BoolArray, Float32Array
+from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_lab.evaluation.terrain.canyon_io import read_canyon
 
 FRAME = SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0)
 ENGABREEN = Camera(4290, 2856, 6017.0, 6017.0, 2144.5, 1427.5, (-0.1155, 0.0, 0.0, 0.0, 0.0)).scaled(8)

@@ -11,9 +11,9 @@ import pytest
 import rasterio
 from scenes.rasters import rough_terrain
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.types import BoolArray
+from ltm_core.base.types import BoolArray
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility
 
 pytestmark = pytest.mark.slow

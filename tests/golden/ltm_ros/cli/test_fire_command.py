@@ -13,12 +13,12 @@ from scenes.fuel_frames import camera_of, grid_of, message, stamp_of_frame, writ
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_core.fire.pyretechnics import interpreter
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
-from ltm_core.grid import GridGeometry
-from ltm_core.site_io import load_site
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.site.site_io import load_site
 from ltm_ros.cli.main import cli
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health

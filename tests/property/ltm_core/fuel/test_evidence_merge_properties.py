@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scenes.any_votes import GRID, LABELS, frames
 from scenes.examples import examples
 
-from ltm_core.errors import ArchiveError
+from ltm_core.base.errors import ArchiveError
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.evidence_merge import PartialEvidence, merged_tile
-from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
 from ltm_core.fuel.votes import CellVotes
 
 pytestmark = pytest.mark.kernel

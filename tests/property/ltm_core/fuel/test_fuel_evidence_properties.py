@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scenes.any_votes import ASSUMED, BEGIN, CELLS, GRID, LABELS, counted, frames
 from scenes.examples import examples
 
+from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
 from ltm_core.fuel.rules import FusionRules

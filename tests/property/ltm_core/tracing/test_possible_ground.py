@@ -9,14 +9,14 @@ from hypothesis.extra.numpy import arrays
 from scenes.examples import examples
 from scenes.traced_terrain import assert_same
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.reference import trace_reference, with_ceilings
-from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.types import Float64Array
+from ltm_core.tracing.holes import PossibleGround
+from ltm_lab.tracers.reference import trace_reference, with_ceilings
 
 ROWS, COLS = 19, 26
 RESOLUTION = 2.0

@@ -23,15 +23,15 @@ from scenes.traced_terrain import (
     treed_and_holed,
 )
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.reference import trace_reference
+from ltm_lab.tracers.reference import trace_reference
 
 SCENES: list[Callable[[int], Dem]] = [ridged, treed, holed, treed_and_holed, margin_only]
 WIDTH, HEIGHT = 50, 40

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scenes.examples import examples
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.reference import trace_reference
-from ltm_core.types import Float64Array
+from ltm_lab.tracers.reference import trace_reference
 
 pytestmark = pytest.mark.kernel
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, standing, with_holes
 
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.reference import trace_reference
-from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.types import Float64Array
+from ltm_core.tracing.holes import PossibleGround
+from ltm_lab.tracers.reference import trace_reference
 
 RAYS_A_POSE = 500
 MANY = pytest.mark.parametrize("rays", [RAYS_A_POSE // 2, pytest.param(1000, marks=pytest.mark.slow)])

@@ -7,17 +7,16 @@ import pytest
 from scenes.rasters import directions, rough_terrain, sampled, with_holes
 from scenes.traced_terrain import assert_same
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.reference import trace_reference
-from ltm_core.types import Float64Array
-from ltm_core.visibility.line_of_sight import line_of_sight_vectors
-from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.point_visibility import PointVisibility, line_of_sight_vectors
+from ltm_lab.tracers.reference import trace_reference
 
 
 def sampled_from(dem: Dem, x: Float64Array, y: Float64Array) -> np.ndarray:

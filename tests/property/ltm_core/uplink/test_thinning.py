@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltm_core.uplink.thinning import thinned
+from ltm_core.uplink.outbox_io import thinned
 
 FRAMES = st.lists(st.tuples(st.integers(0, 10**15), st.integers(0, 5), st.integers(1, 64_000)), min_size=1, max_size=60)
 

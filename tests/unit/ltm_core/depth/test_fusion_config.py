@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from scenes.depth_scene import depth_scene
 
-from ltm_core.config_io import load_yaml
+from ltm_core.base.errors import ConfigError
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.fusion_config_io import fusion_path, load_fusion_config, write_fusion_config
+from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config, write_fusion_config
 from ltm_core.depth.topodepth import fuse
-from ltm_core.errors import ConfigError
-from ltm_core.evaluation.depth.ablation import STAGES, without
+from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
+from ltm_lab.evaluation.depth.ablation import STAGES, without
 
 
 def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:

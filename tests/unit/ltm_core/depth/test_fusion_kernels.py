@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.camera import Camera
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.error_model import (
     OCTAVES,
     ErrorModel,
@@ -18,10 +17,10 @@ from ltm_core.depth.error_model import (
     interpolation_table,
 )
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.fusion_rows import OWN, DecisionRules, FusionRow, average_row
-from ltm_core.depth.guided_filter import guided_coefficients
-from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
+from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
+from ltm_core.depth.network_measurement import OWN, DecisionRules, FusionRow, average_row
 from ltm_core.depth.occlusion_prior import (
+    DepthDiscontinuities,
     OcclusionPrior,
     ground_contact,
     mixture_moments,
@@ -29,9 +28,9 @@ from ltm_core.depth.occlusion_prior import (
 )
 from ltm_core.depth.pixel_fusion import network_chance, surely_terrain
 from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.depth.unknown_regions import clear_unenclosed
-from ltm_core.pose import Pose
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.depth.unseen_terrain import clear_unenclosed
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import Label, LabelSet
 
 pytestmark = pytest.mark.kernel

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, TREE, depth_scene
 
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.hidden_pixels import edges_seen, hidden_at
 from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import FusedDepth, Source, Verdict, fuse
-from ltm_core.errors import ImageError
-from ltm_core.range_image import DepthImage
-from ltm_core.types import BoolArray
+from ltm_core.depth.unseen_terrain import edges_seen, hidden_at
+from ltm_core.geometry.range_image import DepthImage
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())

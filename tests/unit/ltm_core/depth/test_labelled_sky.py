@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltm_core.depth.labelled_sky import with_labelled_sky
+from ltm_core.depth.unseen_terrain import with_labelled_sky
 
 SKY, LAND = 0, 4
 nan, inf = np.nan, np.inf

@@ -17,10 +17,10 @@ from scenes.networks import (
     write_manifest,
 )
 
-from ltm_core.camera import Camera
+from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-from ltm_core.errors import ImageError, ModelError
-from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.geometry.camera import Camera
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
 from ltm_core.vision.segmenter import Segmenter
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.depth.robust_regression import robust_line, robust_offset
+from ltm_core.depth.scale_fit import robust_line, robust_offset
 
 pytestmark = pytest.mark.kernel
 

@@ -9,19 +9,18 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.expectation import FusionSettings
-from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.expected_surface import FusionSettings, expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import FusedDepth, Source, Verdict, fuse
-from ltm_core.errors import ImageError
-from ltm_core.range_image import DepthImage, RangeImage
+from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label, LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())

@@ -12,7 +12,7 @@ from ltm_core.fire.effect import FireEffect, burn_probability, changed_fuel
 from ltm_core.fire.fire_io import BANDS, write_fire
 from ltm_core.fire.pyretechnics import FireRun
 from ltm_core.fuel.export.landscape import Landscape
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fire_maps import DIFFERENCE, arrival_overlay, arrival_scale, difference_classes, fire_sheet
 
 GRID = GridGeometry(345_975.0, 3_783_195.0, 100.0, 6, 4, "EPSG:32611")  # a hectare a cell

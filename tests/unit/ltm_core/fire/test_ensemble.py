@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.fire.ensemble import CellDoubt, drawn_codes, with_codes
+from ltm_core.fire.effect import CellDoubt, drawn_codes, with_codes
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 SHAPE = (30, 41)
 REGION = FuelRegion.named("dry")

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.errors import ConfigError, RasterError
-from ltm_core.fire.landscape_source_io import read_landscape, require_same_grid
+from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.fire.fire_io import read_landscape, require_same_grid
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import Landscape
-from ltm_core.fuel.export.landscape_io import write_landscape, write_raster
-from ltm_core.fuel.export.lcp_io import write_lcp
-from ltm_core.grid import GridGeometry
+from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp, write_raster
+from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
 

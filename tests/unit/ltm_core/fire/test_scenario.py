@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
 

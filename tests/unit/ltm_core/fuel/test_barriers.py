@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scenes.geopackages import add_layer, area, line, several
 
-from ltm_core.errors import RasterError
+from ltm_core.base.errors import RasterError
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior_config import BarrierConfig, PriorConfig
+from ltm_core.fuel.prior import BarrierConfig, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 
 GRID = GridGeometry(300_000.0, 3_700_000.0, 30.0, 7, 5, "EPSG:32611")

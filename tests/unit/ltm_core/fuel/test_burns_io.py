@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from ltm_core.errors import ConfigError
-from ltm_core.fuel.burns_io import read_burns
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import ConfigError
+from ltm_core.fuel.overlays_io import read_burns
+from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(480_000.0, 4_150_000.0, 30.0, 7, 5, "EPSG:26911")
 """Five rows of seven cells."""

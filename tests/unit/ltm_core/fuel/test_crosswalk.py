@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.errors import ConfigError
-from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models
-from ltm_core.fuel.crosswalk import of_one_fuel_type, partners
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.resources import config_path
+from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models, of_one_fuel_type, partners
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.grid import GridGeometry
-from ltm_core.resources import config_path
+from ltm_core.geometry.grid import GridGeometry
 
 REGIONS = ("dry", "humid")
 F13, F40 = FuelSystem.FBFM13, FuelSystem.FBFM40

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
+from ltm_core.base.types import Float32Array
 from ltm_core.fuel.growth_limits import PARTS, GroundLimits, GrowthLimits
 from ltm_core.fuel.votes import CellVotes, VoteCaster
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.types import Float32Array
+from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.vision.labels import Label, LabelSet
 
 pytestmark = pytest.mark.kernel

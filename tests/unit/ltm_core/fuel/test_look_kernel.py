@@ -8,8 +8,8 @@ from scipy.special import log_softmax, softmax
 
 from ltm_core.fuel.cell_appearance_model import SEEN, USUAL, CellAppearanceModel, what_is_seen
 from ltm_core.fuel.evidence_kernel import spread
+from ltm_core.fuel.frame_evidence import log_normalised, normalised, shown_forms, tell_by_look
 from ltm_core.fuel.life_form import FORMS
-from ltm_core.fuel.look_kernel import log_normalised, normalised, shown_forms, tell_by_look
 
 pytestmark = pytest.mark.kernel
 

@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from ltm_core.errors import ImageError
-from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
+from ltm_core.base.errors import ImageError
+from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 pytestmark = pytest.mark.kernel
 

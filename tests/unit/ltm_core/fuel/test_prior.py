@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.errors import RasterError
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import Int16Array
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.prior_io import load_prior, prior_heights
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.types import Int16Array
 
 GRID = GridGeometry(300_015.0, 3_700_015.0, 30.0, 4, 3, "EPSG:32611")
 CODES = np.array([[101, 102, 122, 91], [142, 145, 98, 183], [102, 102, 186, 99]], np.int16)

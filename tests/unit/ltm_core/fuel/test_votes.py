@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scenes.traced_votes import cast_votes
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.raster.dem import Dem
 
 pytestmark = pytest.mark.kernel
 

@@ -9,8 +9,8 @@ import pytest
 from scenes.located import CAMERA, hills, sighting
 
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.answer import answer, as_data, as_geojson, place_name
 from ltm_core.locating.locator import Locator
 from ltm_core.visibility.point_visibility import PointVisibility

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltm_core.geometry.pose import Pose
 from ltm_core.locating.known_poses import MOST, KnownPoses
-from ltm_core.pose import Pose
 
 
 def pose(azimuth_deg: float) -> Pose:

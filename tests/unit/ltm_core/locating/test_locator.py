@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from scenes.located import CAMERA, hills, plain, sighting
 
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError, RegionError
-from ltm_core.geodesy import ray_bend
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import PoseError, RegionError
+from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
 from ltm_core.locating.answer import agreement_data
-from ltm_core.locating.locator import Locator
+from ltm_core.locating.locator import LocatingConfig, Locator
 from ltm_core.locating.region import marked_box, marked_pixel
-from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
-from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_covariance
+from ltm_core.raster.dem import Dem
 
 pytestmark = pytest.mark.kernel
 

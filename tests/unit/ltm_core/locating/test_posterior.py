@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.posterior import Ellipse, Posterior
 
 GEOMETRY = GridGeometry(-300.0, 220.0, 2.0, 310, 205)

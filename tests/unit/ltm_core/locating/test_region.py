@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.camera import Camera
-from ltm_core.errors import RegionError
+from ltm_core.base.errors import RegionError
+from ltm_core.geometry.camera import Camera
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 
 CAMERA = Camera.from_fov(640, 360, 50.0)

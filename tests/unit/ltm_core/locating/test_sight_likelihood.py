@@ -7,12 +7,11 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
-from ltm_core.locating.direction_table import DirectionTable
-from ltm_core.locating.directions import KNOTS
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.locating.directions import KNOTS, DirectionTable
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.locating.sight_likelihood import SightLikelihood, sight_likelihood
+from ltm_core.raster.dem import Dem
 
 pytestmark = pytest.mark.kernel
 

@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ltm_core.base.types import Float64Array
 from ltm_core.locating.picture_memory import remembered
 from ltm_core.locating.slip_history import misled_share, picture_likelihood, turned_ratios
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.locating.turn_watch import TurnWatch, judged
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
-from ltm_core.types import Float64Array
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 
 DEG = math.radians(1.0)
 SECOND, HOUR = 1_000_000_000, 3_600_000_000_000

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes.located import hills, sighting
 
-from ltm_core.errors import RegionError
+from ltm_core.base.errors import RegionError
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.tracks import SeenAt, Tracks
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 
 pytestmark = pytest.mark.kernel
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scenes.located import plain, sighting
 
+from ltm_core.base.types import Float64Array
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.slips import slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence, TurnProfile, turn_evidence
 from ltm_core.locating.turn_watch import NOBODY, TurnWatch, judged
-from ltm_core.types import Float64Array
 
 DEG = math.radians(1.0)
 SIGMA = 0.06 * DEG

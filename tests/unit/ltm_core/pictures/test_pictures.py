@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ImageError, RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import (
     MapCamera,
     RangeScale,
@@ -33,8 +32,9 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
+from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, scale_colors
 from ltm_core.pictures.maps import draw_north
-from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, scale_colors
+from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import LabelSet
 
 LABELS = LabelSet.load()

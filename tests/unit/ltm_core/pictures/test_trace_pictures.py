@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scenes.rasters import rough_terrain, standing
 
-from ltm_core.camera import Camera
-from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.pictures.photo_overlays import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.tracing.trace_io import cell_counts
 
 CAMERA = Camera.from_fov(330, 210, 60.0)

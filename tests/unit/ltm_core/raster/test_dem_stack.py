@@ -11,13 +11,13 @@ import yaml
 from pyproj import Transformer
 from scenes.rasters import rough_terrain
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, RasterError
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_seams import BAND
 from ltm_core.raster.dem_stack import REACH, DemStack, with_surface
-from ltm_core.site_io import load_site
+from ltm_core.site.site_io import load_site
 
 pytestmark = pytest.mark.kernel
 

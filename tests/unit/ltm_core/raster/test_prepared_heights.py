@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster import prepared_heights_io as module
-from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.raster.prepared_heights_io import heights_path
+from ltm_core.surface.confirmed_surface import ConfirmedSurface
 
 GRID = GridGeometry(480_000.0, 4_151_000.0, 10.0, 70, 45, "EPSG:26911")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 
 GRID = GridGeometry(-75.0, 345.0, 30.0, 5, 3, "EPSG:5070")

@@ -10,12 +10,12 @@ import pytest
 import rasterio.shutil
 from rasterio.transform import from_origin
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
+from ltm_core.base.errors import RasterError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
-from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.prior_io import load_prior
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_io import read_around
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scenes.rasters import rough_terrain
 
-from ltm_core.camera import Camera
-from ltm_core.pose import Pose
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.caches import BoundedCache
+from ltm_core.tracing.tracer import BoundedCache
 
 CAMERA = Camera(301, 201, 210.0, 210.0, 150.0, 100.0)
 POSITION = (100.0, -80.0, 880.0)

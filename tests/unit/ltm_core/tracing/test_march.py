@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, standing, tilted_plane
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.baselines.march import march, march_arrays, proportional_rays
+from ltm_lab.tracers.march import march, march_arrays, proportional_rays
 
 pytestmark = pytest.mark.kernel
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.tracing.baselines.reference import with_ceilings
 from ltm_core.tracing.holes import filled_at, find_holes, in_outer_hole
 from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN, build_pyramid
+from ltm_lab.tracers.reference import with_ceilings
 
 pytestmark = pytest.mark.kernel
 

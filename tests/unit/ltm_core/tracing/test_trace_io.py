@@ -11,10 +11,10 @@ import rasterio
 from PIL import Image
 from scenes.rasters import rough_terrain
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, ImageError, PoseError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import ConfigError, ImageError, PoseError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import (
     PictureConfig,

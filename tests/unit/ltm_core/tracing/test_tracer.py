@@ -9,15 +9,15 @@ import pytest
 from scenes.kernel_counts import compiled
 from scenes.rasters import RIDGE_X, RIDGE_Z, cone, directions, ridge, rough_terrain, tilted_plane
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError, RasterError
-from ltm_core.geodesy import ray_bend
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError, RasterError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
-from ltm_core.types import Float64Array
+from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
 
 pytestmark = pytest.mark.kernel
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from ltm_core.errors import ConfigError, StoreError
+from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame, Removed
 
 SECOND = 10**9

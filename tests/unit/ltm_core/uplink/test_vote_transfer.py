@@ -10,9 +10,9 @@ import pytest
 from pyproj import Transformer
 from scenes.fuel_frames import votes
 
-from ltm_core.errors import MessageError
+from ltm_core.base.errors import MessageError
 from ltm_core.fuel.export.export_grid import snapped_grid
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.uplink.vote_transfer import VoteTransfer
 
 TOWER = GridGeometry(480_015.0, 4_150_905.0, 30.0, 90, 70, "EPSG:26911")

@@ -7,13 +7,12 @@ import pytest
 from scenes.rasters import rough_terrain, standing, tilted_plane
 from scipy.spatial.transform import Rotation
 
-from ltm_core.camera import Camera
-from ltm_core.errors import PoseError
-from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.footprint import ground_normals
-from ltm_core.visibility.point_uncertainty import TracedUncertainty, traced_uncertainty
+from ltm_core.visibility.footprint import TracedUncertainty, ground_normals, traced_uncertainty
 
 pytestmark = pytest.mark.kernel
 

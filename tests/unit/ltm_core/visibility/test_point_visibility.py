@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing, tilted_plane, with_holes
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError, RasterError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import PoseError, RasterError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
-from ltm_core.visibility.point_visibility import PointState, PointVisibility
+from ltm_core.visibility.point_visibility import PointState, PointVisibility, line_of_sight_vectors, pixel_rays
 
 pytestmark = pytest.mark.kernel
 

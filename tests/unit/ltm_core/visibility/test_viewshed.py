@@ -10,11 +10,11 @@ import pytest
 import rasterio
 from scenes.rasters import ridge, rough_terrain, standing, tilted_plane
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError, RasterError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import ConfigError, PoseError, RasterError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed

@@ -10,13 +10,11 @@ import yaml
 from PIL import Image
 from scenes.small_site import MAST, write_small_site
 
-from ltm_core.errors import ConfigError
-from ltm_core.finding import Verdict
-from ltm_core.site_check import check_site
-from ltm_core.site_io import load_site
-from ltm_core.vision.camera_mask import CameraMask
-from ltm_core.vision.camera_mask_io import read_mask, write_mask
-from ltm_core.vision.mask_config import MaskPolygon
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.finding import Verdict
+from ltm_core.site.site_check import check_site
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import CameraMask, MaskPolygon, read_mask, write_mask
 from ltm_core.vision.scene_view import SceneFilter
 
 

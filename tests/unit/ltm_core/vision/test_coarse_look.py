@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
-from ltm_core.errors import ModelError
-from ltm_core.types import Float32Array, UInt8Array
-from ltm_core.vision.coarse_look import with_coarse_look
-from ltm_core.vision.label_head_io import read_head
+from ltm_core.base.errors import ModelError
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.vision.label_head import read_head
 from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.second_scale import with_coarse_look
 from ltm_core.vision.segmenter import Segmenter
 
 LOOK = {"width": 20, "height": 14, "share": 0.3}

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.errors import ImageError
-from ltm_core.types import BoolArray, UInt8Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.vision.dirty_lens import (
     AGREEING,
     APART_S,

@@ -11,14 +11,13 @@ import pytest
 import yaml
 from scenes.networks import COLORS, write_classifier, write_domain_of, write_swapping_head
 
-from ltm_core.errors import ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fuel.site_label_errors import camera_label_errors
+from ltm_core.site.label_errors import camera_label_errors
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
-from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.label_head_io import read_head
+from ltm_core.vision.label_head import LabelHead, read_head
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import AUTO_HEAD, Manifest
 from ltm_core.vision.picture_domain import DomainSpace, HeadDomain, land_statistics

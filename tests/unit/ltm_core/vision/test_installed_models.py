@@ -10,7 +10,7 @@ import pytest
 from scenes.networks import changed, write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.errors import ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.vision.install_io import add_model
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.training.temperature_scaling import fit_exponent
-from ltm_core.types import Float32Array
-from ltm_core.vision.label_agreement import Agreement, agreed
+from ltm_core.base.types import Float32Array
+from ltm_core.vision.label_confidence import Agreement, agreed
+from ltm_lab.training.temperature_scaling import fit_exponent
 
 
 def probabilities() -> Float32Array:

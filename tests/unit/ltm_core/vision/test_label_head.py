@@ -13,15 +13,13 @@ import pytest
 import yaml
 from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
 
-from ltm_core.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fusing_step import FusingConfig, depth_manifest
-from ltm_core.site import Site
-from ltm_core.vision.label_agreement import Agreement
-from ltm_core.vision.label_calibration_io import load_calibration
-from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.label_head_io import HeadFile, find_head, heads_folder, read_head, write_head
+from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
+from ltm_core.site.site import Site
+from ltm_core.vision.label_confidence import Agreement, load_calibration
+from ltm_core.vision.label_head import HeadFile, LabelHead, find_head, heads_folder, read_head, write_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter

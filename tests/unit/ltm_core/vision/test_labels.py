@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ltm_core.errors import ConfigError
-from ltm_core.resources import config_path
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.resources import config_path
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 
 

@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import UInt8Array
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.evaluation.metrics.segmentation import SegmentationScore
-from ltm_core.evaluation.metrics.skyline import SkylineTally, skyline
-from ltm_core.geodesy import SiteFrame
-from ltm_core.pose import Pose
-from ltm_core.resources import config_path
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import UInt8Array
-from ltm_core.vision.default_networks import DEFAULT_MODEL
-from ltm_core.vision.label_calibration_io import load_calibration
+from ltm_core.vision.label_confidence import load_calibration
 from ltm_core.vision.labels import Label, LabelSet
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
+from ltm_core.vision.manifest import DEFAULT_MODEL, MODEL_PATH_VARIABLE, Manifest
 from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
+from ltm_lab.evaluation.metrics.skyline import SkylineTally, skyline
 
 
 def _photo(path: Path, size: tuple[int, int]) -> UInt8Array:

@@ -13,7 +13,7 @@ import pytest
 from onnx import helper, numpy_helper
 from scenes.networks import changed, write_classifier, write_manifest
 
-from ltm_core.errors import ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest, shipped_names
 from ltm_core.vision.onnx_model import OnnxModel
 

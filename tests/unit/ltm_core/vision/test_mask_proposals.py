@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scenes.tower_pictures import HEIGHT, HORIZON, MAST, WIDTH, corners, tower_picture
 
-from ltm_core.errors import ImageError
-from ltm_core.types import BoolArray
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray
+from ltm_core.vision.areas import NamedArea, polygons_of
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.mask_config import MaskPolygon
 from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
-from ltm_core.vision.outlines import polygons_of
-from ltm_core.vision.polygons_io import NamedArea
+from ltm_core.vision.masks import MaskPolygon
 from ltm_core.vision.segmenter import Segmenter
 
 

@@ -14,7 +14,7 @@ import re
 import numpy as np
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.default_networks import DEFAULT_MODEL
+from ltm_core.vision.manifest import DEFAULT_MODEL
 
 def private_mb():
     rollup = open("/proc/self/smaps_rollup").read()

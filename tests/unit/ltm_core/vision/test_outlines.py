@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.types import BoolArray
-from ltm_core.vision.camera_mask import fill
-from ltm_core.vision.mask_config import MOST_POINTS
-from ltm_core.vision.outlines import MOST_HOLES, polygons_of
+from ltm_core.base.types import BoolArray
+from ltm_core.vision.areas import MOST_HOLES, polygons_of
+from ltm_core.vision.masks import MOST_POINTS, fill
 
 
 def enclosed(region: BoolArray, tolerance: float, filled: bool = False) -> BoolArray:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ltm_core.errors import ConfigError
-from ltm_core.vision.polygons_io import NamedArea, parse_areas, read_areas, write_areas
+from ltm_core.base.errors import ConfigError
+from ltm_core.vision.areas import NamedArea, parse_areas, read_areas, write_areas
 
 
 def test_areas_come_back_as_they_were_written(tmp_path: Path) -> None:

@@ -11,10 +11,8 @@ import numpy.typing as npt
 import pytest
 import yaml
 
-from ltm_core.vision.default_networks import DEFAULT_MODEL
-from ltm_core.vision.manifest import Manifest
-from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.shared_runs import SharedRuns
+from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest
+from ltm_core.vision.onnx_model import OnnxModel, SharedRuns
 
 
 class _Asker:

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from scenes.small_site import write_small_site
 
-from ltm_core.frame_steps import LabellingConfig, LabellingStep
-from ltm_core.site_io import load_site
-from ltm_core.types import BoolArray, UInt8Array
+from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmentation
 from ltm_core.vision.smoke import APART_S, OLDEST_S, REMEMBERED, WORKING_WIDTH, SmokeMemory

@@ -10,8 +10,8 @@ import pytest
 from scenes.networks import COLORS, write_classifier
 
 from ltm_core.vision.labels import Label
+from ltm_core.vision.second_scale import tile_corners, with_distant_tiles
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.tiling import tile_corners, with_distant_tiles
 
 SIZE = (36, 60)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, corners, tower_picture
 
-from ltm_core.errors import ImageError
-from ltm_core.types import UInt8Array
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import UInt8Array
 from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_core.vision.usable import COLUMNS, ROWS, Unusable, judge
 

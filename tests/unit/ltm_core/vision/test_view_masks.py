@@ -10,15 +10,13 @@ import pytest
 import yaml
 from scenes.small_site import TOWER, write_small_site
 
-from ltm_core.errors import ConfigError
-from ltm_core.finding import Verdict
-from ltm_core.pose import Pose
-from ltm_core.site_check import check_site
-from ltm_core.site_io import load_site
-from ltm_core.vision.camera_mask_io import write_mask
-from ltm_core.vision.mask_config import MaskPolygon, ViewMask
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.finding import Verdict
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site_check import check_site
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import Looking, MaskPolygon, ViewMask, write_mask
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.view_masks import Looking
 
 WIDE = TOWER.hfov_deg
 POLYGON = MaskPolygon(polygon=((0, 0), (9, 0), (9, 4)))

@@ -11,7 +11,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from scenes.networks import write_classifier, write_manifest
 
-from ltm_core.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter

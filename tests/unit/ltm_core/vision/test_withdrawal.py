@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
+from ltm_core.vision.label_corrections import contrast, withdraw
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.withdrawal import contrast, withdraw
 
 
 def _answer() -> tuple[UInt8Array, UInt8Array, UInt8Array]:

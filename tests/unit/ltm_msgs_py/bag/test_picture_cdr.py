@@ -10,7 +10,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
-from ltm_core.errors import ImageError, RecordingError
+from ltm_core.base.errors import ImageError, RecordingError
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
 from ltm_msgs_py.image import compressed_to_msg, compressed_to_rgb, encode_rgb, image_to_msg, msg_to_rgb
 

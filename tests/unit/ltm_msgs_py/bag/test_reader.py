@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import schema_text
 from ltm_msgs_py.bag.writer import BagWriter

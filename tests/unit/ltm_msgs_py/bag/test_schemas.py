@@ -7,7 +7,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import Image
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag import schemas
 from ltm_msgs_py.bag.schemas import message_class, schema_text, type_hash, type_name_of
 

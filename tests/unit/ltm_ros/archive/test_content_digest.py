@@ -14,16 +14,16 @@ from scenes.masked_site import hidden_of_view, write_turning_site
 from scenes.small_site import write_small_site
 
 import ltm_ros.archive
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.vision.camera_mask_io import write_mask
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import write_mask
 from ltm_ros.archive.content_digest import code_digest, evidence_digest, file_digest, look_digest, votes_digest
 
 _SAYS = """
 import sys
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
-from ltm_core.site_io import load_site
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.site.site_io import load_site
 from ltm_ros.archive.content_digest import evidence_digest, look_digest, votes_digest
 site = load_site(sys.argv[1])
 print(evidence_digest(site), votes_digest(site, "mast", TracingConfig(), LabellingConfig()), look_digest(site, "mast"))

@@ -10,13 +10,13 @@ import numba
 import pytest
 from distributed import LocalCluster
 
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive import engine
 from ltm_ros.archive.engine import Cluster, on_cluster, on_workers
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.task import TaskReport
-from ltm_ros.launching.ros_environment import available_cores
+from ltm_ros.runtime.ros_environment import available_cores
 
 SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
 

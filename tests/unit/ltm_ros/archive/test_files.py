@@ -12,7 +12,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from ltm_core.errors import ArchiveError
+from ltm_core.base.errors import ArchiveError
 from ltm_ros.archive import files
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
 

@@ -8,15 +8,13 @@ from pathlib import Path
 import pytest
 from scenes.small_site import write_small_site
 
-from ltm_core.errors import ArchiveError
-from ltm_core.picture_io import LARGEST_FILE
-from ltm_core.site_io import load_site
+from ltm_core.base.errors import ArchiveError
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.photo_io import LARGEST_FILE
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.photo_files import photo_picture
-from ltm_ros.archive.photo_folder import photo_messages
-from ltm_ros.archive.pictures import PictureReader
+from ltm_ros.archive.pictures import PictureReader, photo_messages, photo_picture
 
 
 def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ import yaml
 from rclpy.serialization import serialize_message
 from scenes.small_site import TOWER, write_small_site
 
-from ltm_core.pose import Pose
-from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
-from ltm_core.vision.camera_mask_io import write_mask
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import write_mask
 from ltm_msgs_py.bag.picture_cdr import RAW_TYPE, RawPicture, picture_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import image_to_msg

@@ -8,7 +8,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from ltm_core.errors import ArchiveError
+from ltm_core.base.errors import ArchiveError
 from ltm_ros.archive.results import ResultFolder
 
 

@@ -9,12 +9,12 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ltm_core.errors import PoseError
-from ltm_core.frame_at_work import MeasuredFrame
+from ltm_core.base.errors import PoseError
+from ltm_core.pipeline.frame import MeasuredFrame
 from ltm_ros.archive.frame_files import LostFrame, MeasuredFile
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task
-from ltm_ros.archive.terrain_fold import measured_frames
+from ltm_ros.archive.reduction import measured_frames
 
 SECOND = 10**9
 

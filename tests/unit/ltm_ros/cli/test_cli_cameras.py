@@ -18,15 +18,15 @@ from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError, LtmError
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.mount_io import read_readings
-from ltm_core.site_io import load_site
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.mount.mount_io import read_readings
+from ltm_core.site.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config
+from ltm_ros.cameras.discovery import discover
+from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.cli.cameras_watch import state_table
 from ltm_ros.cli.main import cli
-from ltm_ros.sources.discovery import discover
-from ltm_ros.sources.errors import SourceError, UnauthorisedError
 
 PASSWORD = "tower-%7 <&> secret"
 

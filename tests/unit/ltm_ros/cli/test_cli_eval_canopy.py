@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.main import cli
 
 

@@ -11,9 +11,9 @@ from PIL import Image
 from scenes.tower_pictures import tower_picture
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError, RecordingError
-from ltm_core.evaluation.segmentation import dirty_pictures
-from ltm_core.evaluation.segmentation.dirty_pictures import CASES
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_lab.evaluation.segmentation import dirty_pictures
+from ltm_lab.evaluation.segmentation.dirty_pictures import CASES
 from ltm_ros.cli.main import cli
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 from scenes.networks import write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.errors import LtmError
+from ltm_core.base.errors import LtmError
 from ltm_ros.cli.main import cli
 
 

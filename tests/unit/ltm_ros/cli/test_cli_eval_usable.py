@@ -11,8 +11,8 @@ from PIL import Image
 from scenes.tower_pictures import tower_picture
 from typer.testing import CliRunner
 
-from ltm_core.evaluation.segmentation.spoilt_pictures import WAYS, spoilt
 from ltm_core.vision.usable import judge
+from ltm_lab.evaluation.segmentation.spoilt_pictures import WAYS, spoilt
 from ltm_ros.cli.main import cli
 
 

@@ -12,17 +12,17 @@ import yaml
 from std_msgs.msg import String
 from typer.testing import CliRunner
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.grid import GridGeometry
-from ltm_core.site_io import load_site
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.recordings.recorded_map import last_fuel_map
+from ltm_ros.recordings.recorded_run import last_fuel_map
 
 LOCAL = GridGeometry(-25.0, 75.0, 30.0, 4, 3)  # in the map frame
 CLASSES = np.array([[1, 2, 3, 255], [4, 255, 5, 6], [0, 1, 1, 2]], np.uint8)

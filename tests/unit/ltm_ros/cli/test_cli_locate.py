@@ -14,8 +14,8 @@ import rasterio
 import yaml
 from scenes.located import CAMERA, hills, sighting
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, LtmError, RegionError
+from ltm_core.base.errors import ConfigError, LtmError, RegionError
+from ltm_core.raster.dem import Dem
 from ltm_ros.cli.locate import FILES, locate
 
 pytestmark = pytest.mark.kernel

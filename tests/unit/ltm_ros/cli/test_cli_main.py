@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError, RasterError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_ros.cli import main
 
 COMMANDS = (

@@ -13,11 +13,11 @@ from scenes.small_site import NAME, write_small_site
 from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
 from typer.testing import CliRunner
 
-from ltm_core.errors import LtmError
-from ltm_core.site_io import load_site
-from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
+from ltm_core.base.errors import LtmError
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.areas import NamedArea, read_areas, write_areas
+from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
-from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.pose import pose_to_msg

@@ -14,16 +14,16 @@ from scenes.networks import write_classifier
 from scenes.small_site import PAINT, SKY
 from typer.testing import CliRunner
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, LtmError, PoseError
-from ltm_core.pose import Pose
-from ltm_core.pose_estimation.mount_model import MountModel
-from ltm_core.site import Site
-from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array, UInt8Array
-from ltm_core.visibility.line_of_sight import pixel_rays
+from ltm_core.base.errors import ConfigError, LtmError, PoseError
+from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.zoom_lens import LensConfig
+from ltm_core.pose_estimation.mount.mount_model import MountModel
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_core.visibility.point_visibility import pixel_rays
 from ltm_core.vision.labels import Label
-from ltm_core.zoom_lens import LensConfig
 from ltm_ros.cli.main import cli
 from ltm_ros.cli.pose_mount import head_of
 

@@ -12,9 +12,9 @@ from PIL import Image
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from typer.testing import CliRunner
 
-from ltm_core.dem import Dem
-from ltm_core.errors import LtmError
-from ltm_core.pose import Pose
+from ltm_core.base.errors import LtmError
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cli.main import cli
 

@@ -15,17 +15,17 @@ pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[s
 
 from PIL import Image
 
-from ltm_core.dem import Dem
-from ltm_core.device_attitude import phone_camera
-from ltm_core.errors import LtmError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import LtmError
+from ltm_core.cameras.sensor_pose import phone_camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.simulator.camera_setup import PHONE
+from ltm_lab.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.cli.main import cli
-from ltm_ros.importer.capture_files import CaptureFiles
-from ltm_ros.importer.sensor_logger import read_sensor_logger
+from ltm_ros.recordings.importing.capture_files import CaptureFiles
+from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger
 
 SCENARIO = """name: tiny
 seed: 3

@@ -10,9 +10,9 @@ import pytest
 import rasterio
 from scenes.rasters import rough_terrain
 
-from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_ros.cli.trace import trace
 
 POSE = """

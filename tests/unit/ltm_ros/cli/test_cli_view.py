@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError, RecordingError
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

@@ -14,10 +14,10 @@ import typer
 from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
-from ltm_ros import doctor
 from ltm_ros.cli.doctor import doctor as command
-from ltm_ros.doctor_finding import Condition, Finding
 from ltm_ros.launching import shared_memory
+from ltm_ros.tower import doctor
+from ltm_ros.tower.doctor import Condition, Finding
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
 
@@ -141,9 +141,9 @@ def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ltm_core.errors import ModelError
+    from ltm_core.base.errors import ModelError
     from ltm_core.vision import onnx_model
-    from ltm_core.vision.default_networks import DEFAULT_MODEL
+    from ltm_core.vision.manifest import DEFAULT_MODEL
 
     def damaged(manifest: object) -> None:
         raise ModelError("checksum is not that of its manifest")

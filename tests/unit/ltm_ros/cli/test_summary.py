@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from ltm_ros.cli.summary import node_rows, outcome, print_nodes
+from ltm_ros.cli.output import node_rows, outcome, print_nodes
 from ltm_ros.runtime.health import Health
 
 

@@ -18,9 +18,9 @@ from PIL import Image
 from scenes.small_site import MAST, write_small_site
 
 import ltm_ros.launching.site_check
-from ltm_core.dem import Dem
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_ros.cli import main
 from ltm_ros.launching.site_check import examine

@@ -26,15 +26,14 @@ from scenes.outlets import Kept
 from typer.testing import CliRunner
 
 import ltm_ros.fuel_map.export
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, ImageError
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.fuel.cell_counts import CoverageMap
 from ltm_core.fuel.codes import FuelRegion, fuel_models
-from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.fuel.colors import code_color, code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
-from ltm_core.grid import GridGeometry
-from ltm_core.pictures.axes import round_step, with_axes
-from ltm_core.pictures.fuel_colors import code_color, code_colors, code_names
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pictures.drawing import round_step, with_axes
 from ltm_core.pictures.fuel_maps import (
     CAMERAS,
     DOUBT,
@@ -43,10 +42,14 @@ from ltm_core.pictures.fuel_maps import (
     CameraMark,
     FuelCanvas,
     Scale,
+    change_sheet,
+    coverage_sheet,
+    fuel_sheet,
     overlay_picture,
+    seen_sheet,
 )
-from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
-from ltm_core.site_io import load_site
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli

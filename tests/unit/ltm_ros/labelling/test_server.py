@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ltm_core.vision.polygons_io import read_areas
+from ltm_core.vision.areas import read_areas
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.labelling.server import MOST_BYTES, LabelServer
 from ltm_ros.labelling.session import LabelSession

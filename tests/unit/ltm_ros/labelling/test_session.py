@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ltm_core.errors import ConfigError, RecordingError
-from ltm_core.training.labelled_frames import read_frames
-from ltm_core.vision.area_labels import areas_of, labels_of
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.vision.areas import NamedArea, areas_of, labels_of, read_areas, write_areas
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
+from ltm_lab.training.labelled_frames import read_frames
 from ltm_ros.labelling.session import LabelSession
 
 WIDTH, HEIGHT = 60, 40

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from ltm_core.errors import ConfigError
-from ltm_core.site import Site
+from ltm_core.base.errors import ConfigError
+from ltm_core.site.site import Site
 from ltm_ros.launching.graph import (
     CAMERA_NODES,
     Graph,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 
-from ltm_core.site_sections import WatchdogConfig
-from ltm_ros.launching.hearing import GraphTraffic, HearingWatch
-from ltm_ros.launching.watchdog import HangWatch, ProcessUse
+from ltm_core.site.sections import WatchdogConfig
+from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, ProcessUse
 
 VOTES, POSES = "/ridge/north/fuel/votes", "/ridge/north/posed/pose"
 WELL: list[tuple[float, bool, str]] = [(0.0, False, "fuel_map: callback")]

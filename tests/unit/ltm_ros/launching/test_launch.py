@@ -13,10 +13,11 @@ from typing import Any, List  # noqa: UP035
 
 import pytest
 
-from ltm_core.errors import ConfigError
-from ltm_core.site_io import load_site
-from ltm_ros.launching import ros_environment, site_check
+from ltm_core.base.errors import ConfigError
+from ltm_core.site.site_io import load_site
+from ltm_ros.launching import site_check
 from ltm_ros.launching.graph import describe, nodes_of_json
+from ltm_ros.runtime import ros_environment
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
 SITE = """

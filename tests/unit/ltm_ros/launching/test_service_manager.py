@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from scenes.notify_socket import NotifySocket
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_ros.launching.service_manager import ServiceManager
 
 

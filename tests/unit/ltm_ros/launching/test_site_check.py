@@ -13,12 +13,12 @@ import pytest
 import yaml
 from scenes.small_site import write_small_site
 
-from ltm_core.finding import Finding, Verdict
+from ltm_core.base.finding import Finding, Verdict
 from ltm_core.raster import prepared_heights_io
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_ros.launching import site_check
 from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine, examined_apart, exit_status
-from ltm_ros.replay import run as replay_run
+from ltm_ros.recordings.replay import run as replay_run
 
 
 def finding(area: str, verdict: Verdict) -> Finding:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_core.site_sections import WatchdogConfig
+from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import NodeProcess, RestartPolicy
 

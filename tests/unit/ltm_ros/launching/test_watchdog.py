@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from ltm_core.site_sections import WatchdogConfig
+from ltm_core.site.sections import WatchdogConfig
 from ltm_ros.launching.watchdog import HangWatch, ProcessUse, process_use
 
 LIMITS = WatchdogConfig(silent=20.0, stuck=60.0, slow=300.0)

@@ -14,9 +14,9 @@ from scenes.small_site import BEGIN_NS, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 from std_msgs.msg import String
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, MessageError, StoreError
-from ltm_core.raster.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
+from ltm_core.base.errors import ConfigError, MessageError, StoreError
+from ltm_core.raster.dem import Dem
+from ltm_core.surface.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
@@ -295,8 +295,8 @@ def test_a_version_that_the_manifest_does_not_name_is_not_followed(chain: Chain)
 
 def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Chain) -> None:
     """Two hundred metres of something where the mast stands, as two cameras may have it."""
-    from ltm_core.confirmed_terrain import surface_versions
-    from ltm_core.raster.confirmed_surface import ConfirmedSurface
+    from ltm_core.pipeline.site_surface import surface_versions
+    from ltm_core.surface.confirmed_surface import ConfirmedSurface
 
     pose = msg_to_pose(measured_messages(chain.small, chain.small.dem, 0)[POSED_POSE], "map")
     row, col = chain.small.dem.geometry.cell_of(*pose.position[:2])

@@ -10,9 +10,9 @@ import yaml
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 from scenes.outlets import Kept
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import msg_to_depth

@@ -13,7 +13,7 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, NAME, SmallSite
 from scenes.terrain_frames import write_terrain_site
 
-from ltm_core.pose import Pose
+from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes

@@ -27,17 +27,17 @@ from scenes.fuel_frames import (
 )
 from scenes.fuel_map_node import Node, state
 
-from ltm_core.errors import ConfigError, LtmError, MessageError
+from ltm_core.base.errors import ConfigError, LtmError, MessageError
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
-from ltm_core.fuel.stored_map import votes_of, votes_to_bytes
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store import FrameRecord, TileStore
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
+from ltm_core.storage.tile_store import FrameRecord, TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.label_info import label_set_to_msg
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
 
 
@@ -301,5 +301,5 @@ def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
     run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     before, after = json.loads(run.stdout)
-    assert before["ltm_core.fuel.look_kernel.tell_by_look"] == 1
+    assert before["ltm_core.fuel.frame_evidence.tell_by_look"] == 1
     assert after == before

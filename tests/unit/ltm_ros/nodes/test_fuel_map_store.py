@@ -20,11 +20,11 @@ from scenes.fuel_frames import (
 from scenes.fuel_map_node import Node, assert_same_state, state
 from scenes.small_disk import SmallDisk
 
-from ltm_core.errors import ConfigError, StoreError
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.site_io import load_site
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_ros.fuel_map import persistence
 from ltm_ros.runtime import retry

@@ -18,11 +18,11 @@ from scenes.located import CAMERA, hills, sighting
 from scenes.outlets import Kept
 from std_msgs.msg import String
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, LtmError, MessageError, RegionError
+from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionError
 from ltm_core.locating.sighting import Sighting
-from ltm_core.pose_estimation.pose_correction import PoseCorrection
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.raster.dem import Dem
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
@@ -378,7 +378,7 @@ def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> 
 
 
 def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
-    from ltm_core.site_io import load_site
+    from ltm_core.site.site_io import load_site
 
     path = write_site(tmp_path)
     assert "locate" not in [node.label for node in describe(load_site(path), path)]
@@ -399,5 +399,5 @@ def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
     run = subprocess.run([sys.executable, code, tmp_path], env=given, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     before, after = json.loads(run.stdout)
-    assert before["ltm_core.locating.drift_kernels.add_smeared"] == 1
+    assert before["ltm_core.locating.sight_kernels.add_smeared"] == 1
     assert after == before

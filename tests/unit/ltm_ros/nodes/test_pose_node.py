@@ -13,18 +13,18 @@ import yaml
 from scenes.mountain_view import CAMERA, eye, mountains, view
 from scenes.outlets import Kept
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_covariance
-from ltm_core.pose_estimation.mount_watch import MountWatch
-from ltm_core.pose_estimation.picture_evidence import PictureEvidence
-from ltm_core.pose_estimation.pose_correction import PoseCorrection
-from ltm_core.pose_estimation.pose_prior import angles_between, turned
-from ltm_core.pose_estimation.skyline_turns import SKYLINE_TURNS
-from ltm_core.site_io import load_site
-from ltm_core.vision.camera_mask_io import write_mask
+from ltm_core.base.errors import ConfigError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.pose_estimation.mount.mount_watch import MountWatch
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.pose_hypothesis import angles_between, turned
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.masks import write_mask
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
@@ -33,7 +33,7 @@ from ltm_msgs_py.skyline_turns import msg_to_turns
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.nodes.pose import PoseKeeping, PoseKeepingConfig
-from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,

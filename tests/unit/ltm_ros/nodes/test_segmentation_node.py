@@ -12,9 +12,9 @@ from scenes.networks import COLORS, write_classifier, write_domain_of, write_swa
 from scenes.outlets import Kept
 from scenes.small_site import BUILT, GRASS, SmallSite, write_small_site
 
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
-from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
+from ltm_core.base.types import UInt8Array
+from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import image_to_msg, msg_to_array
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_ros.archive.content_digest import votes_digest

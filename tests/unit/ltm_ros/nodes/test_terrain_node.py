@@ -14,15 +14,14 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, MAST, NAME, SmallSite
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
-from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, LtmError, StoreError
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.site_terrain import STORE_FILE
+from ltm_core.base.errors import ConfigError, LtmError, StoreError
+from ltm_core.pipeline.site_surface import STORE_FILE
+from ltm_core.raster.dem import Dem
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface.change import ChangeKind
 from ltm_core.vision.labels import Label
-from ltm_msgs_py.grid import msg_to_classes
+from ltm_msgs_py.grid import msg_to_changed, msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.runtime.health import Health

@@ -11,7 +11,7 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.terrain.change import ChangeKind
+from ltm_core.surface.change import ChangeKind
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig

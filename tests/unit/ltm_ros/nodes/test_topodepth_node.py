@@ -14,11 +14,11 @@ from scenes.depth_scene import CAMERA, DepthScene, depth_scene
 from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 
-from ltm_core.dem import Dem
+from ltm_core.base.errors import ConfigError
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import Source
-from ltm_core.errors import ConfigError
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg

@@ -12,11 +12,11 @@ from scenes.fuel_frames import LABELS, stamp_of_frame, votes
 from scenes.outlets import Kept
 from scenes.region_scene import REGION, RegionScene, write_region_scene
 
-from ltm_core.errors import ConfigError, MessageError, StoreError
+from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.uplink.config import BrokerConfig, UplinkConfig
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_msgs_py.label_info import label_set_to_msg
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, Uplink, UplinkNodeConfig, sector
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health

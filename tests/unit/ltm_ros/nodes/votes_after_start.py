@@ -11,7 +11,7 @@ from scenes.fuel_frames import LABELS, camera_of, votes, write_site
 from scenes.fuel_map_node import Node
 from scenes.kernel_counts import compiled
 
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.pointcloud import votes_to_msg
 
 
 def main() -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.camera import Camera
-from ltm_core.pose import Pose
-from ltm_core.site import Site
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.site import Site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scenes.small_site import TOWER, write_small_site
 
-from ltm_core.errors import RecordingError
+from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg

@@ -18,10 +18,10 @@ from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from sensor_msgs.msg import PointCloud2
 
-from ltm_core.errors import ConfigError, MessageError
+from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.export.export_grid import snapped_grid
-from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.uplink.envelope import (
     LARGEST,
     MOST_OUTCOMES,
@@ -32,8 +32,8 @@ from ltm_core.uplink.envelope import (
     outcomes_of,
     packed,
 )
-from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
-from ltm_ros.bench.region import same_map
+from ltm_lab.bench.region import same_map
+from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.identity import Identity

@@ -8,7 +8,7 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from typer.testing import CliRunner
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 from ltm_ros.cli import main
 from ltm_ros.region.certs import TrialAuthority
 

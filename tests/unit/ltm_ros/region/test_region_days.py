@@ -11,7 +11,7 @@ import pytest
 from scenes.region_days import FAULTS, RegionDays
 from scenes.region_scene import CAMERA, TOWERS, write_region_scene
 
-from ltm_ros.bench.region import same_map
+from ltm_lab.bench.region import same_map
 
 
 @pytest.mark.parametrize("hours", [0.25, pytest.param(48.0, marks=pytest.mark.slow)])

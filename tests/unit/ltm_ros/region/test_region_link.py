@@ -20,7 +20,7 @@ from scenes.mqtt_broker import Broker
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
 
-from ltm_core.errors import StoreError
+from ltm_core.base.errors import StoreError
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
@@ -34,8 +34,7 @@ from ltm_ros.region.mqtt_link import (
     tile_topic,
     votes_topic,
 )
-from ltm_ros.region.process import RegionWatch
-from ltm_ros.region.service import RegionService
+from ltm_ros.region.service import RegionService, RegionWatch
 from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health

@@ -8,9 +8,9 @@ import numpy as np
 from scenes.fuel_frames import BEGIN_NS
 from scenes.region_scene import CAMERA, write_region_scene
 
-from ltm_core.fuel.evidence_state import TILE
-from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
-from ltm_core.raster.tile_store import TileStore
+from ltm_core.fuel.cell_state import TILE
+from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
+from ltm_core.storage.tile_store import TileStore
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.tiles import TilePublisher, opened_tile
 from ltm_ros.runtime.health import Health

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.health import Health
 

@@ -11,11 +11,10 @@ import pytest
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
 from ltm_msgs_py.stamp import make_header, stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
-from ltm_ros.runtime.camera_pipeline import INBOX, INBOX_BYTES, CameraPipeline
-from ltm_ros.runtime.frame_scheduler import FrameScheduler
+from ltm_ros.runtime.camera_pipeline import INBOX, INBOX_BYTES, CameraPipeline, FrameScheduler
 from ltm_ros.runtime.handler import Handler, NodeConfig, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import Activity, Heartbeat

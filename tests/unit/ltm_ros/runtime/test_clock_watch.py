@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltm_ros.runtime.clock_watch import ClockWatch
+from ltm_ros.runtime.clocks import ClockWatch
 
 S = 10**9
 

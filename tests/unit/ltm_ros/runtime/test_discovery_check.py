@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the ROS extra is not installed")
 
-from ltm_ros.runtime.discovery_check import unheard, unmatched
+from ltm_ros.runtime.delivery_checks import unheard, unmatched
 
 
 @dataclass

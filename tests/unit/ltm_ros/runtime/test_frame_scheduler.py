@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from scenes.waiting import wait_for
 
-from ltm_ros.runtime.frame_scheduler import FrameScheduler
+from ltm_ros.runtime.camera_pipeline import FrameScheduler
 from ltm_ros.runtime.heartbeat import Activity, Heartbeat
 
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from ltm_core.errors import ImageError, LtmError
+from ltm_core.base.errors import ImageError, LtmError
 from ltm_ros.runtime import health as module
 from ltm_ros.runtime.health import Health, cause_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltm_ros.runtime.message_loss import NUMBER, UNKNOWN, LossCounter
+from ltm_ros.runtime.delivery_checks import NUMBER, UNKNOWN, LossCounter
 
 
 class Topic:

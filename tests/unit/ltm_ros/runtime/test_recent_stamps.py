@@ -7,7 +7,7 @@ from collections import deque
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltm_ros.runtime.recent_stamps import RecentStamps
+from ltm_ros.runtime.stamp_join import RecentStamps
 
 STAMPS = st.one_of(st.integers(-3, 9), st.just(0), st.just(2**63 - 1))
 

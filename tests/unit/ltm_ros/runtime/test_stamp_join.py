@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ltm_core.errors import ImageError
+from ltm_core.base.errors import ImageError
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import REMEMBERED, Match, Part, StampJoin
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scenes.rerun_site import LABELS, STAMP, hills, site
 
-from ltm_core.camera import Camera
-from ltm_core.errors import ImageError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
+from ltm_core.base.errors import ImageError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.camera import Camera
+from ltm_core.geometry.camera import Camera
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes.rerun_site import LABELS, hills
 
-from ltm_core.dem import Dem
-from ltm_core.errors import RasterError
-from ltm_core.grid import GridGeometry
+from ltm_core.base.errors import RasterError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

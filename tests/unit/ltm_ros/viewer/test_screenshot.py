@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.base.errors import ConfigError, RecordingError
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

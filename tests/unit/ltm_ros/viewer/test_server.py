@@ -13,7 +13,7 @@ from scenes.free_port import free_port
 from scenes.rerun_site import LABELS, hills, site
 from scenes.waiting import wait_for
 
-from ltm_core.errors import ConfigError
+from ltm_core.base.errors import ConfigError
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

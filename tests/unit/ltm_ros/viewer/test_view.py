@@ -12,7 +12,7 @@ import pytest
 from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
 
 from ltm_core.fuel.codes import FuelSystem, fuel_models
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 

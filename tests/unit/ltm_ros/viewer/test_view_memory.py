@@ -20,8 +20,8 @@ _SHOWS = """
 import os, socket
 import numpy as np
 from scenes.rerun_site import LABELS, STAMP, hills, site
-from ltm_core.camera import Camera
-from ltm_ros.bench.process_usage import usage
+from ltm_core.geometry.camera import Camera
+from ltm_lab.bench.process_usage import usage
 from ltm_ros.runtime.process_memory import steady_allocation
 from ltm_ros.viewer import RerunView
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.dem import Dem
+from ltm_core.base.types import Float32Array
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape import Landscape, terrain_bands
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.geodesy import SiteFrame
-from ltm_core.grid import GridGeometry
-from ltm_core.types import Float32Array
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 
 FRAME = SiteFrame("EPSG:32611", 346_000.0, 3_783_000.0)
 GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltm_core.errors import ConfigError, RasterError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
-from ltm_core.fuel.export.lcp_io import HEADER_BYTES, lcp_header, write_lcp
+from ltm_core.fuel.export.landscape_io import HEADER_BYTES, lcp_header, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.grid import GridGeometry
+from ltm_core.geometry.grid import GridGeometry
 
 GRID = GridGeometry(1_833_825.0, 2_617_605.0, 30.0, 13, 11, "EPSG:5070")
 

@@ -16,10 +16,10 @@ import rasterio
 
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.export.companion_files_io import style_path, write_item
 from ltm_core.fuel.export.kmz_io import write_kmz
 from ltm_core.fuel.export.landscape import LANDSCAPE_UNITS, Landscape
-from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
-from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import (
     NOTHING_SEEN,
     WITHOUT_DATES,
@@ -29,12 +29,10 @@ from ltm_core.fuel.export.provenance import (
     provenance_of,
     software,
 )
-from ltm_core.fuel.export.qgis_style_io import style_path
-from ltm_core.fuel.export.stac_item_io import write_item
 from ltm_core.fuel.life_form import NODATA, life_form_labels
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.grid import GridGeometry
-from ltm_core.site import Site
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 
 GRID = GridGeometry(531_783.25, 4_280_398.25, 30.0, 37, 29, "EPSG:32610")

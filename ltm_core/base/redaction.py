@@ -1,0 +1,50 @@
+"""Clean text before anyone reads it: remove passwords, and control characters that a camera sent."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+SECRET_KEYS = ("password", "passwd", "pass", "pwd", "token", "secret", "api_key", "apikey", "auth", "loginpas")
+"""Names under which cameras and people write a password into a URL or a file; compared without regard to case."""
+HIDDEN = "***"
+
+_USER_INFO = re.compile(r"(?<=://)[^/\s'\"<>]*@")
+_PARAMETER = re.compile(rf"(?i)\b({'|'.join(SECRET_KEYS)})(\s*[=:]\s*)(?!\{{)[^\s&'\",;)\]}}]+")
+
+
+def redacted(text: str) -> str:
+    """`text` without the user part of URLs, and without the values of parameters that are named like a password."""
+    return _PARAMETER.sub(rf"\1\2{HIDDEN}", _USER_INFO.sub(f"{HIDDEN}@", text))
+
+
+def shown(value: Any, keys: Sequence[int | str] = (), length: int = 80) -> str:
+    """A configuration's wrong value as an error may show it: `keys` say where it stands."""
+    if any(_secret(key) for key in keys):
+        return HIDDEN
+    return redacted(f"{_masked(value)!r:.{length}}")
+
+
+def _secret(key: object) -> bool:
+    return isinstance(key, str) and key.lower() in SECRET_KEYS
+
+
+def _masked(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: HIDDEN if _secret(key) else _masked(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_masked(item) for item in value]
+    if not isinstance(value, str):
+        return value
+    # Whole, for what is cut off afterwards could end before the sign by which a user part is known; and to the last
+    # such sign, for a password that nobody has quoted may hold any.
+    scheme, found, rest = value.partition("://")
+    if found and "@" in rest:
+        value = f"{scheme}://{HIDDEN}@{rest.rpartition('@')[2]}"
+    return redacted(value)
+
+
+def plain(text: str, most: int = 1000) -> str:
+    """`text` so that it cannot write to a terminal but letters; at most so many."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:most])

@@ -1,0 +1,303 @@
+"""How a camera's pose and calibration are written: one set of keys for site files, pose files and CSV columns.
+
+A *partial* model holds what is known of a photo, the other what a camera needs. Former spellings are still read:
+`position: [x, y, z]` for x, y, z and `distortion: [k1, k2, p1, p2, k3]` for its five keys.
+"""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+from pyproj import Transformer
+from pyproj.exceptions import CRSError
+
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
+from ltm_core.geometry.camera import MOST_A_SIDE, Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.raster.dem import Dem
+
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+
+class PartialCalibration(StrictModel):
+    """What is known of a camera's calibration, in pixels of the upright image."""
+
+    width: int | None = Field(None, gt=0)
+    height: int | None = Field(None, gt=0)
+    hfov_deg: float | None = Field(None, gt=0, lt=180)
+    """Between the image's outer edges; instead of fx."""
+    fx: float | None = Field(None, gt=0)
+    """Focal length; fy is the same unless given."""
+    fy: float | None = Field(None, gt=0)
+    cx: float | None = None
+    """Principal point; the image's centre unless given."""
+    cy: float | None = None
+    k1: float = 0.0
+    """Distortion after Brown and Conrady, as are k2, p1, p2, k3: CameraInfo's plumb_bob."""
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _former_distortion(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and "distortion" in data):
+            return data
+        values = data["distortion"]
+        if not isinstance(values, list | tuple) or len(values) != 5 or data.keys() & set(_DISTORTION):
+            raise ValueError(
+                f"distortion is the former spelling of {', '.join(_DISTORTION)}, a list of these five: give those keys"
+            )
+        return {key: value for key, value in data.items() if key != "distortion"} | dict(
+            zip(_DISTORTION, values, strict=True)
+        )
+
+    @model_validator(mode="after")
+    def _no_contradiction(self) -> Self:
+        if self.hfov_deg is not None and self.fx is not None:
+            raise ValueError("give either hfov_deg or fx, not both")
+        if self.fy is not None and self.fx is None:
+            raise ValueError("fy needs fx")
+        if (self.width is None) != (self.height is None):
+            raise ValueError("give both width and height, or neither")
+        return self
+
+    @property
+    def distortion(self) -> tuple[float, float, float, float, float]:
+        """(k1, k2, p1, p2, k3)."""
+        return self.k1, self.k2, self.p1, self.p2, self.k3
+
+    def camera_of(self, width: int, height: int, fx: float) -> Camera:
+        """Of an image of this size; `fx`: where neither fx nor hfov_deg is stated."""
+        if self.hfov_deg is not None:
+            fx = Camera.from_fov(width, height, self.hfov_deg).fx
+        fx = self.fx if self.fx is not None else fx
+        return Camera(
+            width,
+            height,
+            fx,
+            self.fy if self.fy is not None else fx,
+            self.cx if self.cx is not None else (width - 1) / 2,
+            self.cy if self.cy is not None else (height - 1) / 2,
+            self.distortion,
+        )
+
+
+class CalibrationConfig(PartialCalibration):
+    """A whole calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
+
+    width: int = Field(gt=0, le=MOST_A_SIDE)
+    height: int = Field(gt=0, le=MOST_A_SIDE)
+
+    @model_validator(mode="after")
+    def _one_focal_length(self) -> Self:
+        if self.hfov_deg is None and self.fx is None:
+            raise ValueError("give either hfov_deg or fx, not neither")
+        return self
+
+    def camera(self) -> Camera:
+        return self.camera_of(self.width, self.height, self.fx or 0.0)
+
+
+def _unquoted(value: object) -> object:
+    return "true" if value is True else value  # YAML reads the bare word as a boolean
+
+
+_PARTS = (
+    (("x", "y", "crs", "lon", "lat"), ("position_sigma",)),
+    (("z", "height_above_ground"), ("height_sigma",)),
+    (("azimuth_deg",), ("azimuth_sigma_deg",)),
+    (("pitch_deg",), ("pitch_sigma_deg",)),
+    (("roll_deg",), ("roll_sigma_deg",)),
+)
+"""Keys of a pose that are known together, and those of their standard deviations."""
+
+
+class PartialPose(StrictModel):
+    """What is known of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
+
+    x: float | None = None
+    """In `crs` (not minus an origin), as is y."""
+    y: float | None = None
+    crs: str | None = None
+    """Of x and y; default that of the site, or of the DEM. In EPSG:4326 they are longitude and latitude."""
+    lon: float | None = Field(None, ge=-180, le=180)
+    """WGS 84, as is lat; instead of x and y."""
+    lat: float | None = Field(None, ge=-90, le=90)
+    z: float | None = None
+    """In the DEM's vertical datum."""
+    height_above_ground: float | None = Field(None, ge=0)
+    """Above the DEM (mast, tripod); instead of z."""
+    azimuth_deg: AzimuthDeg | None = None
+    """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
+    azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
+    pitch_deg: PitchDeg | None = None
+    """Up from the horizon."""
+    roll_deg: RollDeg | None = None
+    """Of the camera, clockwise about its viewing direction."""
+    position_sigma: float | None = Field(None, gt=0)
+    """Of x and of y."""
+    height_sigma: float | None = Field(None, gt=0)
+    azimuth_sigma_deg: float | None = Field(None, gt=0)
+    pitch_sigma_deg: float | None = Field(None, gt=0)
+    roll_sigma_deg: float | None = Field(None, gt=0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _former_position(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and "position" in data):
+            return data
+        values = data["position"]
+        if not isinstance(values, list | tuple) or len(values) not in (2, 3) or data.keys() & {"x", "y", "z"}:
+            raise ValueError("position is the former spelling of x, y and z, a list of two or three: give those keys")
+        return {key: value for key, value in data.items() if key != "position"} | dict(zip("xyz", values, strict=False))
+
+    @model_validator(mode="after")
+    def _no_contradiction(self) -> Self:
+        for a, b in (("x", "y"), ("lon", "lat")):
+            if (getattr(self, a) is None) != (getattr(self, b) is None):
+                raise ValueError(f"give both {a} and {b}, or neither")
+        for a, b in (("x", "lon"), ("z", "height_above_ground"), ("lon", "crs")):
+            if getattr(self, a) is not None and getattr(self, b) is not None:
+                raise ValueError(f"give either {a} or {b}, not both")
+        return self
+
+    def over(self, other: PartialPose | None) -> PartialPose:
+        """This, with what it leaves out (place, height, azimuth, pitch, roll, each with its sigma) from another."""
+        if other is None:
+            return self
+        taken: dict[str, Any] = {}
+        for keys, sigmas in _PARTS:
+            if all(getattr(self, key) is None for key in keys):
+                taken |= {key: getattr(other, key) for key in keys}
+                taken |= {key: getattr(other, key) for key in sigmas if getattr(self, key) is None}
+                if "azimuth_deg" in keys:
+                    taken["azimuth_ref"] = other.azimuth_ref
+        return PartialPose.model_validate(self.model_dump() | taken)
+
+    def covariance(self, pose: Pose, position: float, angle_deg: float) -> Float64Array | None:
+        """(6, 6) as in `pose_covariance`, from the sigmas that are stated; None where none is.
+
+        `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not.
+        """
+        metres = (self.position_sigma, self.height_sigma)
+        degrees = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
+        if all(sigma is None for sigma in (*metres, *degrees)):
+            return None
+        return pose_covariance(
+            pose,
+            *(position if sigma is None else sigma for sigma in metres),
+            *(angle_deg if sigma is None else sigma for sigma in degrees),
+        )
+
+    def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
+        """Its place in the map frame; None where it is not known.
+
+        Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's.
+        """
+        if self.lon is not None and self.lat is not None:
+            x, y = _transformed(self.lon, self.lat, "EPSG:4326", frame.crs)
+        elif self.x is None or self.y is None:
+            return None
+        else:
+            x, y = _transformed(self.x, self.y, self.crs or frame.crs, frame.crs)
+        return x - frame.x_origin, y - frame.y_origin
+
+    def lonlat(self) -> tuple[float, float] | tuple[None, None]:
+        """WGS 84 degrees; None where the place is not known without a frame. Raises as `xy` does."""
+        if self.lon is not None and self.lat is not None:
+            return self.lon, self.lat
+        if self.x is None or self.y is None or self.crs is None:
+            return None, None
+        return _transformed(self.x, self.y, self.crs, "EPSG:4326")
+
+    def grid_azimuth_deg(self, frame: SiteFrame, place: tuple[float, float, float], on: date | None) -> float | None:
+        """From grid north at a map place. Raises ConfigError for a magnetic one without the day it was read on."""
+        azimuth = self.azimuth_deg
+        if azimuth is None or self.azimuth_ref == "grid":
+            return azimuth
+        x, y, z = place
+        if self.azimuth_ref == "true":
+            return frame.true_to_grid_deg(azimuth, x, y)
+        if on is None:
+            raise ConfigError(
+                f"azimuth_deg {azimuth:g} is magnetic, and which day it was read on is not known: give it from true "
+                "north (azimuth_ref: true) or from grid north"
+            )
+        return frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
+
+
+class PlacedPose(PartialPose):
+    """A pose whose place is known: x, y or lon, lat, and z or `height_above_ground`."""
+
+    @model_validator(mode="after")
+    def _a_place(self) -> Self:
+        if self.x is None and self.lon is None:
+            raise ValueError("give x and y, or lon and lat")
+        if self.z is None and self.height_above_ground is None:
+            raise ValueError("give either z or height_above_ground, not neither")
+        return self
+
+    def described(self, frame: SiteFrame) -> str:
+        """The place as it is stated, and where that is another, as what it is in the frame's CRS. Raises as `xy`."""
+        stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
+        given = f"({stated[0]:.10g}, {stated[1]:.10g})"
+        if crs is None or crs == frame.crs:
+            return given
+        x, y = self.xy(frame) or (0.0, 0.0)
+        return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
+
+    def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
+        """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
+        place = self.xy(frame)
+        assert place is not None  # nosec B101 # tells the type checker what holds
+        if self.z is not None:
+            return *place, self.z
+        ground = float(dem.elevation_at(*place))
+        if ground != ground:
+            covered = dem.levels[-1].geometry.translated(frame.x_origin, frame.y_origin)
+            raise PoseError(
+                f"no terrain under the camera at {self.described(frame)}: give its z instead of height_above_ground, "
+                f"or check position and crs; the DEM covers {covered.described()} in {frame.crs}"
+            )
+        return *place, ground + (self.height_above_ground or 0.0)
+
+
+class PoseConfig(PlacedPose):
+    """A whole pose. Pitch and roll are 0 unless given."""
+
+    azimuth_deg: AzimuthDeg
+
+    def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
+        """In the map frame. Raises PoseError for a camera under the ground, and what `position` and `grid_azimuth_deg`
+        raise.
+        """
+        place = self.position(dem, frame)
+        ground = float(dem.elevation_at(*place[:2]))
+        if place[2] <= ground:
+            raise PoseError(f"camera at {self.described(frame)}: {doubt_of_height(place[2], ground)}")
+        azimuth = self.grid_azimuth_deg(frame, place, None)
+        assert azimuth is not None  # nosec B101 # tells the type checker what holds
+        return Pose.from_angles(place, azimuth, self.pitch_deg or 0.0, self.roll_deg or 0.0)
+
+
+def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, float]:
+    if source == target:
+        return x, y
+    try:
+        transformer = Transformer.from_crs(source, target, always_xy=True)
+    except CRSError as error:
+        raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
+    moved = transformer.transform(x, y)
+    if not np.isfinite(moved).all():
+        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
+    return float(moved[0]), float(moved[1])

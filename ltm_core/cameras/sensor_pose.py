@@ -1,0 +1,187 @@
+"""Compute a camera's pose from a satellite fix and a device's attitude.
+
+Attitude of devices that carry a camera: from their own axes and worlds to the angles of a pose.
+
+A device tells how its axes lie in a world of its own. `ENU_FROM_*` take each of these worlds to east, north, up of the
+device's own north (true or magnetic); `phone_camera` says how a phone's back camera is mounted. Sources: Android's
+SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame (x north, z up), ARKit's `gravityAndHeading`
+(x east, y up, z south), and the axes of a phone that all three share: x to the right of the screen, y to its top, z out
+of it towards the person.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.base.utc_time import moment_of_stamp
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
+from ltm_core.geometry.rotations import matrix_of_quaternion
+from ltm_core.raster.dem import Dem
+
+ENU_FROM_ENU = np.eye(3)
+ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""Apple's CoreMotion with x to the north and z up."""
+ENU_FROM_EUS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""ARKit with `gravityAndHeading`: x east, y up, z south."""
+OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
+"""Camera axes x right, y up, z backward (ARKit, OpenGL) from the optical frame's x right, y down, z forward."""
+
+
+def phone_camera(turned_deg: float = 0.0) -> Float64Array:
+    """(3, 3): the optical frame of an upright photo of the back camera to the phone's axes.
+
+    `turned_deg`: by how much the phone was turned counter-clockwise, as the one who holds it sees it, from portrait: 90
+    for landscape with the top to the left.
+    """
+    t = math.radians(turned_deg)
+    cosine, sine = (round(v, 12) if turned_deg % 90 == 0 else v for v in (math.cos(t), math.sin(t)))
+    right, down = np.array([cosine, -sine, 0.0]), np.array([-sine, -cosine, 0.0])
+    return np.column_stack([right, down, [0.0, 0.0, -1.0]])
+
+
+def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
+    """`phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape allows,
+    as the picture stands most upright. Without an attitude (None) the first of them.
+    """
+    allowed = turned_deg or ((0.0,) if portrait else (90.0, 270.0))
+    mounts = [phone_camera(angle) for angle in allowed]
+    if enu_from_phone is None or len(mounts) == 1:
+        return mounts[0]
+    return min(mounts, key=lambda mount: abs(optical_angles_deg(enu_from_phone @ mount)[2]))
+
+
+def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
+    """Azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
+
+    Raises PoseError on a matrix that is no rotation.
+    """
+    return Pose(np.zeros(3), enu_from_optical).angles_deg
+
+
+class SensorsConfig(StrictModel):
+    """How a camera's pose comes from its fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
+
+    mount: Literal["phone", "phone_sensor"] | tuple[float, float, float, float] = "phone"
+    """How the camera lies in the frame of the attitude: as a phone's back camera, whose images its app turns upright
+    (`phone`) or sends as the sensor reads them, always landscape (`phone_sensor`); or the quaternion (x, y, z, w) of
+    the optical frame in it, as tf has it."""
+    north: Literal["magnetic", "true"] = "magnetic"
+    """Which north the attitude's world has: Android's magnetic, iOS' true."""
+    geoid_undulation: float | None = None
+    """Metres of the geoid above the ellipsoid, from which fixes count heights; None: the terrain tells the height."""
+    height_above_ground: float = Field(1.6, ge=0)
+    """Where no altitude tells it."""
+    fix_age: float = Field(15.0, gt=0)
+    """Seconds by which a fix may miss its image."""
+    attitude_age: float = Field(0.1, gt=0)
+    """Seconds by which an attitude may miss its image."""
+    gps_sigma: float = Field(5.0, gt=0)
+    """Metres, of fixes that state no covariance."""
+    altitude_sigma: float = Field(10.0, gt=0)
+    ground_sigma: float = Field(1.0, gt=0)
+    """Metres, of a height above the terrain."""
+    compass_sigma_deg: float = Field(8.2, gt=0)
+    """Of attitudes that state no covariance."""
+    tilt_sigma_deg: float = Field(1.0, gt=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """`altitude`: metres above the WGS 84 ellipsoid, NaN where not known. `covariance`: (3, 3) of east, north, up in
+    m^2, None where not known."""
+
+    stamp_ns: int
+    lon: float
+    lat: float
+    altitude: float
+    covariance: Float64Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """`rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations about these in rad^2,
+    None where not known."""
+
+    stamp_ns: int
+    rotation: Float64Array
+    covariance: Float64Array | None
+
+
+def sensed_pose(
+    fix: Fix,
+    attitude: Attitude,
+    stamp_ns: int,
+    size: tuple[int, int],
+    frame: SiteFrame,
+    dem: Dem,
+    config: SensorsConfig,
+) -> tuple[Pose, Float64Array]:
+    """Pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
+
+    Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known.
+    """
+    for what, stamp, age in (
+        ("fix", fix.stamp_ns, config.fix_age),
+        ("attitude", attitude.stamp_ns, config.attitude_age),
+    ):
+        if abs(stamp - stamp_ns) > age * 1e9:
+            raise PoseError(
+                f"the nearest {what} is {(stamp - stamp_ns) / 1e9:+.2f} s from the image of stamp {stamp_ns} ns, at "
+                f"most {age:g} s are taken: publish it more often, with stamps of the images' clock"
+            )
+    x, y = (float(v) for v in frame.from_lonlat(fix.lon, fix.lat))
+    position_sigma, altitude_sigma = config.gps_sigma, config.altitude_sigma
+    if fix.covariance is not None:
+        east, north, up = fix.covariance.diagonal()
+        position_sigma, altitude_sigma = math.sqrt(max((east + north) / 2, 1e-6)), math.sqrt(max(up, 1e-6))
+    z, height_sigma = _height(fix, x, y, dem, config, altitude_sigma)
+    if config.mount == "phone":
+        mount = held_phone(attitude.rotation, portrait=size[1] > size[0])
+    elif config.mount == "phone_sensor":
+        mount = phone_camera(90.0)
+    else:
+        mount = matrix_of_quaternion(config.mount)
+    seen = attitude.rotation @ mount
+    azimuth, pitch, roll = optical_angles_deg(seen)
+    on = moment_of_stamp(stamp_ns).date()
+    grid = frame.true_to_grid_deg(azimuth, x, y)
+    if config.north == "magnetic":
+        grid = frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
+    pose = Pose.from_angles((x, y, z), grid, pitch, roll)
+    tilt, about = config.tilt_sigma_deg, config.compass_sigma_deg
+    if attitude.covariance is not None:
+        variances = attitude.covariance.diagonal()
+        tilt = min(_degrees(max(variances[:2])), UNKNOWN_PITCH_SIGMA_DEG)
+        about = min(_degrees(variances[2]), UNKNOWN_AZIMUTH_SIGMA_DEG)
+    return pose, pose_covariance(pose, position_sigma, height_sigma, about, tilt, tilt)
+
+
+def _degrees(variance: float) -> float:
+    return math.degrees(math.sqrt(max(variance, 1e-10)))
+
+
+def _height(
+    fix: Fix, x: float, y: float, dem: Dem, config: SensorsConfig, altitude_sigma: float
+) -> tuple[float, float]:
+    """z and its sigma: by the altitude, or above the terrain where this is not known or under it."""
+    ground = float(dem.elevation_at(x, y))
+    if config.geoid_undulation is not None and np.isfinite(fix.altitude):
+        z = fix.altitude - config.geoid_undulation
+        if not z <= ground:  # also where the ground is not known
+            return z, altitude_sigma
+    if not np.isfinite(ground):
+        raise PoseError(
+            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies beside the DEM, and its height is not known: give "
+            "`geoid_undulation` under the camera's `sensors` in the site file"
+        )
+    return ground + config.height_above_ground, config.ground_sigma

@@ -1,0 +1,158 @@
+"""Write the files beside an export: QGIS styles and STAC items."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Int16Array
+from ltm_core.fuel.codes import fuel_models
+from ltm_core.fuel.colors import Color, code_color
+from ltm_core.fuel.export.provenance import Provenance, as_rows
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.geometry.grid import GridGeometry
+
+_MARK: Final = b"<!-- by ltm export -->"
+"""Of styles that may be written over."""
+Entry = tuple[int, str, Color]
+"""A value, its label and its colour."""
+
+
+def style_path(raster: Path) -> Path:
+    """Where QGIS looks for the style of a raster."""
+    return raster.with_suffix(".qml")
+
+
+def code_entries(codes: Int16Array) -> list[Entry]:
+    """The fuel models that occur, by code."""
+    names = fuel_models()
+    found = np.unique(codes[codes != NODATA]).tolist()
+    return [(code, f"{code} {names.name(code)}", code_color(code)) for code in found]
+
+
+def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -> Path:
+    """A style that shows a band's values by name. Raises ConfigError where it cannot be written."""
+    renderer = _renderer("paletted", band=str(band))
+    palette = SubElement(renderer, "colorPalette")
+    for value, label, color in entries:
+        SubElement(
+            palette,
+            "paletteEntry",
+            value=str(value),
+            label=label,
+            color="#{:02x}{:02x}{:02x}".format(*color),
+            alpha="255",
+        )
+    return _write(style_path(raster), renderer)
+
+
+def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
+    """A style that shows a band from black to white. Raises ConfigError where it cannot be written."""
+    renderer = _renderer("singlebandgray", grayBand=str(band), gradient="BlackToWhite")
+    stretch = SubElement(renderer, "contrastEnhancement")
+    for name, text in (
+        ("minValue", f"{least:g}"),
+        ("maxValue", f"{most:g}"),
+        ("algorithm", "StretchToMinimumMaximum"),
+    ):
+        SubElement(stretch, name).text = text
+    return _write(style_path(raster), renderer)
+
+
+def _renderer(kind: str, **attributes: str) -> Element:
+    return Element("rasterrenderer", {"type": kind, "opacity": "1", "alphaBand": "-1", **attributes})
+
+
+def _write(path: Path, renderer: Element) -> Path:
+    if path.is_file() and _MARK not in path.read_bytes()[:500]:
+        return path  # somebody's own style
+    root = Element("qgis", version="3.22", styleCategories="Symbology")
+    SubElement(root, "pipe").append(renderer)
+    indent(root)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(b"<!DOCTYPE qgis>\n" + _MARK + b"\n" + tostring(root, encoding="utf-8") + b"\n")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+    return path
+
+
+_TYPES: Final[Mapping[str, str]] = {
+    ".tif": "image/tiff; application=geotiff",
+    ".tiff": "image/tiff; application=geotiff",
+    ".kmz": "application/vnd.google-earth.kmz",
+    ".las": "application/vnd.las",
+    ".qml": "application/xml",
+    ".prj": "text/plain",
+}
+_NEVER: Final = "1970-01-01T00:00:00Z"
+
+
+def item_path(export: Path) -> Path:
+    """Where the item of an export stands: beside a file, inside a folder."""
+    return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
+
+
+def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> dict[str, Any]:
+    """The item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with `ltm:`."""
+    from rasterio.warp import transform_bounds
+
+    west, south, east, north = (
+        round(v, 7) for v in transform_bounds(geometry.crs, "EPSG:4326", *geometry.bounds, densify_pts=21)
+    )
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    moment = made.moment()
+    # STAC wants a time or a range: of a map that no frame has touched, the range is all time until it is dated.
+    times: dict[str, Any] = {"datetime": None, "start_datetime": _NEVER, "end_datetime": _NEVER}
+    if moment is not None:
+        times = {"datetime": moment.strftime("%Y-%m-%dT%H:%M:%SZ")}
+    transform = geometry.transform()
+    properties = {
+        **times,
+        "title": f"Fuel map of {made.site}",
+        "description": made.line(),
+        "gsd": geometry.resolution,
+        "proj:code": geometry.crs,
+        "proj:shape": list(geometry.shape),
+        "proj:transform": list(transform)[:6],
+        **{f"ltm:{name}": text for name, text in as_rows(made.tags())},
+    }
+    return {
+        "type": "Feature",
+        "stac_version": "1.0.0",
+        "stac_extensions": [],
+        "id": f"{made.site}-{made.as_of}".replace(":", "").replace(" ", "-"),
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "bbox": [west, south, east, north],
+        "properties": properties,
+        "links": [],
+        "assets": {
+            path.name: {
+                "href": f"./{path.name}",
+                "type": _TYPES.get(path.suffix.lower(), "application/octet-stream"),
+                "roles": ["metadata"] if path.suffix in (".qml", ".prj") else ["data"],
+            }
+            for path in files
+        },
+    }
+
+
+def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
+    """Writes the item of an export. Raises ConfigError where it cannot be written."""
+    path = item_path(export)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_text(json.dumps(stac_item(files, geometry, made), indent=1) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+    return path

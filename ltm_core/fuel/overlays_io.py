@@ -1,0 +1,185 @@
+"""Read vector layers onto the fuel grid: what does not burn, and what has burned when."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pyproj import Transformer
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array
+from ltm_core.base.utc_time import stamp_of_moment
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import BarrierConfig
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.geopackage_io import read_geopackage
+from ltm_core.storage.text_io import read_text
+
+_STRIP: Final = 256
+_FINE: Final = 8
+"""Parts a side into which a cell is cut, to tell how much of it an area covers."""
+
+
+def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
+    """(H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be read,
+    a layer that it lacks, or one without CRS.
+    """
+    codes = np.full(geometry.shape, NODATA, np.int16)
+    for barrier in barriers:
+        codes[_cells(barrier, geometry)] = barrier.code
+    return codes
+
+
+def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
+    """(H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
+    return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
+
+
+def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
+    """(H, W): what the barrier takes."""
+    from rasterio.features import rasterize
+
+    lines, areas = _shapes(barrier, geometry)
+    taken = np.zeros(geometry.shape, np.bool_)
+    if lines:
+        taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
+    if areas:
+        taken |= covered_share(areas, geometry) >= barrier.least_share
+    return taken
+
+
+def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
+    """(H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
+    from rasterio.features import rasterize
+    from rasterio.transform import from_origin
+
+    share = np.zeros(geometry.shape, np.float32)
+    # In strips of rows: of a large site the fine grid would take gigabytes.
+    for top in range(0, geometry.height, _STRIP) if areas else ():
+        strip = geometry.window(top, 0, min(_STRIP, geometry.height - top), geometry.width)
+        fine = from_origin(strip.x_min, strip.y_max, strip.resolution / _FINE, strip.resolution / _FINE)
+        covered = rasterize(areas, (strip.height * _FINE, strip.width * _FINE), transform=fine)
+        share[top : top + strip.height] = covered.reshape(strip.height, _FINE, strip.width, _FINE).mean(axis=(1, 3))
+    return share
+
+
+def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
+    """Lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
+    layer = read_geopackage(barrier.path, barrier.layer)
+    turn = Transformer.from_crs(layer.crs, geometry.crs, always_xy=True)
+
+    def here(points: Float64Array) -> list[tuple[float, float]]:
+        x, y = turn.transform(points[:, 0], points[:, 1])
+        return list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True))
+
+    lines = [{"type": "LineString", "coordinates": here(line)} for line in layer.lines if len(line) > 1]
+    areas = [
+        {"type": "Polygon", "coordinates": [here(ring) for ring in rings if len(ring) > 3]}
+        for rings in layer.areas
+        if len(rings[0]) > 3
+    ]
+    return [s for s in lines if near([s["coordinates"]], geometry)], [
+        a for a in areas if near(a["coordinates"], geometry)
+    ]
+
+
+def near(rings: Any, geometry: GridGeometry) -> bool:
+    """Whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
+    points = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
+    if not np.isfinite(points).all():
+        return False
+    x_min, y_min, x_max, y_max = geometry.bounds
+    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+    return bool(left <= x_max and right >= x_min and low <= y_max and high >= y_min)
+
+
+BURNED_AT: Final = "burned_at"
+"""Property of a feature: when its area burned, ISO 8601, UTC unless it names a zone."""
+LEAST_SHARE: Final = 0.5
+"""Of a cell that must have burned, for it to have burned."""
+_LARGEST: Final = 64 << 20
+_LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
+"""What fits into a cell's state (`EvidenceMap.burn`)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Burn:
+    """`cells`: (N,) numbers of the burned cells of a fuel grid, row by row, rising."""
+
+    stamp_ns: int
+    cells: Int64Array
+
+    def mask(self, shape: tuple[int, int]) -> BoolArray:
+        """(H, W), true where it burned."""
+        found = np.zeros(shape, np.bool_)
+        found.flat[self.cells] = True
+        return found
+
+
+def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
+    """The burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the site's
+    CRS, by their times; areas of one time are one burn, those beside the grid none.
+
+    Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
+    """
+    try:
+        content = json.loads(read_text(path, _LARGEST, ConfigError))
+        features = [content] if content["type"] == "Feature" else list(content["features"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as GeoJSON ({error}); give a FeatureCollection of areas") from error
+    turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
+    areas: dict[int, list[Any]] = {}
+    for number, feature in enumerate(features):
+        place = f"{path}, feature {number}"
+        try:
+            stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
+            areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise ConfigError(f"{place}: is no area ({type(error).__name__}: {error})") from error
+    burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
+    return [burn for burn in burns if len(burn.cells)]
+
+
+def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
+    here = [area for area in areas if near(area["coordinates"], geometry)]
+    return Burn(stamp_ns, np.flatnonzero(covered_share(here, geometry) >= LEAST_SHARE))
+
+
+def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
+    kinds = {"Polygon": lambda found: [found], "MultiPolygon": list}
+    if shape["type"] not in kinds:
+        raise ConfigError(f"{place}: is a {shape['type']}; what burned is a Polygon or MultiPolygon")
+    found = []
+    for rings in kinds[shape["type"]](shape["coordinates"]):
+        turned = []
+        for ring in rings:
+            points = np.asarray([point[:2] for point in ring], np.float64)
+            if len(points) < 4:
+                raise ConfigError(f"{place}: a ring of {len(points)} points; it needs four, the last as the first")
+            if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
+                raise ConfigError(f"{place}: points are longitude and latitude, in this order, degrees")
+            x, y = turn.transform(points[:, 0], points[:, 1])
+            turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
+        if not turned:
+            raise ConfigError(f"{place}: a polygon without a ring")
+        found.append({"type": "Polygon", "coordinates": turned})
+    return found
+
+
+def _stamp_ns(text: Any, place: str) -> int:
+    try:
+        moment = datetime.fromisoformat(text)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{place}: its property {BURNED_AT} is {text!r}; write when it burned, as 2026-08-01T14:00:00Z"
+        ) from error
+    stamp_ns = stamp_of_moment(moment)
+    if not 0 <= stamp_ns < _LATEST_NS:
+        raise ConfigError(f"{place}: burned at {text}, which is not in 1970 to 2105")
+    return stamp_ns

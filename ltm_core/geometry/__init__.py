@@ -1,0 +1,1 @@
+"""Grids, cameras, poses, lenses and coordinates."""

@@ -1,0 +1,112 @@
+"""Result of tracing an image: slant range for every pixel, and the depths, points and DEM cells derived from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float32Array, Int32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """Ranges of one image, and where its pixels lie on the map.
+
+    `range`: (H, W) float32 slant metres along each pixel's ray; +inf sky, NaN unknown (outside the DEM, nodata, or
+    a pixel without a ray), after REP-117. `bend`: the ray's curvature coefficient (see `geodesy.ray_bend`): over
+    horizontal range r a ray of slope s stands at z0 + s r + bend r^2, and its slant range is r sqrt(1 + s^2).
+    `geometry`: the raster whose cells `cells()` counts.
+    """
+
+    range: Float32Array
+    camera: Camera
+    pose: Pose
+    bend: float = 0.0
+    geometry: GridGeometry | None = None
+
+    def __post_init__(self) -> None:
+        if self.range.shape != (self.camera.height, self.camera.width):
+            raise ImageError(
+                f"range image of shape {self.range.shape} does not fit a camera of "
+                f"{self.camera.height} x {self.camera.width} (rows x columns)"
+            )
+
+    @classmethod
+    def from_depth(
+        cls,
+        depth: Float32Array,
+        camera: Camera,
+        pose: Pose,
+        bend: float = 0.0,
+        geometry: GridGeometry | None = None,
+    ) -> RangeImage:
+        """From depths along the optical axis (REP-118), (H, W) metres; the inverse of `depth()`."""
+        if depth.shape != (camera.height, camera.width):
+            raise ImageError(
+                f"depth image of shape {depth.shape} does not fit a camera of {camera.height} x {camera.width}"
+            )
+        slant = (depth / camera.cosines()).astype(np.float32, copy=False)
+        return cls(slant, camera, pose, bend, geometry)
+
+    def depth(self) -> Float32Array:
+        """Distance along the optical axis, (H, W) metres (REP-118)."""
+        depth: Float32Array = self.range * self.camera.cosines()
+        return depth
+
+    def horizontal(self) -> Float32Array:
+        """Horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
+        up = self.camera.rays() @ self.pose.rotation[2]
+        cosine = np.sqrt(np.maximum(0.0, 1.0 - up * up))
+        with np.errstate(invalid="ignore"):
+            horizontal = (self.range * cosine).astype(np.float32)
+        return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
+
+    def points(self) -> Float32Array:
+        """Map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
+        directions = self.camera.rays() @ self.pose.rotation.T
+        slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
+        points = directions * slant[..., None]
+        if self.bend:
+            points[..., 2] += self.bend * (points[..., 0] ** 2 + points[..., 1] ** 2)
+        points += self.pose.position
+        return points.astype(np.float32)
+
+    def cells(self) -> Int32Array:
+        """The DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's img-DEM."""
+        if self.geometry is None:
+            raise ImageError("this range image was made without a raster, so it has no cells")
+        points = self.points()
+        seen = np.isfinite(points[..., 0])
+        row, col = self.geometry.cell_of(np.where(seen, points[..., 0], 0), np.where(seen, points[..., 1], 0))
+        seen &= self.geometry.contains(row, col)
+        cells = np.stack([row, col], axis=-1).astype(np.int32)
+        cells[~seen] = -1
+        return cells
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """Depths of one image as they are sent from node to node: all that fusion needs of a `RangeImage`.
+
+    `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
+    """
+
+    along: Float32Array
+    camera: Camera
+    pose: Pose
+
+    def __post_init__(self) -> None:
+        if self.along.shape != (self.camera.height, self.camera.width):
+            raise ImageError(
+                f"depth image of shape {self.along.shape} does not fit a camera of "
+                f"{self.camera.height} x {self.camera.width} (rows x columns)"
+            )
+
+    def depth(self) -> Float32Array:
+        """As `RangeImage.depth`: row after row, without a copy where they lie so."""
+        return np.ascontiguousarray(self.along)

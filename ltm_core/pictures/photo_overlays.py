@@ -1,0 +1,256 @@
+"""Draw depth, labels, traces, masks and skylines over a photo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, RgbImage, UInt8Array, UInt32Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.pictures import (
+    MapCamera,
+    RangeScale,
+    overlay_depth,
+    range_legend,
+    terrain_map_picture,
+    with_legend,
+)
+from ltm_core.pictures.drawing import draw_texts
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, RangeScale, depth_colors
+from ltm_core.pictures.relief import brightness_at
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+from ltm_core.raster.dem import Dem
+
+
+def label_colors(
+    labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
+) -> RgbImage:
+    """Colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are `unlabelled`."""
+    table = np.empty((256, 3), np.uint8)
+    table[:] = unlabelled
+    colors = np.asarray(label_set.colors, np.uint8)
+    table[: len(colors)] = colors
+    table[UNLABELLED] = unlabelled
+    return table[np.asarray(labels, np.uint8)]
+
+
+def overlay_depth(
+    image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
+) -> RgbImage:
+    """Range colours over the photo, which stays plain where the range is sky or unknown.
+
+    `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
+    nearest). `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes that disagree.
+    """
+    scale = scale or RangeScale()
+    values = _to_image_size(np.asarray(ranges, np.float32), image)
+    known = np.isfinite(values)
+    mixed = _mix(image, depth_colors(values, scale), opacity)
+    if contours:
+        line = _edges(np.digitize(np.where(known, values, np.inf), scale.ticks()).astype(np.int16)) & known
+        mixed[line] = (mixed[line] * 0.45).astype(np.uint8)
+    return np.where(known[..., None], mixed, image)
+
+
+def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
+    """Class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
+
+    `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
+    """
+    ids = _to_image_size(np.asarray(labels, np.uint8), image)
+    colors = label_colors(ids, label_set)
+    mixed = _mix(image, colors, opacity)
+    edge = _edges(ids.astype(np.int16))
+    mixed[edge] = (colors[edge] * 0.8).astype(np.uint8)
+    return np.where((ids != UNLABELLED)[..., None], mixed, image)
+
+
+def _mix(image: RgbImage, colors: RgbImage, opacity: float) -> RgbImage:
+    """Colours over the photo's brightness alone: the photo's own hues would shift them away from the legend."""
+    grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
+
+
+def _edges(ids: Int16Array) -> BoolArray:
+    """Pixels whose right or lower neighbour differs."""
+    edge = np.zeros(ids.shape, np.bool_)
+    edge[:, :-1] |= ids[:, :-1] != ids[:, 1:]
+    edge[:-1] |= ids[:-1] != ids[1:]
+    return edge
+
+
+def _to_image_size(values: NDArray[Any], image: RgbImage) -> NDArray[Any]:
+    """`values`, sampled at every n-th pixel of `image` (`values = full[::n, ::n]`), enlarged to nearest."""
+    (height, width), (rows, cols) = image.shape[:2], values.shape
+    if (rows, cols) == (height, width):
+        return values
+    step = -(-height // rows)
+    if (-(-height // step), -(-width // step)) != (rows, cols):
+        raise ImageError(
+            f"a layer of {cols} x {rows} pixels does not lie on an image of {width} x {height}: "
+            f"it must have every n-th pixel of it"
+        )
+    row = np.minimum((np.arange(height) + step // 2) // step, rows - 1)
+    col = np.minimum((np.arange(width) + step // 2) // step, cols - 1)
+    return np.asarray(values[row[:, None], col])
+
+
+_SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
+_UNKNOWN = (70, 70, 74)
+_SKYLINE = (255, 255, 255)
+_WIDEST = 2200
+
+
+def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
+    """Ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a legend.
+
+    `photo`: (H, W, 3) uint8 of the camera's size. `dem`: the terrain that was traced. A picture wider than 2200 pixels
+    is drawn at every second, third, ... pixel.
+    """
+    step = -(-traced.camera.width // _WIDEST)
+    ranges = traced.range[::step, ::step]
+    traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
+    if photo is None:
+        base, opacity = shaded_view(traced, dem), 0.6
+    else:
+        base, opacity = _shrunk(photo, ranges.shape), 0.5
+    scale = RangeScale.of(ranges)
+    picture = draw_skyline(overlay_depth(base, ranges, scale, opacity), ranges)
+    return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
+
+
+def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
+    """Shaded relief with the cells that the picture sees, its camera and its field of view.
+
+    `counts`: pixels a cell, shape of the DEM.
+    """
+    horizontal = traced.horizontal()
+    known = horizontal[np.isfinite(horizontal)]
+    reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
+    x, y, _ = (float(v) for v in traced.pose.position)
+    camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
+    return terrain_map_picture(dem, counts > 0, [camera], title=title)
+
+
+def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
+    """The traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W, 3)."""
+    height, width = traced.range.shape
+    fade = np.linspace(0, 1, height)[:, None, None]
+    picture = np.broadcast_to(
+        (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (height, width, 3)
+    ).copy()
+    picture[np.isnan(traced.range)] = _UNKNOWN
+    known = np.isfinite(traced.range)
+    points = traced.points()[known]
+    light = brightness_at(dem, points[:, 0], points[:, 1])
+    picture[known] = (35 + 250 * np.nan_to_num(light, nan=0.7))[:, None]
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
+    """`picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
+
+    Where unknown ground meets the sky there is no line: that edge is the DEM's, not the landscape's.
+    """
+    edge = np.isposinf(ranges[:-1]) & np.isfinite(ranges[1:])
+    thickness = max(1, round(picture.shape[0] / 540))
+    drawn = picture.copy()
+    for shift in range(thickness):
+        drawn[: edge.shape[0] - shift][edge[shift:]] = _SKYLINE
+    return drawn
+
+
+def _shrunk(photo: RgbImage, shape: tuple[int, ...]) -> RgbImage:
+    if photo.shape[:2] == shape:
+        return photo
+    return np.asarray(cv2.resize(photo, shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+
+
+COLORS = (
+    *((230, 60, 60), (50, 140, 235), (250, 185, 40), (60, 175, 90), (170, 90, 215), (235, 110, 175)),
+    *((40, 185, 190), (150, 115, 60)),
+)
+
+
+def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence[bool]) -> RgbImage:
+    """(H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as outlines."""
+    drawn = photo.copy()
+    texts: list[tuple[str, float, float, str]] = []
+    size = max(14.0, photo.shape[1] / 45)
+    for number, (hidden, keep) in enumerate(zip(proposals, kept, strict=True), start=1):
+        color = np.array(COLORS[(number - 1) % len(COLORS)], np.float32)
+        if keep:
+            drawn[hidden] = (0.45 * drawn[hidden] + 0.55 * color).astype(np.uint8)
+        outlines, _ = cv2.findContours(hidden.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(drawn, outlines, -1, color.tolist(), max(2, photo.shape[1] // 500))
+        # The number stands in the thickest place, clear of the picture's edge.
+        depth = cv2.distanceTransform(np.pad(hidden.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        v, u = np.unravel_index(int(np.argmax(depth)), depth.shape)
+        u_text = float(np.clip(u, size, photo.shape[1] - size))
+        texts.append((str(number), u_text, float(np.clip(v, size, photo.shape[0] - size)), "mm"))
+    return draw_texts(drawn, texts, size, (255, 255, 255), halo=(20, 20, 20))  # type: ignore[arg-type]
+
+
+_HORIZON, _OPEN, _RIDGE, _HALO = (255, 230, 60), (255, 150, 40), (80, 230, 255), (20, 20, 20)
+_pose_fit_WIDEST = 1600
+
+
+def pose_fit_picture(
+    photo: RgbImage, camera: Camera, horizon: TerrainHorizon, poses: list[tuple[str, Camera, Pose]]
+) -> RgbImage:
+    """The photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the terrain's
+    horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
+    step = max(1, -(-camera.width // _pose_fit_WIDEST))
+    small = cv2.resize(photo, (camera.width // step, camera.height // step), interpolation=cv2.INTER_AREA)
+    sheets = []
+    for title, lens, pose in poses:
+        drawn = small.copy()
+        lens = lens.resized(small.shape[1], small.shape[0])
+        width = max(1, round(small.shape[1] / 900))
+        c = horizon.contours
+        ends = np.flatnonzero(c.following >= 0)
+        ridge = (c.azimuth, c.tangent, c.range)
+        lines = [
+            (_pixels(ridge, ends, lens, pose, horizon), _pixels(ridge, c.following[ends], lens, pose, horizon), _RIDGE)
+        ]
+        sky = (horizon.azimuths, horizon.tangent, np.maximum(horizon.range, 1.0))
+        known = np.flatnonzero((horizon.range[:-1] > 0) & (horizon.range[1:] > 0))
+        for kind, color in ((horizon.open[known], _OPEN), (~horizon.open[known], _HORIZON)):
+            at = known[kind]
+            lines.append((_pixels(sky, at, lens, pose, horizon), _pixels(sky, at + 1, lens, pose, horizon), color))
+        for halo in (True, False):
+            for here, there, color in lines:
+                _draw(drawn, here, there, _HALO if halo else color, width + 2 if halo else width)
+        sheets.append(draw_texts(drawn, [(title, 8, 6, "lt")], max(13, small.shape[1] / 60), (255, 255, 255), _HALO))
+    return np.concatenate(sheets)
+
+
+def _pixels(
+    points: tuple[Float64Array, Float64Array, Float64Array],
+    at: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+    camera: Camera,
+    pose: Pose,
+    horizon: TerrainHorizon,
+) -> Float64Array:
+    azimuth, tangent, ranges = (values[at] for values in points)
+    directions = np.column_stack([np.sin(azimuth), np.cos(azimuth), tangent])
+    moved = directions - (pose.position - horizon.position) / ranges[:, None]
+    optical = moved @ pose.rotation
+    wide = np.hypot(camera.width, camera.height) / camera.fx
+    beside = np.hypot(optical[:, 0], optical[:, 1]) > math.tan(min(math.atan(wide), 1.4)) * optical[:, 2]
+    optical[beside | (optical[:, 2] <= 0)] = np.nan
+    return camera.project(optical)
+
+
+def _draw(picture: RgbImage, here: Float64Array, there: Float64Array, color: tuple[int, int, int], width: int) -> None:
+    seen = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+    lines = np.rint(np.stack([here[seen], there[seen]], axis=1) * 16).astype(np.int32)
+    cv2.polylines(picture, list(lines), False, color, width, cv2.LINE_AA, 4)

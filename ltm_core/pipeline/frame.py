@@ -1,0 +1,122 @@
+"""Hold one camera frame, and run the steps of its camera on it without a graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.named_columns import Columns
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
+from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
+from ltm_core.site.site import Site
+from ltm_core.vision.masks import Looking
+from ltm_core.vision.scene_view import SceneView
+from ltm_core.vision.segmenter import Segmentation
+
+
+@dataclass(frozen=True, eq=False)
+class PosedImage:
+    """`image`: (H, W, 3) uint8 RGB; `stamp_ns`: when it was taken, nanoseconds. Raises ImageError on another shape."""
+
+    image: UInt8Array
+    camera: Camera
+    pose: Pose
+    stamp_ns: int
+    camera_name: str
+
+    def __post_init__(self) -> None:
+        expected = (self.camera.height, self.camera.width, 3)
+        if self.image.shape != expected or self.image.dtype != np.uint8:
+            raise ImageError(
+                f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
+                f"its calibration says {expected} uint8"
+            )
+
+
+@dataclass(frozen=True)
+class FrameVotes:
+    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its picture was used, or empty."""
+
+    columns: Columns
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFrame:
+    """What the terrain takes from a frame: `depth`, `sigma` (h, w) metres that the depth network measures, NaN where it
+    does not; `labels` (H, W) class ids. `trouble`: why the network gave nothing, where it failed."""
+
+    depth: Float32Array
+    sigma: Float32Array
+    labels: UInt8Array
+    trouble: str = ""
+
+
+class FrameSteps:
+    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier pictures tell, is
+    not told. `fusing`: None: what frames measure is not asked for."""
+
+    def __init__(
+        self,
+        site: Site,
+        camera: str,
+        tracing: TracingConfig,
+        labelling: LabellingConfig,
+        fusing: FusingConfig | None = None,
+    ) -> None:
+        self.tracing = TracingStep(site, camera, tracing)
+        self.labelling = LabellingStep(site, camera, labelling)
+        self.voting = VotingStep(site, camera)
+        self.fusing = None if fusing is None else FusingStep(site, camera, fusing)
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum."""
+        return self.labelling.described
+
+    def of(self, frame: PosedImage) -> FrameAtWork:
+        """A frame, for what is asked of it."""
+        return FrameAtWork(self, frame)
+
+
+class FrameAtWork:
+    """A frame in the steps of its camera: each is taken once, when something asks for what it makes, so that votes are
+    the same whether or not anybody asks what was measured. Methods raise LtmError as the steps do."""
+
+    def __init__(self, steps: FrameSteps, frame: PosedImage) -> None:
+        self._steps, self._frame = steps, frame
+
+    def votes(self, covariance: Float64Array | None) -> FrameVotes:
+        """`covariance`: (6, 6) of the frame's pose; None: it is exact."""
+        found, view = self._labelled
+        if view.reason is not None:
+            return FrameVotes(no_columns(), view.unusable)  # a picture that shows nothing needs no ranges
+        frame, voting = self._frame, self._steps.voting
+        cast = voting.cast(self._depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
+        return FrameVotes(votes_to_columns(voting.carried(cast), voting.labels.names), view.unusable)
+
+    def measured(self, covariance: Float64Array | None) -> MeasuredFrame:
+        """Of steps that fuse. `covariance`: (6, 6) of the frame's pose as it is known; None: it is not."""
+        assert self._steps.fusing is not None  # nosec B101 # tells the type checker what holds
+        found, view = self._labelled
+        measured, trouble = self._steps.fusing.measure(self._depth, self._frame, found.labels, covariance, view)
+        return MeasuredFrame(measured.depth, measured.sigma, found.labels, trouble)
+
+    @cached_property
+    def _labelled(self) -> tuple[Segmentation, SceneView]:
+        frame = self._frame
+        looking = Looking.of(frame.camera, frame.pose)
+        return self._steps.labelling.label(frame.image, looking, frame.stamp_ns, in_order=False)
+
+    @cached_property
+    def _depth(self) -> Float32Array:
+        """(H, W) traced, along the optical axis."""
+        camera, pose, tracing = self._frame.camera, self._frame.pose, self._steps.tracing
+        return seen(tracing.trace(camera, pose).ranges.depth(), tracing.hidden(camera, pose))

@@ -1,0 +1,244 @@
+"""The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
+
+The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
+(`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
+arguments, and a frame has the same votes, to the last bit, whoever works on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.fuel.growth_limits import GroundLimits
+from ltm_core.fuel.vote_columns import fitting, turn_of
+from ltm_core.fuel.votes import CellVotes, VoteCaster
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.pipeline.site_surface import ConfirmedTerrain
+from ltm_core.site.site import Site
+from ltm_core.surface.surface_versions_io import AS_GIVEN
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.tracer import TracerStatistics
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.manifest import Manifest, Withdrawal
+from ltm_core.vision.masks import Looking
+from ltm_core.vision.scene_view import SceneFilter, SceneView
+from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.smoke import SmokeMemory
+
+
+class TracingConfig(StrictModel):
+    surface: bool = True
+    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
+    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+
+
+class LabellingConfig(StrictModel):
+    model: str = ""
+    """Manifest name or path; empty: the site's."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+    zoom: float = Field(1.0, ge=1, le=4)
+    """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
+    confidence: float | None = Field(None, ge=0, lt=1)
+    """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
+    tree_contrast: float | None = Field(None, ge=0)
+    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps) and the picture shows more shrub:
+    hazy far slopes are called so. None: as the network's manifest or the camera's head says."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracers:
+    """Over one terrain. `version`: of the confirmed surface. `bare`: the same where nothing stands on bare earth."""
+
+    version: str
+    tracer: TerrainTracer
+    bare: TerrainTracer
+
+
+@dataclass(frozen=True, eq=False)
+class TracedFrame:
+    """`ranges`: to what the camera sees of the terrain. `over`: what it was traced with."""
+
+    ranges: RangeImage
+    over: _Tracers
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface; AS_GIVEN where it was the site's rasters."""
+        return self.over.version
+
+    def bare_earth(self) -> RangeImage:
+        """The ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        over, seen_from = self.over, self.ranges
+        return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
+
+
+class TracingStep:
+    """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
+
+    def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
+        self._scene = SceneFilter.of(site, camera)
+        self._site, self._surface = site, config.surface
+        self._given: _Tracers | None = None
+        self.trace_to(ConfirmedTerrain.as_given(site))
+
+    def trace_to(self, terrain: ConfirmedTerrain) -> None:
+        """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
+        self._over = self._tracers(terrain)
+
+    def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
+        """Raises PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
+        below a confirmed surface is traced to the terrain as given.
+        """
+        over = self._over
+        try:
+            return TracedFrame(over.tracer.trace(camera, pose), over)
+        except PoseError:
+            if over.version == AS_GIVEN:
+                raise
+        if self._given is None:
+            self._given = self._tracers(ConfirmedTerrain.as_given(self._site))
+        return TracedFrame(self._given.tracer.trace(camera, pose), self._given)
+
+    @property
+    def statistics(self) -> TracerStatistics:
+        """Of the tracer in use."""
+        return self._over.tracer.statistics
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface in use."""
+        return self._over.version
+
+    def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
+        """(H, W) bool, where the mask of what the camera looks at has it that something else is seen; None: nowhere."""
+        return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
+
+    def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
+        site, top = self._site, terrain.top if self._surface else terrain.ground
+        rays = site.curvature, site.refraction, site.possible_ground
+        tracer = TerrainTracer(top, *rays)
+        bare = tracer if top is terrain.ground else TerrainTracer(terrain.ground, *rays)
+        return _Tracers(terrain.name, tracer, bare)
+
+
+def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
+    """Depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
+    if hidden is None:
+        return values
+    result = values.copy()
+    result[hidden] = np.nan
+    return result
+
+
+class LabellingStep:
+    """Labels every pixel of a camera's pictures. Raises ConfigError, ModelError for a network that cannot be taken."""
+
+    def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
+        self._scene = SceneFilter.of(site, camera)
+        own = site.camera(camera)
+        self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
+        self._zoom = config.zoom
+        self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
+        chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        self._segmenter.withdraw_otherwise = given
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum."""
+        return self._segmenter.described
+
+    @property
+    def chosen(self) -> str:
+        """Of a camera whose head is `auto`: which the pictures up to now speak for; empty where its head is named."""
+        return "" if self._segmenter.choice is None else self._segmenter.choice.told
+
+    @property
+    def manifest(self) -> Manifest:
+        """Of the network."""
+        return self._segmenter.manifest
+
+    @property
+    def withdrawal(self) -> Withdrawal:
+        """Which labels are withdrawn."""
+        return self._segmenter.withdrawal
+
+    @property
+    def by_view(self) -> bool:
+        """Whether the camera has masks of single views, so that a picture's labels hang on where it looks."""
+        return self._scene.by_view
+
+    def label(
+        self,
+        photo: UInt8Array,
+        looking: Looking | None = None,
+        stamp_ns: int | None = None,
+        in_order: bool = True,
+    ) -> tuple[Segmentation, SceneView]:
+        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
+
+        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
+        nobody knows. `in_order`: pictures come as they were taken, so that smoke is told by those before, and a head
+        chosen by them: by itself alone a picture shows no smoke, and chooses its own head.
+        """
+        view = self._scene.look(photo, looking, stamp_ns)
+        among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
+        if view.reason is None:
+            found = self._segmenter.segment(photo, self._zoom, among_others_s)
+        else:
+            found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
+        view.unlabelled(found.labels, found.confidence)
+        if self._smoke is None or among_others_s is None or view.reason is not None:
+            return found, view
+        smoke = self._smoke.look(photo, found.labels, among_others_s)
+        if smoke is None:
+            return found, view
+        gone = smoke & (found.labels != Label.SKY) & (found.labels != UNLABELLED)
+        found.labels[gone], found.confidence[gone] = UNLABELLED, 0
+        return found, replace(view, smoke=float(gone.mean()))
+
+
+class VotingStep:
+    """Turns a camera's depth and labels into votes for the fuel cells that it sees."""
+
+    def __init__(self, site: Site, camera: str) -> None:
+        self._camera = camera
+        site.camera(camera)
+        dem = site.open_dem()
+        self.labels = LabelSet.load(config_path(site.labels))
+        self.geometry = site.fuel_geometry(dem)
+        votes_for = self.labels.votes_table[: len(self.labels)]
+        growth = site.fuel.growth
+        limits = GroundLimits(growth, self.geometry, dem, self.labels) if growth.any else None
+        self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend, limits)
+        self.assumed = site.assumed_pose_error.covariance()
+        """(6, 6): of poses of which nothing else is known."""
+
+    def cast(
+        self,
+        depth: Float32Array,
+        camera: Camera,
+        pose: Pose,
+        found: Segmentation,
+        stamp_ns: int,
+        covariance: Float64Array | None,
+    ) -> CellVotes:
+        """All votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None: it
+        is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
+        return self._caster.cast(
+            depth, camera, pose, found.labels, stamp_ns, self._camera, found.confidence, covariance
+        )
+
+    def carried(self, votes: CellVotes) -> CellVotes:
+        """Those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
+        return fitting(votes, turn_of(votes.stamp_ns))

@@ -1,0 +1,159 @@
+"""The step from a frame's traced depth, photo and labels to fused depth and what the network measures, made once for a
+camera. The node `topodepth` is this step with messages around it, and an archive's frames go through the same one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.resources import config_path
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.depth.network_measurement import NetworkMeasurement
+from ltm_core.depth.topodepth import FusedDepth, fuse, measure
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.masks import Looking
+from ltm_core.vision.scene_view import SceneFilter, SceneView
+
+
+class FusingConfig(StrictModel):
+    model: str = ""
+    """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    label_model: str = ""
+    """Manifest name or path of the network that makes the labels, which says how fine they are; empty: the site's
+    `model`."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+    angle_sigma_deg: float = Field(0.03, ge=0)
+    """Standard deviation of a camera's direction, beside what its pose's covariance says."""
+    dem_sigma: float = Field(1.0, ge=0)
+    """Standard deviation of the terrain's heights, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class FusedFrame:
+    """`view`: what of the photo was taken to show the landscape. `trouble`: why the network gave nothing, where it
+    failed; the terrain's depth is worth having without one."""
+
+    fused: FusedDepth
+    view: SceneView
+    trouble: str = ""
+
+
+class FusingStep:
+    """Fuses a camera's frames. Raises ConfigError without a depth network, ModelError for one that cannot be taken."""
+
+    def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
+        self._config, self._site = config, site
+        self._scene = SceneFilter.of(site, camera)
+        self.label_columns = label_columns(site, camera, config)
+        """Of the network that makes the labels; 0: not known."""
+        self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
+        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
+        # Bare earth is asked for only where depth is traced to something else.
+        self.trace_to(None if site.surface is None else site.open_dem())
+
+    def trace_to(self, ground: Dem | None) -> None:
+        """`ground`: bare earth where depth is traced to what stands on it, which is then traced here besides."""
+        rays = self._site.curvature, self._site.refraction, self._site.possible_ground
+        self._ground = None if ground is None else TerrainTracer(ground, *rays)
+
+    def fuse(
+        self,
+        depth: Float32Array,
+        frame: PosedImage,
+        labels: UInt8Array | None,
+        covariance: Float64Array | None,
+        view: SceneView | None = None,
+    ) -> FusedFrame:
+        """`depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: they did not come.
+        `covariance`: (6, 6) of the pose as it is known; None: it is not. `view`: what was found of the photo already.
+
+        Raises ImageError and PoseError as `fuse` and the tracer do.
+        """
+        seen, network, trouble = self._look(frame, view)
+        ground, surface = self._terrain(depth, frame)
+        known = self._classes, self._settings(covariance), surface, self.network.fusion, seen.hidden, seen.unusable
+        return FusedFrame(fuse(ground, network, frame.image, labels, *known), seen, trouble)
+
+    def measure(
+        self,
+        depth: Float32Array,
+        frame: PosedImage,
+        labels: UInt8Array | None,
+        covariance: Float64Array | None,
+        view: SceneView | None = None,
+    ) -> tuple[NetworkMeasurement, str]:
+        """What the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing, where it
+        failed; arguments and errors as there."""
+        seen, network, trouble = self._look(frame, view)
+        ground, _ = self._terrain(depth, frame)
+        known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
+        return measure(ground, network, frame.image, labels, *known, seen.doubtful), trouble
+
+    def _terrain(self, depth: Float32Array, frame: PosedImage) -> tuple[RangeImage | DepthImage, DepthImage | None]:
+        """Bare earth, and what stands on it, where depth is traced to that."""
+        traced = DepthImage(depth, frame.camera, frame.pose)
+        return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
+
+    def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
+        """What of the photo shows the landscape, and what the network makes of it, or why it failed."""
+        looking = Looking.of(frame.camera, frame.pose)
+        seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
+        try:
+            return seen, self.network.predict(frame.image, frame.camera) if seen.reason is None else None, ""
+        except ModelError as error:
+            return seen, None, str(error)
+
+    def _settings(self, covariance: Float64Array | None) -> FusionSettings:
+        """With the camera's direction as sure as its pose's covariance says, where that is given."""
+        known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
+        angle = np.radians(self._config.angle_sigma_deg)
+        return FusionSettings(
+            float(np.sqrt(angle**2 + known)), self._config.dem_sigma, label_columns=self.label_columns
+        )
+
+    def compile_kernels(self) -> None:
+        """Now, or load them from numba's cache: the first frame shall not wait for it."""
+        camera = Camera.from_fov(96, 64, 50.0)
+        rows, cols = np.mgrid[0:64, 0:96]
+        depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
+        depth[:10] = np.inf
+        traced = DepthImage(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0))
+        rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
+        inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
+        for given in (labels, None):
+            network = NetworkDepth(inverse, "relative_inverse")
+            fuse(traced, network, rgb, given, self._classes, config=self.network.fusion).measured()
+
+
+def depth_manifest(site: Site, camera: str, config: FusingConfig) -> Manifest:
+    """The depth network of a camera: one with a head has that of the network which the head corrects, so that the
+    encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
+    model = config.model or site.depth_model
+    if not model:
+        raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
+    return Manifest.find(model).serving(site.camera(camera).head)
+
+
+def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
+    """Of the network that labels a camera's pictures; 0 where it is not known here: another computer may run it."""
+    try:
+        return Manifest.find(config.label_model or site.model).serving(site.camera(camera).head).label_columns
+    except ModelError:
+        return 0

@@ -1,0 +1,103 @@
+"""Make the evidence map of a site's fuels, and the canopy that its cameras have measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError, RasterError, StoreError
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, stand_heights
+from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.export.landscape import canopy_bands
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_surface import TERRAIN_STORE, ConfirmedTerrain, open_stored_surface
+from ltm_core.site.label_errors import camera_label_errors, site_label_errors
+from ltm_core.site.site import Site
+from ltm_core.vision.labels import LabelSet
+
+
+def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
+    """An empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
+
+    Raises ConfigError and RasterError for a region, label errors or prior that cannot be taken.
+    """
+    return empty_maps(site, geometry, labels)()
+
+
+def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable[[], LivingFuelMap]:
+    """Makes such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
+    fuel = site.fuel
+    prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
+    region = FuelRegion.named(fuel.region)
+    errors, of_cameras = site_label_errors(site), camera_label_errors(site)
+    return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
+
+
+def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
+    """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
+    return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
+
+
+@dataclass(frozen=True, eq=False)
+class SiteCanopy:
+    """`note`: what is to be told of it; empty: nothing."""
+
+    seen: SeenCanopy
+    note: str = ""
+
+
+def site_canopy(
+    site: Site,
+    grid: GridGeometry,
+    layers: FuelLayers,
+    prior: FuelPrior | None,
+    region: FuelRegion,
+    terrain: ConfirmedTerrain,
+    evidence: EvidenceMap | None = None,
+    state: Path | None = None,
+) -> SiteCanopy:
+    """Of the cells of the fuel grid `grid` (in the map frame).
+
+    Args:
+        terrain: that of the same moment as the layers.
+        evidence: what cameras have seen until now; None: not known, or the layers are of an earlier date.
+        state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise.
+    """
+    bands = canopy_bands(layers, prior, region)
+    trees = forms_of(layers.code)[..., LifeForm.TREE - 1] & (bands[0] > 0)
+    given = None if prior is None else prior.canopy
+    new = layers.changed | (np.ones(trees.shape, np.bool_) if given is None else given[0] == NODATA)
+    before = np.where(bands[0] > 0, bands[0], np.nan).astype(np.float64)
+    tops = np.where(bands[1] > 0, bands[1] / 10.0, np.nan)
+    heights, note = _heights(site, grid, state, tops)
+    labels = None if evidence is None else evidence.label_cover(before)
+    return SiteCanopy(measured_canopy(trees, new, seen_canopy(terrain, grid), labels, heights), note)
+
+
+def _heights(
+    site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
+) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
+    """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
+    `before`: metres, as of `stand_heights`.
+    """
+    path = None if state is None else state / TERRAIN_STORE
+    if path is None or site.terrain is None or site.surface is not None or not path.is_file():
+        return None, ""
+    try:
+        surface = open_stored_surface(path, site)
+        try:
+            return stand_heights(surface, grid, before), ""
+        finally:
+            surface.close()
+    except (ConfigError, StoreError, RasterError) as error:
+        return None, f"heights of trees are not from the terrain map ({error})"

@@ -1,0 +1,214 @@
+"""Make the surface map of a site, and the terrain that its cameras have confirmed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
+from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.raster.dem import Dem
+from ltm_core.raster.shared_rasters import shared
+from ltm_core.site.label_errors import site_label_errors
+from ltm_core.site.site import Site
+from ltm_core.storage.disk_io import is_file
+from ltm_core.storage.tile_store import StoreSchema, TileStore
+from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.observation import DepthFrame
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import Added, SurfaceMap
+from ltm_core.surface.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersion, SurfaceVersions
+from ltm_core.surface.tile_pool import KIND, schema_of
+from ltm_core.vision.labels import LabelSet
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedTerrain:
+    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+
+    `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
+    `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
+    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
+    version; None: not known. `note`: what is to be told of it.
+    """
+
+    version: SurfaceVersion | None
+    ground: Dem
+    top: Dem
+    surface: ConfirmedSurface | None = None
+    canopy_known: bool = True
+    given: Dem | None = None
+    note: str = ""
+
+    @property
+    def name(self) -> str:
+        """The version, as frames carry it; AS_GIVEN where there is none."""
+        return AS_GIVEN if self.version is None else self.version.version
+
+    @classmethod
+    def as_given(cls, site: Site) -> ConfirmedTerrain:
+        """Raises what `Site.open_dem` does."""
+        ground = site.open_dem()
+        return cls(None, ground, site.open_surface(ground), canopy_known=site.surface is not None)
+
+    @classmethod
+    def of(cls, site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
+        """The terrain of a version that the manifest lists, shared within the process; AS_GIVEN: as given.
+
+        Raises StoreError where the version is not listed or cannot be read, and what `Site.open_dem` does.
+        """
+        if name == AS_GIVEN:
+            return cls.as_given(site)
+        entry = versions.manifest().entry(name)
+        if entry is None:
+            raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+        # Before the rasters: who follows tries a file that is damaged again and again.
+        surface = versions.load(entry)
+        given = cls.as_given(site)
+        rasters = [dem.path for dem in (site.dem, *site.coarser, *([site.surface] if site.surface else []))]
+        files = [versions.file(name), *rasters]
+        ground, top = (
+            shared(files, (what, site.frame), lambda make=make, under=under: make(under))  # type: ignore[misc]
+            for what, make, under in (
+                ("confirmed ground", surface.ground_over, given.ground),
+                ("confirmed surface", surface.surface_over, given.top),
+            )
+        )
+        return cls(entry, ground, top, surface, given.canopy_known, given.top)
+
+
+def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
+    """Those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
+    resolution = None if site.terrain is None else site.terrain.resolution
+    return SurfaceVersions(folder, site.name, terrain_grid(site.open_dem().geometry, resolution))
+
+
+def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
+    """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
+    the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing that
+    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
+    moment of which no surface is kept any more.
+    """
+    note = ""
+    if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
+        versions = surface_versions(site, state / FOLDER)
+        entry = versions.manifest().at(moment_ns)
+        if entry is not None:
+            return replace(ConfirmedTerrain.of(site, versions, entry.version), version=entry)
+        if not versions.folder.is_dir():
+            note = (
+                f"the site follows the confirmed surface, but {versions.folder} is not there: heights are bare earth "
+                "as given; keep fuel map and terrain in one folder (ltm run --state)"
+            )
+    ground = site.open_dem()
+    return ConfirmedTerrain(None, ground, ground, canopy_known=False, note=note)
+
+
+def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
+    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
+    cell = resolution or dem.resolution
+    height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
+    return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
+
+
+STORE_FILE = "terrain.sqlite"
+STABLE_CLASSES = ("grass", "bare", "built")
+"""Whose surface stays where it is: what a frame is registered on."""
+UNCOMMITTED = 500
+"""Frames that wait to be stored at most."""
+
+
+class SiteTerrain:
+    """The surface map `map` of a site with a section `terrain`, in the `store` that `open_store` gives for its schema.
+
+    Raises ConfigError for a site without that section, and as `Site.open_dem` and `SurfaceMap` do.
+    """
+
+    def __init__(self, site: Site, open_store: Callable[[StoreSchema], TileStore]) -> None:
+        if site.terrain is None:
+            raise ConfigError(
+                f"site {site.name}: has no section `terrain`; add one (`terrain: {{}}` takes the defaults)"
+            )
+        labels = LabelSet.load(config_path(site.labels))
+        self._stable = np.zeros(256, np.bool_)
+        self._stable[[labels.id_of(name) for name in STABLE_CLASSES]] = True
+        bare = site.open_dem()
+        surface = site.open_surface(bare) if site.surface is not None else None
+        reference = Reference.of(bare, surface, site.terrain.resolution)
+        del bare, surface
+        self.store = open_store(schema_of(site.in_crs(reference.geometry)))
+        self.map = SurfaceMap(
+            reference,
+            site.terrain,
+            tuple(site.cameras),
+            self.store,
+            site.curvature,
+            site.refraction,
+            site_label_errors(site).open_odds(),
+            site.assumed_pose_error,
+        )
+
+    def add(
+        self,
+        depth: Float32Array,
+        sigma: Float32Array,
+        camera: Camera,
+        pose: Pose,
+        stamp_ns: int,
+        source: str,
+        covariance: Float64Array | None,
+        labels: UInt8Array | None,
+    ) -> Added:
+        """Take in what was measured in a photo of `camera`; arguments as of `DepthFrame.of_photo`. Raises LtmError as
+        it and `SurfaceMap.add` do."""
+        frame = DepthFrame.of_photo(depth, sigma, camera, pose, stamp_ns, source, covariance, labels)
+        if frame.labels is not None:
+            frame = replace(frame, stable=self._stable[frame.labels])
+        return self.map.add(frame)
+
+
+TERRAIN_STORE: Final = "terrain.sqlite"
+"""Name of a site's store in the folder in which its terrain node keeps it."""
+
+
+def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
+    """The surface map in a store (`terrain.sqlite`), also while a graph writes it; nothing is written to it.
+
+    Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
+    """
+    if site.terrain is None:
+        raise ConfigError(f"site {site.name} has no section `terrain`; {path} needs that of the site that made it")
+    if not is_file(path):
+        raise ConfigError(f"{path}: no such file; a terrain store is terrain.sqlite in the folder that keeps the map")
+    bare = site.open_dem()
+    surface = site.open_surface(bare) if site.surface is not None else None
+    reference = Reference.of(bare, surface, site.terrain.resolution)
+    store = TileStore.open_read_only(path, KIND)
+    if differences := schema_of(site.in_crs(reference.geometry)).differences(store.schema):
+        store.close()
+        raise ConfigError(f"{path}: not a terrain of site {site.name}: {differences}; name the site that made it")
+    return SurfaceMap(reference, site.terrain, tuple(site.cameras), store, site.curvature, site.refraction)
+
+
+def site_terrain(site: Site) -> tuple[Terrain, PicturePoseConfig]:
+    """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
+
+    Raises DemError as `Site.open_dem`.
+    """
+    bare = site.open_dem()
+    ground = site.open_surface(bare)
+    config = PicturePoseConfig()
+    if ground is not bare:
+        config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
+    return Terrain(ground, site.bend, site.possible_ground), config

@@ -1,0 +1,168 @@
+"""Store the fuel map of a site and restore it after any stop; apply changes of the surface to it."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import UInt8Array
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, EXTENDED_VERSION, TILE
+from ltm_core.fuel.cell_visibility import CellVisibility
+from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, record
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.site.site import Site
+from ltm_core.storage.text_io import load_array
+from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.storage.tile_store_schema import with_all_fields
+from ltm_core.surface.change import Changed
+
+STORE_KIND: Final = "fuel"
+STORE_FILE: Final = "fuel_map.ltm"
+"""Name of a site's store in the folder that the site's fuel map keeps its files in."""
+JOURNALED: Final = ("life_form", "code")
+"""Layers whose changes the store's journal holds."""
+_ALWAYS: Final = 2**63 - 1
+SURFACE_LAYER: Final = "surface"
+"""Of the journal: what is recorded of the changed surface in each cell (`LivingFuelMap.surface_changes`)."""
+_VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
+
+
+def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
+    """What the store of a site's map states; `geometry`: the fuel grid in the map frame.
+
+    The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
+    """
+    return StoreSchema(
+        STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), extends=EXTENDED_VERSION
+    )
+
+
+def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
+    """Fill an empty map with what a store holds; the tiles that the store does not hold in their last state.
+
+    Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
+    """
+    for key, tile in store.tiles():
+        # One of an earlier version, opened for reading, lacks fields.
+        evidence.load_tile(key, with_all_fields(tile, EVIDENCE_FIELDS, TILE))
+    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
+    newer: set[Key] = set()
+    for frame in store.waiting():
+        window = evidence.add(votes_of(frame, evidence.geometry))
+        if window is not None:
+            newer.update(evidence.tiles_of(window))
+    return newer
+
+
+def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileStore:
+    """A site's store for reading, also while a node writes it; fills the `empty` map of the site.
+
+    The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
+    ConfigError for another site's store and as `restore` does.
+    """
+    store = TileStore.open_read_only(path, STORE_KIND)
+    try:
+        schema = fuel_schema(site, empty.geometry)
+        if not schema.grown_from(store.schema) and (differences := schema.differences(store.schema)):
+            raise ConfigError(f"{path}: not the store of this site's fuel map: {differences}")
+        restore(store, empty)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def votes_to_bytes(votes: CellVotes) -> bytes:
+    """All of a frame's votes but the grid, their source and stamp, exactly."""
+    columns: dict[str, NDArray[Any]] = {"row": votes.rows, "col": votes.cols, "z": votes.z, "counts": votes.counts}
+    if votes.confidence is not None:
+        columns["confidence"] = votes.confidence
+    if votes.visibility is not None:
+        columns |= dict(zip(_VISIBILITY, votes.visibility.columns(), strict=True))
+    table = np.empty(len(votes), [(name, column.dtype, column.shape[1:]) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    file = io.BytesIO()
+    header = {"descr": _description(table.dtype), "fortran_order": False, "shape": table.shape}
+    np.lib.format.write_array_header_1_0(file, header)
+    file.write(table.tobytes())
+    return file.getvalue()
+
+
+@functools.cache
+def _description(dtype: np.dtype[Any]) -> Any:
+    """As `numpy.save` writes it; frames of a network have one or two dtypes, and this takes longer than all else."""
+    return np.lib.format.dtype_to_descr(dtype)
+
+
+def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
+    """The votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
+    what = f"the store's frame {frame.stamp_ns} of {frame.source}"
+    table = load_array(frame.payload, what, ConfigError)
+    try:
+        row, col, z, counts = (np.ascontiguousarray(table[name]) for name in ("row", "col", "z", "counts"))
+        names = table.dtype.names or ()
+        confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
+        visibility = None
+        if _VISIBILITY[0] in names:
+            visibility = CellVisibility(*_columns(table, _VISIBILITY))
+        return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, visibility)
+    except (ValueError, IndexError, TypeError) as error:
+        raise ConfigError(f"{what} is damaged ({error}); restore the store from a copy") from error
+
+
+def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:
+    return [np.ascontiguousarray(table[name]) for name in names]
+
+
+class SurfaceMoves:
+    """How far the surface has moved, by cell of the terrain's `grid` (in the map frame), as far as it was told."""
+
+    def __init__(self, grid: GridGeometry) -> None:
+        self._grid = grid
+        self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
+
+    def take(self, changed: Changed) -> None:
+        """Cells whose change is new, which must lie in the grid."""
+        self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
+
+    def news(self, kinds: UInt8Array, window: Window, evidence: LivingFuelMap) -> SurfaceNews:
+        """What the kinds of change (`SurfaceLayers.told`) in a window (row, col, height, width) of the grid are news
+        of to a fuel map."""
+        row, col, height, width = window
+        shift = self._shift[row : row + height, col : col + width]
+        known = np.where(shift != 0, shift, np.float32(np.nan))
+        return news_of(kinds, known, self._grid.window(*window), evidence.geometry, evidence.change_kinds)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedNews:
+    """News that the map has taken: the state of the tiles that they void, to be put in place of the map's; what belongs
+    into its journal; and the window (row, col, height, width) of the fuel grid that they touch."""
+
+    tiles: Mapping[Key, Tile]
+    change: CellChanges
+    window: Window
+
+
+def take_news(evidence: LivingFuelMap, news: SurfaceNews, stamp_ns: int) -> RecordedNews:
+    """Have a map start from what stands now in the cells of the news, of which there must be some."""
+    recorded, tiles = record(evidence, news)
+    cells = news.rows, news.cols
+    change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.surface_changes[cells], recorded)
+    whole = evidence.surface_changes.copy()
+    whole[cells] = recorded
+    evidence.recall(whole)
+    top, left = int(news.rows.min()), int(news.cols.min())
+    window = top, left, int(news.rows.max()) - top + 1, int(news.cols.max()) - left + 1
+    return RecordedNews(tiles, change, window)

@@ -1,0 +1,1 @@
+"""Mounts of fixed and pan-tilt-zoom cameras: calibration, shared corrections, and detection of turns."""

@@ -1,0 +1,125 @@
+"""How the mount of a pan-tilt-zoom head is written in a site file; `ltm pose` writes it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ltm_core.cameras.camera_config import PoseConfig
+from ltm_core.cameras.plausibility import PitchDeg
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens
+from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
+from ltm_core.raster.dem import Dem
+
+_ANGLES = 4
+
+
+class MountConfig(PoseConfig):
+    """Where a head stands and how it is mounted: the keys of a pose are those of its camera where pan and tilt are 0.
+
+    The sigmas' defaults are those of a head that was set up with a compass and a level, and never calibrated.
+    """
+
+    azimuth_sigma_deg: float | None = Field(1.5, gt=0)
+    pitch_sigma_deg: float | None = Field(0.5, gt=0)
+    roll_sigma_deg: float | None = Field(0.5, gt=0)
+    position_sigma: float | None = Field(0.5, gt=0)
+    height_sigma: float | None = Field(0.5, gt=0)
+    tilt_zero_deg: PitchDeg = 0.0
+    """What is added to each tilt, upwards."""
+    tilt_zero_sigma_deg: float = Field(0.3, gt=0)
+    pan_sign: Sign = 1
+    """1 where pan grows clockwise as seen from above."""
+    tilt_sign: Sign = 1
+    """1 where tilt grows upwards."""
+    encoder_sigma_deg: float = Field(0.03, gt=0)
+    """Of each of pan and tilt: how well the head comes back to a reading."""
+    covariance_deg2: tuple[tuple[float, ...], ...] | None = None
+    """Of azimuth, pitch, roll and tilt zero, 4 by 4, as a calibration gives it; instead of their sigmas."""
+    lens: LensConfig | None = None
+    """None: the lens does not zoom, and `calibration` states it."""
+
+    @model_validator(mode="after")
+    def _a_covariance(self) -> Self:
+        if self.covariance_deg2 is None:
+            return self
+        if len(self.covariance_deg2) != _ANGLES or any(len(row) != _ANGLES for row in self.covariance_deg2):
+            raise ValueError("covariance_deg2 is 4 by 4: azimuth, pitch, roll, tilt zero")
+        matrix = np.array(self.covariance_deg2)
+        if not np.allclose(matrix, matrix.T, rtol=1e-4, atol=1e-12) or np.linalg.eigvalsh(matrix)[0] < -1e-9:
+            raise ValueError("covariance_deg2 is no covariance: it must be symmetric, without negative variances")
+        return self
+
+    @property
+    def calibrated(self) -> bool:
+        return self.covariance_deg2 is not None
+
+    def model(self, dem: Dem, frame: SiteFrame) -> MountModel:
+        """In the map frame. Raises what `PoseConfig.pose` raises."""
+        base = self.pose(dem, frame)
+        sigmas = (self.position_sigma, self.height_sigma, *self.angle_sigmas_deg[:3])
+        covariance = np.zeros((7, 7))
+        covariance[:6, :6] = pose_covariance(base, *(sigma or 0.0 for sigma in sigmas))
+        covariance[6, 6] = math.radians(self.tilt_zero_sigma_deg) ** 2
+        model = MountModel(
+            base,
+            math.radians(self.tilt_zero_deg),
+            covariance,
+            self.pan_sign,
+            self.tilt_sign,
+            math.radians(self.encoder_sigma_deg),
+        )
+        if self.covariance_deg2 is None:
+            return model
+        return model.with_angle_covariance(np.radians(np.radians(np.array(self.covariance_deg2, np.float64))))
+
+    @property
+    def angle_sigmas_deg(self) -> tuple[float, float, float, float]:
+        """Of azimuth, pitch, roll and tilt zero, as they are stated."""
+        return (
+            self.azimuth_sigma_deg or 1.5,
+            self.pitch_sigma_deg or 0.5,
+            self.roll_sigma_deg or 0.5,
+            self.tilt_zero_sigma_deg,
+        )
+
+
+def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
+    """The section `mount` of a calibrated head, for YAML; its place in the frame's CRS."""
+    x, y, z = (float(v) for v in model.base.position)
+    azimuth, pitch, roll = model.base.angles_deg
+    angles = np.degrees(np.degrees(model.angle_covariance))
+    sigmas = np.sqrt(np.diag(angles))
+    place = np.sqrt(np.diag(model.covariance)[:3])
+    section: dict[str, Any] = {
+        "x": round(x + frame.x_origin, 3),
+        "y": round(y + frame.y_origin, 3),
+        "z": round(z, 3),
+        "azimuth_deg": round(azimuth, 4),
+        "pitch_deg": round(pitch, 4),
+        "roll_deg": round(roll, 4),
+        "tilt_zero_deg": round(math.degrees(model.tilt_zero), 4),
+        "pan_sign": model.pan_sign,
+        "tilt_sign": model.tilt_sign,
+        "encoder_sigma_deg": _short(math.degrees(model.encoder_sigma)),
+    }
+    metres = {"position_sigma": max(place[0], place[1]), "height_sigma": place[2]}
+    section |= {key: _short(value) for key, value in metres.items() if value > 0}
+    names = ("azimuth_sigma_deg", "pitch_sigma_deg", "roll_sigma_deg", "tilt_zero_sigma_deg")
+    section |= {name: _short(max(sigma, 1e-6)) for name, sigma in zip(names, sigmas, strict=True)}
+    section["covariance_deg2"] = [[float(f"{value:.8g}") for value in row] for row in (angles + angles.T) / 2]
+    if lens is not None:
+        config = lens.config()
+        section["lens"] = config.model_dump(exclude={"zoom"}) | {
+            "zoom": [point.model_dump(exclude_defaults=True) for point in config.zoom]
+        }
+    return section
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")

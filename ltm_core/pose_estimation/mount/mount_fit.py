@@ -1,0 +1,268 @@
+"""One correction for several pictures of one mount: presets of a pan-tilt-zoom head, or days of a fixed camera.
+
+A picture's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
+mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
+where it is free, a factor of the focal length. Single pictures propose corrections; that which explains all pictures
+best is refined over all of them at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
+from ltm_core.pose_estimation.mount.mount_verdict import MountPicture, alike, judge_mount, skylines_at
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Word
+from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, mean_about_best
+from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
+
+TILT_ZERO_SIGMA_DEG = 0.3
+_SURE = 3.0
+"""Sigmas by which a tilt zero must be shown."""
+_PROPOSALS = 3
+"""Hypotheses of each picture that are tried on all."""
+_STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
+"""Corrections that are refined, at least so far apart in azimuth (far ranges are like saws, with a best fit a tooth) or
+in the logarithm of the focal length."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountFit:
+    """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
+    poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
+    else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by what is stated.
+    `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held.
+    """
+
+    rotation: Float64Array
+    tilt_zero: float
+    shift: Float64Array
+    covariance: Float64Array
+    poses: tuple[Pose, ...]
+    found: tuple[Pose, ...]
+    word: Word
+    reason: str
+    gap: float
+    cost: float
+    focal: float = 1.0
+    focal_sigma: float = 0.0
+
+    def pose_covariance(self, picture: int) -> Float64Array:
+        """(6, 6) of a picture's pose, as in `pose_covariance`."""
+        to_pose = np.zeros((6, 7))
+        to_pose[:, :6] = np.eye(6)
+        to_pose[3:, 6] = self.found[picture].rotation[:, 0]
+        return np.asarray(to_pose @ self.covariance @ to_pose.T, np.float64)
+
+
+def fit_mount(
+    priors: Sequence[PosePrior],
+    searches: Sequence[PictureSearch],
+    config: PicturePoseConfig = PicturePoseConfig(),
+    tilt_zero_sigma_deg: float = TILT_ZERO_SIGMA_DEG,
+    focal_sigma: float = 0.0,
+) -> MountFit:
+    """Fit one correction to the pictures of `searches`, each searched from its own of `priors`.
+
+    The sigmas of the first prior are those of the mount; of its azimuth about the vertical, of pitch and roll about the
+    level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. `focal_sigma`: of the focal length, relative,
+    which was free in the searches, too; 0 holds it. Raises PoseError without pictures.
+    """
+    if not priors or len(priors) != len(searches):
+        raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
+    pictures = [
+        MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
+        for prior, search in zip(priors, searches, strict=True)
+    ]
+    sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
+    starts = _proposals(pictures)
+    if not starts:
+        return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
+    costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
+    order = np.argsort(costs)
+    fits = []
+    for k in _apart([starts[j] for j in order]):
+        state, covariance = _refined(pictures, starts[order[k]], sigma, config)
+        fits.append((_cost(pictures, state, sigma, config), state, covariance))
+    fits.sort(key=lambda fit: fit[0])
+    for _, state, _ in fits[1:]:
+        # Turns of half a circle to the right and to the left are one, and so is their mean.
+        state[3:6] = nearest_vector(state[3:6], fits[0][1][3:6])
+    v = config.verdict
+    gap = next(
+        (
+            cost - fits[0][0]
+            for cost, state, _ in fits[1:]
+            if abs(state[5] - fits[0][1][5]) > math.radians(v.alternative_deg)
+        ),
+        math.inf,
+    )
+    states = np.array([state for _, state, _ in fits])
+    variance = skylines_at(pictures, states[0], config).variance
+    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
+    shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
+    covariance = fits[0][2] + spread
+    found = tuple(p.pose(mean) for p in pictures)
+    away = float((np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)).max())
+    turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
+    word, reason = judge_mount(pictures, found, skylines_at(pictures, mean, config), turns, gap, away, v)
+    poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
+    cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
+    of_mount = covariance[:7, :7]
+    return MountFit(w, tilt, shift, of_mount, poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off)
+
+
+def fit_head(
+    priors: Sequence[PosePrior],
+    searches: Sequence[PictureSearch],
+    config: PicturePoseConfig,
+    tilt_zero_sigma_deg: float,
+) -> MountFit:
+    """Of a head: with the zero of its tilt axis where pictures in several directions ask for one, else without.
+
+    A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
+    three sigmas from none; no picture is then surer of its direction than without it.
+    """
+    plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
+    if tilt_zero_sigma_deg == 0:
+        return plain
+    head = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
+    # A floor of pitch is in the mount's rotation, once for each picture's pose; the zero by itself has it, too.
+    sigma = math.hypot(math.sqrt(head.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
+    if head.word != "accepted" or abs(head.tilt_zero) < _SURE * sigma or plain.cost - head.cost < _SURE**2 / 2:
+        return plain
+    surer = [
+        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(head.pose_covariance(k)[3:, 3:])
+        for k in range(len(priors))
+    ]
+    wider = max(1.0, *(float(share) for share in surer))
+    return replace(
+        head,
+        covariance=head.covariance * wider,
+        reason=f"{head.reason}, with the tilt axis read {math.degrees(head.tilt_zero):+.2f} deg off its zero",
+    )
+
+
+def _stated(pictures: list[MountPicture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
+    poses = tuple(p.prior.pose for p in pictures)
+    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma[:7] ** 2), poses, poses, word, reason, 0.0, math.inf)
+
+
+def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) -> Float64Array:
+    """(8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
+    level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
+    turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
+    return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
+
+
+def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
+    """States (8,), as in `_cost`."""
+    found = [np.zeros(8)]
+    for picture in pictures:
+        for hypothesis in picture.search.hypotheses[:_PROPOSALS]:
+            refined = hypothesis.refined
+            turn = vector_of_matrix(refined.pose.rotation @ picture.prior.pose.rotation.T)
+            focal = math.log(refined.camera.fx / picture.search.evidence.camera.fx)
+            found.append(np.array([0.0, 0.0, 0.0, *turn, 0.0, focal]))
+    return found if len(found) > 1 else []
+
+
+def _apart(states: list[Float64Array]) -> list[int]:
+    """Of corrections from the best down, the first few that differ in azimuth or focal length."""
+    kept: list[int] = []
+    for k, state in enumerate(states):
+        if len(kept) == _STARTS:
+            break
+        if all(
+            abs(nearest_vector(state[3:6], states[j][3:6])[2] - states[j][5]) > _APART
+            or abs(state[7] - states[j][7]) > _FOCAL_APART
+            for j in kept
+        ):
+            kept.append(k)
+    return kept
+
+
+def _deviation(state: Float64Array) -> Float64Array:
+    """(8,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the vertical
+    about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
+    """
+    tipped = matrix_of_vector(state[3:6])[:, 2]
+    return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
+
+
+def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
+    """Of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
+    away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
+    total = 0.5 * float(away @ away)
+    for p in pictures:
+        pose, camera = p.pose(state), p.camera(state)
+        evidence, horizon = p.search.evidence, p.search.horizon
+        cost = skyline_fit(pose, camera, evidence, horizon, config).cost
+        z = ridge_strength(pose, p.ridges, horizon.step, camera, evidence.edges)
+        cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
+        total += cost / alike(p, pictures)
+    return total
+
+
+def _refined(
+    pictures: list[MountPicture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
+) -> tuple[Float64Array, Float64Array]:
+    """The state (8,) as in `_cost` and its covariance."""
+    free = np.flatnonzero(sigma > 0)
+    state = np.where(sigma > 0, start, 0.0)
+    state[3:6] = start[3:6]
+    covariance = np.zeros((8, 8))
+    for k, (search, wide) in enumerate((*ROUNDS, ROUNDS[-1])):
+        last = k == len(ROUNDS)
+        normal, gradient = np.zeros((8, 8)), np.zeros(8)
+        for p in pictures:
+            pose, camera = p.pose(state), p.camera(state)
+            around = p.ridges.in_view(pose, camera, config.contours.most_points)
+            n, g = picture_system(
+                pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
+            )
+            shared = np.zeros((7, 8))
+            shared[:6, :6] = np.eye(6)
+            shared[3:6, 6] = pose.rotation[:, 0]
+            shared[6, 7] = 1.0
+            alone = 1.0 / alike(p, pictures)
+            normal += alone * (shared.T @ n @ shared)
+            gradient += alone * (shared.T @ g)
+        inverse = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
+        normal += np.diag(inverse)
+        gradient += inverse * _deviation(state)
+        if last:
+            covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
+            covariance[3:6, 3:6] += _floor(pictures)
+        else:
+            step = np.zeros(8)
+            step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
+            step[7] = min(max(step[7], -MOST_FOCAL_STEP), MOST_FOCAL_STEP)
+            turn = matrix_of_vector(-step[3:6]) @ matrix_of_vector(state[3:6])
+            state -= step
+            # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
+            state[3:6] = vector_of_matrix(turn)
+    return state, covariance
+
+
+def _floor(pictures: list[MountPicture]) -> Float64Array:
+    """(3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the picture:
+    that of every direction is another, and their mean is surer."""
+    azimuth, pitch, roll = MOUNT_FLOOR_DEG
+    directions = sum(1.0 / alike(p, pictures) for p in pictures)
+    return pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch / math.sqrt(directions), roll)[3:, 3:]
+
+
+def widened(prior: PosePrior, extra_deg: float) -> PosePrior:
+    """The same prior for a single picture of a mount whose tilt zero, too, is not known."""
+    return replace(prior, pitch_sigma_deg=math.hypot(prior.pitch_sigma_deg, extra_deg))

@@ -1,0 +1,189 @@
+"""Read landmarks and photos of a mount's presets; keep what the photos say of a mount across restarts.
+
+Keeps what a camera's pictures have told of its mount, in a file, over a restart.
+
+It holds for the place, mount and calibration that the site states, and for the DEM that the pictures were compared
+with: where any of these has changed since, it is not used, and the mount's error is found anew.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ltm_core.base.errors import PoseError, StoreError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
+from ltm_core.pose_estimation.points.control_points import HeadPoints, read_point_rows
+from ltm_core.site.site import Site
+from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+
+READING_COLUMNS: dict[str, Sequence[str]] = {
+    "pan": ("pan_deg", "pan"),
+    "tilt": ("tilt_deg", "tilt"),
+    "zoom": ("zoom",),
+}
+
+
+def read_head_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> HeadPoints:
+    """Control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and zoom of the
+    picture in which each is marked. One place may be marked in several pictures. Raises PoseError."""
+    names, rows = read_point_rows(path, frame, first_pixel, READING_COLUMNS)
+    return HeadPoints(names, rows[:, :3], rows[:, 3:5], rows[:, 5:8])
+
+
+def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
+    """Pan (deg), tilt (deg) and zoom by the picture's name, of a CSV with the columns name, pan_deg, tilt_deg, zoom, as
+    `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
+    path = Path(path)
+    reader = csv.DictReader(io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline=""))
+    found: dict[str, tuple[float, float, float]] = {}
+    try:
+        given = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
+        columns = {"name": given.get("name")}
+        columns |= {key: next((given[n] for n in names if n in given), None) for key, names in READING_COLUMNS.items()}
+        lacking = [key for key, column in columns.items() if column is None]
+        if lacking:
+            raise PoseError(f"{path}: no column {', '.join(lacking)}; readings need name, pan_deg, tilt_deg, zoom")
+        for row in reader:
+            name = (row[columns["name"] or ""] or "").strip()
+            place = f"{path}, line {reader.line_num}"
+            if not name or name in found:
+                raise PoseError(f"{place}: {'the name ' + name + ' stands twice' if name else 'no name'}")
+            pan, tilt, zoom = (_number(row[columns[key] or ""], key, place) for key in READING_COLUMNS)
+            found[name] = pan, tilt, zoom
+    except csv.Error as error:
+        raise PoseError(f"{path}: not a CSV file ({error})") from error
+    if not found:
+        raise PoseError(f"{path}: holds no reading")
+    return found
+
+
+def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom: float) -> None:
+    """One line more, below a head line that is written first."""
+    new = not path.exists()
+    with path.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        if new:
+            writer.writerow(("name", "pan_deg", "tilt_deg", "zoom"))
+        writer.writerow((name, f"{pan_deg:.6g}", f"{tilt_deg:.6g}", f"{zoom:.6g}"))
+
+
+def _number(text: str | None, column: str, place: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise PoseError(f"{place}: {column} is {text!r}, not a number")
+    return value
+
+
+_LAYOUT = 1
+_LARGEST = 64 << 10
+_ROUNDING = 1e-6
+"""Of a covariance's greatest eigenvalue: by which it may be none."""
+_Three = tuple[float, float, float]
+_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
+"""Radians."""
+
+
+class _Memory(StrictModel):
+    layout: int
+    terms: str
+    """What it holds for (`mount_terms`)."""
+    state: MountState
+    reason: str = Field(max_length=2000)
+    rotation: tuple[_Angle, _Angle, _Angle]
+    angles: tuple[_Three, _Three, _Three] | None
+    tilt_zero: _Angle = 0.0
+    tilt_covariance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+def memory_file(folder: Path, camera: str) -> Path:
+    return folder / f"mount_{camera}.json"
+
+
+def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
+    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
+    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
+    stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
+    rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
+    try:
+        files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
+    except OSError as error:
+        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
+    ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
+    lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
+    return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
+
+
+def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
+    """In place of the former file, at once and whole. Raises StoreError."""
+    angles = watch.correction.angles
+    memory = _Memory(
+        layout=_LAYOUT,
+        terms=terms,
+        state=watch.state,
+        reason=watch.reason[:2000],
+        rotation=watch.correction.rotation.tolist(),
+        angles=None if angles is None else angles.tolist(),
+        tilt_zero=watch.correction.tilt_zero,
+        tilt_covariance=watch.correction.tilt_covariance.tolist(),
+    )
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(memory.model_dump_json(indent=1))
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise StoreError(f"{path}: what is known of the mount cannot be kept ({error.strerror})") from error
+
+
+def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
+    """Give a watch what is kept of its mount; False where nothing is, or where it was learnt under other terms.
+
+    Raises StoreError for a file that cannot be read, or that is none of these.
+    """
+    if not path.exists():
+        return False
+    try:
+        memory = _Memory.model_validate_json(read_text(path, _LARGEST, StoreError))
+    except ValidationError as error:
+        raise StoreError(
+            f"{path}: does not hold what is known of a mount ({error.error_count()} errors); remove it"
+        ) from error
+    if memory.layout != _LAYOUT or memory.terms != terms:
+        return False
+    angles = None if memory.angles is None else np.array(memory.angles)
+    if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
+        raise StoreError(f"{path}: its angles and tilt_covariance are no covariance; remove it")
+    tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
+    watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
+    return True
+
+
+def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
+    """Nobody's slip would ever be seen against sigmas that are no numbers."""
+    joint = np.empty((4, 4))
+    joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
+    values = np.linalg.eigvalsh((joint + joint.T) / 2)
+    slack = _ROUNDING * values[-1]
+    return bool(values[0] >= -slack and np.abs(joint - joint.T).max() <= slack)

@@ -1,0 +1,158 @@
+"""Model a pan-tilt head on a mount, and the correction that all its poses share.
+
+A pan-tilt head on a mount that leans: from what its encoders say to the pose of its camera.
+
+R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the head as a whole, pan turns about the
+head's own upright axis, tilt about the camera's right. With a head that leans by a degree, an azimuth alone puts
+directions off by more than a degree on one side (`docs/cameras.md`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_pan_tilt, matrix_of_vector
+from ltm_core.pose_estimation.skyline.pose_hypothesis import angle_slopes, turned
+
+_UNKNOWN = 1.0
+"""Variance, rad^2, from which on a direction is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseCorrection:
+    """`rotation`: (3,) rad about the map's axes, by which stated poses are turned; `angles`: (3, 3) covariance of their
+    angles then, about these axes, rad^2; None: as it is stated.
+
+    `tilt_zero` (rad): by which a head's camera is turned up about its own right besides, wherever it looks.
+    `tilt_covariance`: (4,) of it with the rotation about x, y and z, and its variance.
+    """
+
+    rotation: Float64Array
+    angles: Float64Array | None
+    tilt_zero: float = 0.0
+    tilt_covariance: Float64Array = field(default_factory=lambda: np.zeros(4))
+
+    @property
+    def known(self) -> bool:
+        """Whether the angles of a pose are of use with it."""
+        return self.angles is None or bool(self.angles.diagonal().max() < _UNKNOWN)
+
+    @property
+    def held(self) -> bool:
+        """Whether pictures have found it, and agree with it still."""
+        return self.angles is not None and self.known
+
+    def applied(self, pose: Pose, covariance: Float64Array) -> tuple[Pose, Float64Array]:
+        """A stated pose and its covariance (6, 6) as in `pose_covariance`, corrected."""
+        if self.angles is not None:
+            stated, covariance = covariance, np.zeros((6, 6))
+            covariance[:3, :3] = stated[:3, :3]
+        # The tilt axis first: it is the head's own, and leans with what the rotation sets upright.
+        tilted = Pose(pose.position, pose.rotation @ matrix_of_vector([self.tilt_zero, 0.0, 0.0]))
+        corrected = turned(tilted, self.rotation)
+        if self.angles is not None:
+            covariance[3:, 3:] = self.angles_at(corrected)
+        return corrected, covariance
+
+    def angles_at(self, corrected: Pose) -> Float64Array:
+        """(3, 3) of a corrected pose: of another at each pan where the tilt zero is not sure."""
+        assert self.angles is not None  # nosec B101 # tells the type checker what holds
+        right, cross = corrected.rotation[:, 0], self.tilt_covariance[:3]
+        both = np.outer(cross, right)
+        return np.asarray(self.angles + both + both.T + self.tilt_covariance[3] * np.outer(right, right), np.float64)
+
+
+Sign = Literal[1, -1]
+
+
+@dataclass(frozen=True, eq=False)
+class MountModel:
+    """`base`: the camera's pose where pan is 0 and the tilt axis reads so that it looks along its level.
+
+    `tilt_zero` (rad): what is added to each tilt. `covariance`: (7, 7) of place (m), rotation about the map's axes
+    (rad), tilt zero (rad), as in `MountFit`. `pan_sign`: 1 where pan grows clockwise as seen from above; `tilt_sign`: 1
+    where tilt grows upwards. `encoder_sigma` (rad): of each of pan and tilt, how well the head comes back to a reading.
+    """
+
+    base: Pose
+    tilt_zero: float
+    covariance: Float64Array
+    pan_sign: Sign = 1
+    tilt_sign: Sign = 1
+    encoder_sigma: float = math.radians(0.03)
+
+    def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
+        """(3, 3), optical to map."""
+        pan, tilt = head_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
+        return np.asarray(self.base.rotation @ head_rotation(pan, tilt + self.tilt_zero), np.float64)
+
+    def pose(
+        self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[Pose, Float64Array]:
+        """The camera's pose, and its (6, 6) covariance as in `pose_covariance`, of what the encoders say.
+
+        The covariance holds the calibration's, the encoders' and that of motion: `moved_deg` is by how much pan and
+        tilt changed while the picture was taken, which lies somewhere between.
+        """
+        rotation = self.rotation(pan_deg, tilt_deg)
+        to_pose = np.zeros((6, 9))
+        to_pose[:, :6] = np.eye(6)
+        to_pose[3:, 6] = to_pose[3:, 8] = rotation[:, 0]
+        to_pose[3:, 7] = self.base.rotation[:, 1]
+        within = np.zeros((9, 9))
+        within[:7, :7] = self.covariance
+        within[7, 7], within[8, 8] = self.encoder_sigma**2 + np.radians(moved_deg) ** 2 / 12
+        return Pose(self.base.position, rotation), np.asarray(to_pose @ within @ to_pose.T, np.float64)
+
+    def corrected(
+        self, rotation: Float64Array, tilt_zero: float, shift: Float64Array, covariance: Float64Array
+    ) -> MountModel:
+        """With a correction as `MountFit` holds it."""
+        return replace(
+            self,
+            base=turned(self.base, rotation, shift),
+            tilt_zero=self.tilt_zero + tilt_zero,
+            covariance=np.asarray(covariance, np.float64),
+        )
+
+    @property
+    def angle_covariance(self) -> Float64Array:
+        """(4, 4) of the mount's azimuth, pitch and roll and its tilt zero, rad^2."""
+        to_angles = self._to_angles()
+        return np.asarray(to_angles @ self.covariance[3:, 3:] @ to_angles.T, np.float64)
+
+    def with_angle_covariance(self, angles: Float64Array) -> MountModel:
+        """The other way: from (4, 4), rad^2."""
+        to_map = np.linalg.inv(self._to_angles())
+        covariance = self.covariance.copy()
+        covariance[3:, 3:] = to_map @ angles @ to_map.T
+        covariance[:3, 3:] = covariance[3:, :3] = 0.0
+        return replace(self, covariance=covariance)
+
+    def _to_angles(self) -> Float64Array:
+        to_angles = np.eye(4)
+        to_angles[:3, :3] = angle_slopes(self.base)
+        return to_angles
+
+    def direction_sigma_deg(self, pan_deg: float, tilt_deg: float = 0.0) -> float:
+        """Of where the camera looks, by the calibration alone: that across in the worse direction."""
+        still = replace(self, encoder_sigma=0.0)
+        pose, covariance = still.pose(pan_deg, tilt_deg)
+        across = pose.rotation[:, :2]
+        return math.degrees(math.sqrt(float(np.linalg.eigvalsh(across.T @ covariance[3:, 3:] @ across)[-1])))
+
+
+def head_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
+    """Pan clockwise and tilt upwards, rad."""
+    return pan_sign * math.radians(pan_deg), tilt_sign * math.radians(tilt_deg)
+
+
+def head_rotation(pan: float, tilt: float) -> Float64Array:
+    """(3, 3) from the camera to the head at pan 0, tilt 0, both in optical axes: pan about down, tilt about right."""
+    return matrix_of_pan_tilt(pan, tilt)

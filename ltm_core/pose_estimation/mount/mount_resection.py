@@ -1,0 +1,281 @@
+"""A head's mount from landmarks that are marked in pictures of several presets.
+
+Shared by all pictures are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
+of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
+form (`mount_search`), least squares in the image, as in `resection`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.zoom_lens import ZoomLens
+from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
+from ltm_core.pose_estimation.mount.mount_search import STEEPEST_LEAN, closed_forms
+from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
+from ltm_core.pose_estimation.skyline.pose_hypothesis import turned
+from ltm_core.visibility.point_visibility import line_of_sight_vectors
+
+LEAST_LANDMARKS = 4
+"""With two, a lean of the mount and a zero of its tilt are not told apart; with three, no error shows."""
+WORST_SIGMA_DEG = 0.3
+"""Of a direction somewhere on the circle, beyond which landmarks are said to be crowded in pan."""
+_LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
+"""How far a mount may lean, tilts may be off and a table's focal lengths wrong: weak beside four landmarks."""
+_SIGN_GAIN = 3.0
+"""By so much must another sign of an axis explain the landmarks better than the stated one."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountResection:
+    """`residuals`: (N, 2) pixels, marked minus projected; `used`: (N,) those that were not outliers; `sigma_px`: of a
+    measured coordinate. `worst`: pan (deg) at which the calibration leaves the direction most open, and its standard
+    deviation (deg). `focal_factors`: by zoom, with which the stated lens was multiplied, and `focal_sigmas` theirs.
+    `notes`: what a user must know.
+    """
+
+    points: HeadPoints
+    model: MountModel
+    lens: ZoomLens
+    residuals: Float64Array
+    used: BoolArray
+    sigma_px: float
+    worst: tuple[float, float]
+    focal_factors: dict[float, float]
+    focal_sigmas: dict[float, float]
+    notes: tuple[str, ...]
+
+
+def resect_mount(
+    points: HeadPoints,
+    start: MountModel,
+    lens: ZoomLens,
+    bend: float = 0.0,
+    free_focal: bool = True,
+    free_position: bool = False,
+    sigma_px: float = 1.0,
+) -> MountResection:
+    """Fit the mount to landmarks.
+
+    Args:
+        points: at least four different landmarks, spread in pan.
+        start: its place, lean, signs and sigmas of place and encoders; of its azimuth nothing is used.
+        lens: the table to begin with.
+        bend: curvature coefficient of the rays, `geodesy.ray_bend`.
+        free_focal: fit the lens at each zoom, within some 5 percent of the table.
+        free_position: fit the place too, within the sigmas that `start` states.
+        sigma_px: what a mark is worth at best, pixels.
+
+    Raises PoseError that names the points: too few, outside the image, or so wrong that no mount explains them.
+    """
+    _check(points, lens)
+    problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px)
+    stated = (start.pan_sign, start.tilt_sign)
+    fits: dict[tuple[Sign, Sign], tuple[float, MountModel, Float64Array]] = {}
+    for signs, model in closed_forms(points, start, lens, bend).items():
+        median, state = problem.robust_fit(model)
+        fits[signs] = median, model, state
+        if signs == stated and median <= 3 * sigma_px:
+            break
+    if not fits:
+        raise PoseError(
+            f"no mount within {math.degrees(STEEPEST_LEAN):.0f} deg of the stated lean explains the landmarks. "
+            + REMEDY
+        )
+    best = min(fits, key=lambda signs: fits[signs][0])
+    if stated in fits and fits[stated][0] <= _SIGN_GAIN * max(fits[best][0], sigma_px):
+        best = stated
+    notes = []
+    if best != stated:
+        axes = [name for name, x, y in zip(("pan", "tilt"), best, stated, strict=True) if x != y]
+        notes.append(f"{' and '.join(axes)} runs opposite to what was stated: the landmarks fit only so")
+    _, model, state = fits[best]
+    return problem.solved(model, state, notes)
+
+
+def _check(points: HeadPoints, lens: ZoomLens) -> None:
+    different = {tuple(place) for place in points.places.tolist()}
+    if len(different) < LEAST_LANDMARKS:
+        raise PoseError(
+            f"{len(different)} landmarks: a mount needs at least {LEAST_LANDMARKS} different ones, spread in pan: "
+            "its lean and the zero of its tilt cannot be told apart with fewer"
+        )
+    u, v = points.pixels.T
+    outside = (u < -0.5) | (v < -0.5) | (u > lens.width - 0.5) | (v > lens.height - 0.5)
+    if outside.any():
+        raise PoseError(
+            f"landmarks outside the {lens.width} x {lens.height} image: {', '.join(np.array(points.names)[outside])}"
+        )
+
+
+class _Adjustment:
+    """Least squares. The state: shift (3), rotation about the map's axes (3), tilt zero, log focal factors a zoom,
+    encoder errors of pan and tilt a preset."""
+
+    def __init__(
+        self,
+        points: HeadPoints,
+        start: MountModel,
+        lens: ZoomLens,
+        bend: float,
+        free_focal: bool,
+        free_position: bool,
+        sigma_px: float,
+    ) -> None:
+        self._points, self._start, self._lens, self._bend = points, start, lens, bend
+        self._sigma_px = sigma_px
+        self._presets, self._preset_of = np.unique(points.readings, axis=0, return_inverse=True)
+        self._zooms, self._zoom_of = np.unique(points.readings[:, 2], return_inverse=True)
+        self._cameras = [lens.camera(zoom) for zoom in self._zooms]
+        place = np.sqrt(np.diag(start.covariance)[:3]) if free_position else np.zeros(3)
+        focal = np.full(len(self._zooms), _FOCAL_SIGMA if free_focal else 0.0)
+        encoder = np.full(2 * len(self._presets), start.encoder_sigma)
+        # The azimuth is what is sought; the lean is held weakly to what is stated, about level axes.
+        self._prior = np.concatenate([place, [_LEAN_SIGMA, _LEAN_SIGMA, 0.0, _TILT_SIGMA], focal, encoder])
+        self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, np.ones(len(encoder), bool)])
+
+    def robust_fit(self, model: MountModel) -> tuple[float, Float64Array]:
+        """Median residual (pixels) and state of a fit that gross errors move little, from `model`."""
+        self._begun = model
+        state = np.zeros(int(self._free.sum()))
+        everyone = np.ones(len(self._points.names), bool)
+        for loss in ("soft_l1", "cauchy", "cauchy"):
+            state = self._least(state, everyone, loss, self._scale(state))
+        return float(np.median(np.linalg.norm(self._residuals(state), axis=1))), state
+
+    def solved(self, model: MountModel, state: Float64Array, notes: list[str]) -> MountResection:
+        """From a robust fit to the result: least squares over the landmarks that are no outliers."""
+        self._begun = model
+        count = len(self._points.names)
+        used = np.ones(count, bool)
+        for _ in range(10):
+            off = np.linalg.norm(self._residuals(state), axis=1)
+            now = off <= OUTLIER_SIGMAS * self._scale(state)
+            if now.mean() < 1 - MAX_OUTLIER_SHARE or now.sum() < LEAST_LANDMARKS:
+                worst = [k for k in np.argsort(-off) if not now[k]]
+                named = ", ".join(f"{self._points.names[k]} (off by {off[k]:.0f} px)" for k in worst[:8])
+                raise PoseError(f"{len(worst)} of {count} landmarks fit no common mount: {named}. {REMEDY}")
+            settled = bool((now == used).all())
+            used = now
+            state = self._least(state, used, "linear", self._sigma_px)
+            if settled:
+                break
+        return self._result(state, used, notes)
+
+    def _result(self, state: Float64Array, used: BoolArray, notes: list[str]) -> MountResection:
+        residuals = self._residuals(state)
+        # The encoders' errors are free, so that each preset takes up two coordinates of its own.
+        bound = 7 - 3 * (not self._free[0]) + int(self._free[7 : 7 + len(self._zooms)].sum())
+        spare = max(2 * int(used.sum()) - bound, 1)
+        jacobian = self._jacobian(state, used)
+        weighted = np.linalg.norm(self._rows(state, used, self._sigma_px))
+        factor = max(1.0, float(weighted) / math.sqrt(spare))
+        normal = jacobian.T @ jacobian
+        inverse = np.zeros((len(self._prior), len(self._prior)))
+        inverse[np.ix_(self._free, self._free)] = np.linalg.pinv(normal) * factor**2
+        covariance = inverse[:7, :7]
+        if not self._free[0]:
+            covariance[:3, :3] = self._start.covariance[:3, :3]
+        whole = self._whole(state)
+        model = self._model(whole)
+        model = replace(model, covariance=covariance)
+        pans = np.arange(0.0, 360.0, 10.0)
+        sigmas = [model.direction_sigma_deg(pan) for pan in pans]
+        worst = float(pans[int(np.argmax(sigmas))]), float(max(sigmas))
+        focal = slice(7, 7 + len(self._zooms))
+        factors = dict(zip(map(float, self._zooms), map(float, np.exp(whole[focal])), strict=True))
+        deviations = np.sqrt(np.maximum(np.diag(inverse)[focal], 0.0))
+        open_focal = bool(self._free[focal].any())
+        if worst[1] > WORST_SIGMA_DEG:
+            span = _span_deg(self._points.readings[used, 0])
+            notes = [
+                *notes,
+                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is open by "
+                f"{worst[1]:.2f} deg; mark some there",
+            ]
+        return MountResection(
+            self._points,
+            model,
+            self._lens.scaled(factors) if open_focal else self._lens,
+            residuals,
+            used,
+            self._sigma_px * factor,
+            worst,
+            factors if open_focal else {},
+            dict(zip(map(float, self._zooms), map(float, deviations), strict=True)) if open_focal else {},
+            tuple(notes),
+        )
+
+    def _whole(self, state: Float64Array) -> Float64Array:
+        whole = np.zeros(len(self._prior))
+        whole[self._free] = state
+        return whole
+
+    def _model(self, whole: Float64Array) -> MountModel:
+        return replace(
+            self._begun,
+            base=turned(self._begun.base, whole[3:6], whole[:3]),
+            tilt_zero=float(whole[6]),
+        )
+
+    def _residuals(self, state: Float64Array) -> Float64Array:
+        """(N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""
+        whole = self._whole(state)
+        model = self._model(whole)
+        zooms, presets = len(self._zooms), len(self._presets)
+        told = np.radians(self._presets[:, :2]) * (model.pan_sign, model.tilt_sign) + (0.0, model.tilt_zero)
+        angles = told + whole[7 + zooms :].reshape(presets, 2)
+        rotations = model.base.rotation @ Rotation.from_euler("YX", angles).as_matrix()
+        sights = line_of_sight_vectors(model.base.position, self._points.places, self._bend)
+        seen = np.einsum("ni,nij->nj", sights, rotations[self._preset_of])
+        residuals = np.empty((len(sights), 2))
+        for k, camera in enumerate(self._cameras):
+            factor = math.exp(whole[7 + k])
+            mine = self._zoom_of == k
+            zoomed = camera.zoomed(factor)
+            residuals[mine] = self._points.pixels[mine] - zoomed.project(seen[mine])
+        return np.nan_to_num(residuals, nan=2.0 * self._lens.width)
+
+    def _rows(self, state: Float64Array, used: BoolArray, sigma_px: float) -> Float64Array:
+        whole = self._whole(state)
+        base = turned(self._begun.base, whole[3:6])
+        down, stated = base.rotation[:, 1], self._start.base.rotation[:, 1]
+        lean = np.cross(stated, down)[:2] / _LEAN_SIGMA
+        held = self._free & (self._prior > 0)
+        held[3:6] = False
+        return np.concatenate([self._residuals(state)[used].ravel() / sigma_px, lean, whole[held] / self._prior[held]])
+
+    def _scale(self, state: Float64Array) -> float:
+        """Of the marks, from the median of all, but no less than what a mark is worth at best."""
+        off = np.linalg.norm(self._residuals(state), axis=1)
+        return max(self._sigma_px, float(np.median(off)) / 1.1774)
+
+    def _least(self, state: Float64Array, used: BoolArray, loss: str, sigma_px: float) -> Float64Array:
+        solved = least_squares(
+            lambda x: self._rows(x, used, sigma_px), state, jac="2-point", x_scale="jac", loss=loss, max_nfev=60
+        )
+        return np.asarray(solved.x, np.float64)
+
+    def _jacobian(self, state: Float64Array, used: BoolArray) -> Float64Array:
+        step = 1e-6
+        columns = [
+            (self._rows(state + move, used, self._sigma_px) - self._rows(state - move, used, self._sigma_px))
+            / (2 * step)
+            for move in step * np.eye(len(state))
+        ]
+        return np.column_stack(columns)
+
+
+def _span_deg(pans: Float64Array) -> float:
+    """The shortest arc that holds all pans."""
+    at = np.sort(np.asarray(pans) % 360.0)
+    gaps = np.diff(np.append(at, at[0] + 360.0))
+    return float(360.0 - gaps.max())

@@ -1,0 +1,120 @@
+"""Decide whether a correction that several photos of a mount share is accepted.
+
+Pictures of one mount, and where a correction that all share puts them.
+
+A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
+the focal length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.find_pose import MANY_PLANTS, PictureSearch, Word
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
+
+
+@dataclass(frozen=True, eq=False)
+class MountPicture:
+    """A picture as stated (`prior`), what was found in it by itself, and the ridges around."""
+
+    prior: PosePrior
+    search: PictureSearch
+    ridges: ContourDirections
+
+    def pose(self, state: Float64Array) -> Pose:
+        """With a correction (8,)."""
+        stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
+        return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
+
+    def camera(self, state: Float64Array) -> Camera:
+        """With a correction (8,)."""
+        return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
+
+
+def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
+    """Of pictures that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
+    fits = [
+        skyline_fit(p.pose(state), p.camera(state), p.search.evidence, p.search.horizon, config)
+        for p in pictures
+        if p.search.evidence.skyline is not None
+    ]
+    return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
+
+
+def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
+    """How many pictures look where this one does: they share the DEM's errors, so that they count as one."""
+    width = picture.search.evidence.camera.hfov_deg
+    azimuth = picture.prior.pose.angles_deg[0]
+    away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
+    return float(sum(max(0.0, 1.0 - a / width) for a in away))
+
+
+def judge_mount(
+    pictures: Sequence[MountPicture],
+    found: Sequence[Pose],
+    seen: SkylineFit,
+    turns_deg: Float64Array,
+    gap: float,
+    away: float,
+    config: VerdictConfig,
+) -> tuple[Word, str]:
+    """The verdict in a word, and why. `found`: poses of the pictures with the correction. `seen`: how their skylines
+    lie on the terrain's there. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: by which the next
+    best correction costs more. `away`: sigmas of what is stated by which it is from none, the most of any angle.
+    """
+    apart = _alone_apart(pictures, found, config.mount_sharp_deg)
+    if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
+        return "ambiguous", f"the pictures leave the mount open by {turns_deg.max():.2f} deg"
+    if gap < _gap_asked(pictures, seen, config):
+        return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
+    if seen.support < config.least_support:
+        return "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
+    if max(apart, default=0.0) > config.mount_apart_deg:
+        return "ambiguous", f"a picture that is sure of itself lies {max(apart):.1f} deg from where the mount puts it"
+    if seen.open > config.open_share and not _told_alone(pictures, found, config):
+        return (
+            "ambiguous",
+            "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount",
+        )
+    if away > config.contradiction:
+        return "contradicts_prior", f"the mount is {away:.1f} sigmas from where it is said to be"
+    return "accepted", f"{len(pictures)} pictures agree"
+
+
+def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config: VerdictConfig) -> bool:
+    """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
+    apart = _alone_apart(pictures, found)
+    return len(apart) > 1 and max(apart) <= config.mount_apart_deg
+
+
+def _alone_apart(
+    pictures: Sequence[MountPicture], found: Sequence[Pose], most_sigma_deg: float = math.inf
+) -> list[float]:
+    """Degrees of azimuth or pitch between where pictures are found by themselves and where the mount puts them, of
+    those that are accepted and so sure."""
+    return [
+        float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
+        for p, pose in zip(pictures, found, strict=True)
+        if p.search.verdict.word == "accepted" and max(p.search.verdict.sigma_deg) <= most_sigma_deg
+    ]
+
+
+def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: VerdictConfig) -> float:
+    """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
+    evidences = [p.search.evidence for p in pictures]
+    if any(evidence.skyline is not None for evidence in evidences):
+        return config.gap_asked(seen.veiled, seen.variance)
+    plants = float(np.median([evidence.plants for evidence in evidences]))
+    return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap

@@ -1,0 +1,298 @@
+"""Keep the pose of a mounted camera by its photos, and detect when it has turned.
+
+Whether a camera whose pose is known may have been turned: its skyline is asked about some degrees to either side,
+for the angle that is clearly likelier, or for how likely each is.
+
+A fit from the known pose does not tell. It reaches a tooth of the skyline or two, and the hill that it then lies on
+holds it on the wrong side.
+
+Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
+
+A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a head that of its tilt axis' zero.
+It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog only
+delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last ones
+say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is sought
+anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from enum import Enum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
+from ltm_core.pose_estimation.mount.mount_fit import fit_head
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
+from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_slopes, angles_between, search_reach
+from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, skyline_fit
+from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+from ltm_core.site.sections import PoseRefinementConfig
+
+_STEP_DEG, _STEPS = 0.25, 8
+"""To either side."""
+_NEAR = 2
+"""Steps within which a fit from the known pose gets by itself."""
+_CLEARLY = 2.0
+"""By how much a turn must cost less than none."""
+
+
+def clearer_turn(
+    skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
+) -> Pose | None:
+    """The turned pose of which the skyline of an undistorted camera speaks clearly more than of the known one."""
+    azimuth, pitch, roll = known.pose.angles_deg
+    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
+    turns = math.radians(_STEP_DEG) * np.arange(-_STEPS, _STEPS + 1)
+    azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
+    found = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config)
+    best = int(np.argmin(found.cost))
+    if abs(best - _STEPS) < _NEAR or found.cost[best] > found.cost[_STEPS] - _CLEARLY:
+        return None
+    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
+    return Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
+
+
+def skyline_turns(
+    evidence: PictureEvidence, stamp_ns: int, known: PosePrior, horizon: TerrainHorizon, config: PicturePoseConfig
+) -> SkylineTurns | None:
+    """Of an undistorted picture, about the pose that its camera is said to have; None where too little of a skyline
+    fits at any angle: fog, or no sky.
+    """
+    if evidence.skyline is None:
+        return None
+    camera = evidence.camera
+    azimuth, pitch, roll = known.pose.angles_deg
+    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
+    azimuths = np.asarray(math.radians(azimuth) - SKYLINE_TURNS[::-1], np.float64)  # they must rise
+    found = search_azimuths(evidence.skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config.skyline)
+    best = int(np.argmin(found.cost))
+    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
+    there = Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
+    if skyline_fit(there, camera, evidence, horizon, config).support < config.verdict.clear_support:
+        return None
+    return SkylineTurns(stamp_ns, math.radians(azimuth), math.radians(camera.hfov_deg), -found.cost[::-1])
+
+
+_KEPT = 16
+"""Horizons: as many as a head has presets."""
+_mount_watch_STEP_DEG = 2.0
+"""Directions that differ by less share a horizon."""
+_TRACKING = (*ROUNDS[::2], ROUNDS[-1])
+"""Rounds of the fit in a picture of a mount that is known: it begins close by."""
+_TRACKED_SIGMA_DEG = 1.0
+"""Of each angle, within which a picture of a mount that is known may say otherwise."""
+
+
+class MountState(Enum):
+    STATED = "stated"
+    """Its poses are taken as they are stated: too few clear pictures yet."""
+    HELD = "held"
+    """They are corrected, and pictures agree."""
+    SLIPPED = "slipped"
+    """Pictures say that it looks elsewhere; where is not known yet."""
+    CONTRADICTED = "contradicted"
+    """Pictures agree with each other, and not with what is stated, by more than its sigmas allow."""
+
+
+class MountWatch:
+    """What the pictures of one camera say of its mount; give them in time order.
+
+    Args:
+        terrain: what its skylines are compared with.
+        config: how many pictures it takes.
+        picture_config: constants of the search in a single picture.
+        tilt_zero_sigma_deg: of a head, how far the zero of its tilt axis may be off; 0: none is sought.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        config: PoseRefinementConfig,
+        picture_config: PicturePoseConfig = PicturePoseConfig(),
+        tilt_zero_sigma_deg: float = 0.0,
+    ) -> None:
+        self._tilt_zero_sigma_deg = tilt_zero_sigma_deg
+        self._terrain, self._config, self._search = terrain, config, picture_config
+        self.correction = PoseCorrection(np.zeros(3), None)
+        self.state = MountState.STATED
+        self.reason = "too few clear pictures yet"
+        """Of the state, in words."""
+        self.slips = 0
+        """How often the mount was said to have slipped."""
+        self._priors: list[PosePrior] = []
+        self._searches: list[PictureSearch] = []
+        self._contradictions: list[Float64Array] = []
+        """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
+        self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
+        """Of each clear picture of a mount that is held: by how much the camera is off, radians of azimuth, pitch and
+        roll, where that is more than errors explain."""
+        self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
+
+    def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        """Go on from what a former watch of the same mount has found."""
+        self._become(state, correction, reason)
+
+    def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
+        """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
+
+        Raises PoseError for a camera beside the DEM or under its ground.
+        """
+        if self.state is MountState.HELD:
+            return self._track(evidence, self.correction.applied(stated, covariance)[0])
+        return self._gather(evidence, self._prior(stated, covariance))
+
+    def turns(
+        self, evidence: PictureEvidence, stamp_ns: int, stated: Pose, covariance: Float64Array
+    ) -> SkylineTurns | None:
+        """What a picture says of a turn of the camera from the pose that it is published with: `stated`, corrected."""
+        pose, _ = self.correction.applied(stated, covariance)
+        prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
+        return skyline_turns(evidence, stamp_ns, prior, self._horizon(evidence, prior)[0], self._search)
+
+    def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
+        if self.state is not MountState.SLIPPED:
+            return PosePrior.of_covariance(stated, covariance)
+        # The place stays, whatever has turned the camera.
+        sigma = self._config.slip_sigma_deg
+        return PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
+
+    def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
+        search = self._find(evidence, prior)
+        if not search.hypotheses or search.verdict.word == "no_skyline":
+            return False
+        if evidence.skyline is not None and search.verdict.support < self._search.verdict.clear_support:
+            # What is stated as sure holds a search by force: does the picture show another direction?
+            return self._contradicts(evidence, prior)
+        self._priors.append(prior)
+        self._searches.append(search)
+        if len(self._searches) >= self._config.gather:
+            self._fit()
+        return True
+
+    def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
+        """Whether a picture is clear that shows nothing from near the stated pose."""
+        sigma = self._config.slip_sigma_deg
+        wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
+        search = self._find(evidence, wide)
+        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.clear_support:
+            return False
+        turn = np.degrees(angles_between(prior.pose, search.hypotheses[0].refined.pose))
+        self._contradictions.append(np.asarray(turn, np.float64))
+        if len(self._contradictions) >= self._config.gather:
+            azimuth, pitch, roll = np.median(self._contradictions, axis=0)
+            reason = (
+                f"{len(self._contradictions)} clear pictures show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
+                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
+                "one of them"
+            )
+            self._become(MountState.CONTRADICTED, self._nowhere(), reason)
+        return True
+
+    def _fit(self) -> None:
+        fit = fit_head(self._priors, self._searches, self._search, self._tilt_zero_sigma_deg)
+        before = self.correction
+        if fit.word == "accepted":
+            rotation, tilt_zero = fit.rotation, fit.tilt_zero
+            if self.state is MountState.SLIPPED:  # its poses were those of the former correction
+                both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)
+                rotation = np.asarray(both.as_rotvec(), np.float64)
+                tilt_zero += before.tilt_zero
+            angles = np.asarray(fit.covariance[3:6, 3:6], np.float64)
+            found = PoseCorrection(rotation, angles, tilt_zero, fit.covariance[6, 3:7])
+            self._become(MountState.HELD, found, fit.reason)
+        elif fit.word == "contradicts_prior":
+            self._become(MountState.CONTRADICTED, self._nowhere(), fit.reason)
+        elif len(self._searches) >= self._config.most_gathered:
+            half = len(self._searches) // 2  # the others may show more, under another sky
+            del self._priors[:half], self._searches[:half]
+
+    def _nowhere(self) -> PoseCorrection:
+        """The correction so far, of which it is no longer known that it is right."""
+        return PoseCorrection(self.correction.rotation, unknown_angles(), self.correction.tilt_zero)
+
+    def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        self.state, self.correction, self.reason = state, correction, reason
+        self._priors.clear()
+        self._searches.clear()
+        self._contradictions.clear()
+        self._tracked.clear()
+
+    def _track(self, evidence: PictureEvidence, pose: Pose) -> bool:
+        if evidence.skyline is None:
+            return False
+        prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
+        horizon, ridges = self._horizon(evidence, prior)
+        around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
+        begun = [
+            refine(start, evidence.camera, evidence, horizon, around, prior, 0.0, self._search, _TRACKING)
+            for start in (pose, clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline))
+            if start is not None
+        ]
+        found = min(begun, key=lambda refined: refined.cost)
+        here = skyline_fit(pose, evidence.camera, evidence, horizon, self._search).support
+        refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.skyline.support
+        least = self._search.verdict.clear_support
+        if max(here, support) < least:
+            # Far off, or fog: only a search of its own tells.
+            search = self._find(evidence, PosePrior(pose, *(self._config.slip_sigma_deg,) * 3))
+            if search.verdict.word != "accepted":
+                return False
+            best = search.hypotheses[0].refined
+            refined, covariance = best.pose, best.covariance[3:6, 3:6]
+        off = angles_between(pose, refined)
+        slopes = angle_slopes(refined)
+        sigmas = np.sqrt(np.diag(slopes @ (covariance + self.correction.angles_at(pose)) @ slopes.T))
+        limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
+        self._tracked.append(off if (np.abs(off) > limits).any() else None)
+        self._judge()
+        return True
+
+    def _judge(self) -> None:
+        elsewhere = [np.degrees(off) for off in self._tracked if off is not None]
+        if len(elsewhere) < self._config.slipped:
+            return
+        azimuth, pitch, roll = np.median(elsewhere, axis=0)
+        self.slips += 1
+        reason = (
+            f"{len(elsewhere)} of the last {len(self._tracked)} clear pictures say that the camera has turned by "
+            f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
+        )
+        self._become(MountState.SLIPPED, self._nowhere(), reason)
+
+    def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
+        return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])
+
+    def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
+        """About the prior direction, of the last few that were asked for, with its ridges."""
+        azimuth = round(prior.pose.angles_deg[0] / _mount_watch_STEP_DEG) * _mount_watch_STEP_DEG
+        place = tuple(round(float(v), 2) for v in prior.pose.position)
+        reach = search_reach(prior, self._search)
+        key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
+        if key not in self._horizons:
+            middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
+            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _mount_watch_STEP_DEG)
+            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
+            self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
+            if len(self._horizons) > _KEPT:
+                del self._horizons[next(iter(self._horizons))]
+        return self._horizons[key]
+
+
+def unknown_angles() -> Float64Array:
+    """(3, 3): the covariance of angles by which nothing shall be placed."""
+    return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2

@@ -1,0 +1,1 @@
+"""Pose from surveyed control points (resection)."""

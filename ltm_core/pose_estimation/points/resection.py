@@ -1,0 +1,241 @@
+"""Resection: a camera's angles, focal length, k1 and position from ground control points.
+
+The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
+four steps: a coarse search over pairs of points, and triples where the position is free, that is robust against gross
+errors and needs no angles (`resection_search`); a fit with robust loss; least squares over the points that this fit
+does not call outliers; and a test of which parameters the points can determine. Source: Luhmann et al., Close-Range
+Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.pose_estimation.points.control_points import ControlPoints
+from ltm_core.pose_estimation.points.resection_adjustment import (
+    PARAMETERS,
+    Adjustment,
+    Fit,
+    Parameter,
+    check_fit,
+    check_points,
+    hold_for_redundancy,
+    median_px,
+    size_of,
+    unbearable,
+)
+from ltm_core.pose_estimation.points.resection_search import coarse_poses
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A parameter that the points determine too badly, as they would have had it.
+
+    `values`, `sigmas`: of fx (pixels), of k1, or of x, y, z (map metres). `median_px`: median residual of the points.
+    """
+
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    median_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Resection:
+    """A fitted camera.
+
+    `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`: (N,) the points that
+    were not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals but not below the
+    stated one. `held`: parameters that were asked for but not fitted, with the reason. `rejected`: those of `held` that
+    could be fitted, but too badly, with the values that they would have had. `sigmas`: standard deviations by
+    name: azimuth_deg, pitch_deg, roll_deg, and where they were fitted fx (pixels), k1, x, y, z (metres).
+    `pose_covariance`: (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
+    geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `covariance`: of
+    the fitted parameters in the order rotation x, y, z (rad), then `fitted`: focal (as a share), k1, position (m).
+    """
+
+    points: ControlPoints
+    camera: Camera
+    pose: Pose
+    fitted: tuple[Parameter, ...]
+    held: dict[Parameter, str]
+    rejected: dict[Parameter, Rejected]
+    residuals: Float64Array
+    used: BoolArray
+    sigma_px: float
+    sigmas: dict[str, float]
+    covariance: Float64Array
+    pose_covariance: Float64Array
+
+    @property
+    def residual_px(self) -> Float64Array:
+        """(N,) lengths of the residuals, pixels; +inf behind the camera."""
+        return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        return tuple(np.array(self.points.names)[~self.used])
+
+
+def resect(
+    points: ControlPoints,
+    camera: Camera,
+    position: ArrayLike,
+    angles_deg: tuple[float, float, float] | None = None,
+    free: Sequence[Parameter] = ("focal", "k1"),
+    bend: float = 0.0,
+    position_sigma: ArrayLike | None = None,
+    sigma_px: float = 1.0,
+    force: Sequence[Parameter] = (),
+) -> Resection:
+    """Fit the camera to the points.
+
+    Args:
+        points: control points; pixels counted as everywhere here, (0, 0) the centre of the top-left pixel.
+        camera: start of focal length and k1; its other values are kept, and fy / fx too.
+        position: (3,) map metres: held, or roughly known where "position" is free: then all places are searched, and
+            of poses that explain the points alike the nearest is taken.
+        angles_deg: (azimuth, pitch, roll) where they are roughly known; they only help the search.
+        free: parameters to fit besides the angles. One that the points cannot bear is held, with a reason.
+        bend: curvature coefficient of the rays, `geodesy.ray_bend`.
+        position_sigma: how well `position` is known, metres, one or three: an observation of weight 1 / sigma^2 where
+            the position is free, and its variance where it is not.
+        sigma_px: what a click is worth at best, pixels.
+        force: parameters to fit however badly the points bear them; they count as free. Too few points stay too few.
+
+    Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
+    do not follow from them, behind the camera, or so wrong that no pose explains them.
+    """
+    unknown = [name for name in (*free, *force) if name not in PARAMETERS]
+    if unknown:
+        raise PoseError(f"cannot fit {', '.join(unknown)}: free parameters are {', '.join(PARAMETERS)}")
+    if not sigma_px > 0:
+        raise PoseError(f"the sigma of a marked pixel must be positive, got {sigma_px}")
+    origin = np.asarray(position, np.float64)
+    sigma = _position_sigma(position_sigma)
+    check_points(points, camera, origin)
+    chosen = [name for name in PARAMETERS if name in free or name in force]
+    held = hold_for_redundancy(chosen, len(points.names), sigma is not None)
+    rejected: dict[Parameter, Rejected] = {}
+
+    problem = Adjustment(points, bend, origin, sigma)
+    best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
+    while True:
+        fit = problem.robust_fit(best.pose, best.camera, tuple(chosen), sigma_px)
+        fit = problem.without_outliers(fit, tuple(chosen), sigma_px)
+        check_fit(points, fit)
+        reason = unbearable(fit, tuple(chosen), points, force)
+        if reason is None:
+            break
+        name, why = reason
+        held[name], rejected[name] = why, _rejected(name, fit, tuple(chosen))
+        chosen.remove(name)
+        if name != "k1":  # which the rough fit leaves as it was given
+            best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
+    return _result(points, fit, tuple(chosen), held, rejected, sigma)
+
+
+def _rough_fit(
+    problem: Adjustment,
+    camera: Camera,
+    angles_deg: tuple[float, float, float] | None,
+    free: tuple[Parameter, ...],
+    sigma_px: float,
+) -> Fit:
+    """The best of the coarse search's poses, after a short fit; of those that explain the points alike, that whose
+    position is nearest to the stated one.
+    """
+    starts = coarse_poses(
+        problem.points, camera, problem.position, angles_deg, "focal" in free, "position" in free, problem.bend
+    )
+    rough = tuple(name for name in free if name != "k1")
+    fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
+    medians = [median_px(fit.residuals) for fit in fits]
+    alike = [fit for fit, median in zip(fits, medians, strict=True) if median <= max(min(medians), sigma_px)]
+    return min(alike, key=lambda fit: float(np.linalg.norm(fit.pose.position - problem.position)))
+
+
+def _rejected(name: Parameter, fit: Fit, free: tuple[Parameter, ...]) -> Rejected:
+    values = {"focal": {"fx": fit.camera.fx}, "k1": {"k1": fit.camera.distortion[0]}}.get(
+        name, dict(zip("xyz", map(float, fit.pose.position), strict=True))
+    )
+    sigmas = _parameter_sigmas(fit, free)
+    return Rejected(values, {key: sigmas[key] for key in values}, median_px(fit.residuals))
+
+
+def _result(
+    points: ControlPoints,
+    fit: Fit,
+    fitted: tuple[Parameter, ...],
+    held: dict[Parameter, str],
+    rejected: dict[Parameter, Rejected],
+    sigma: Float64Array | None,
+) -> Resection:
+    pose_covariance = np.zeros((6, 6))
+    turns = np.arange(3)
+    pose_covariance[3:, 3:] = fit.covariance[:3, :3]
+    if "position" in fitted:
+        at = 3 + size_of(fitted[: fitted.index("position")])
+        place = at + np.arange(3)
+        pose_covariance[:3, :3] = fit.covariance[np.ix_(place, place)]
+        pose_covariance[:3, 3:] = fit.covariance[np.ix_(place, turns)]
+        pose_covariance[3:, :3] = pose_covariance[:3, 3:].T
+    elif sigma is not None:
+        pose_covariance[:3, :3] = np.diag(sigma**2)
+    return Resection(
+        points,
+        fit.camera,
+        fit.pose,
+        fitted,
+        held,
+        rejected,
+        fit.residuals,
+        fit.used,
+        fit.sigma_px,
+        _angle_sigmas(fit.pose, fit.covariance[:3, :3]) | _parameter_sigmas(fit, fitted),
+        fit.covariance,
+        pose_covariance,
+    )
+
+
+def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, float]:
+    """Deviations of fx (pixels), k1 and x, y, z (metres), of those that were fitted."""
+    deviations = list(map(float, np.sqrt(np.diag(fit.covariance))[3:]))
+    sigmas: dict[str, float] = {}
+    for name in fitted:
+        if name == "focal":
+            sigmas["fx"] = deviations.pop(0) * fit.camera.fx
+        elif name == "k1":
+            sigmas["k1"] = deviations.pop(0)
+        else:
+            sigmas |= {axis: deviations.pop(0) for axis in "xyz"}
+    return sigmas
+
+
+def _angle_sigmas(pose: Pose, turns: Float64Array) -> dict[str, float]:
+    """Deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's axes."""
+    step = 1e-6
+    slopes = np.empty((3, 3))
+    for axis in range(3):
+        moved = matrix_of_vector(step * np.eye(3)[axis]) @ pose.rotation
+        change = np.array(Pose(pose.position, moved).angles_deg) - np.array(pose.angles_deg)
+        slopes[:, axis] = ((change + 180) % 360 - 180) / step
+    deviations = np.sqrt(np.diag(slopes @ turns @ slopes.T))
+    return dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), map(float, deviations), strict=True))
+
+
+def _position_sigma(sigma: ArrayLike | None) -> Float64Array | None:
+    if sigma is None:
+        return None
+    values = np.broadcast_to(np.asarray(sigma, np.float64), (3,))
+    if not (np.isfinite(values).all() and (values > 0).all()):
+        raise PoseError(f"the position's sigma must be positive metres, got {np.asarray(sigma).tolist()}")
+    return values

@@ -1,0 +1,283 @@
+"""Adjust the parameters of a resection; decide which of them the control points determine.
+
+The adjustment of a resection: robust fit, then least squares over the points that it does not call outliers.
+
+Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.pose_estimation.points.control_points import ControlPoints
+from ltm_core.visibility.point_visibility import line_of_sight_vectors
+
+Parameter = Literal["focal", "k1", "position"]
+"""What may be fitted besides the angles, which always are."""
+
+PARAMETERS: tuple[Parameter, ...] = ("focal", "k1", "position")
+SIZE = {"focal": 1, "k1": 1, "position": 3}
+"""Numbers that each parameter is."""
+
+MIN_REDUNDANCY = 2
+"""Measured coordinates beyond the number of parameters: with fewer no error shows."""
+OUTLIER_SIGMAS = 4.0
+MAX_OUTLIER_SHARE = 0.25
+
+REMEDY = (
+    "Check their pixels (counted from 0 or 1, of this image?), their coordinates (order, CRS, height datum), the "
+    "camera's position and its focal length"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    camera: Camera
+    pose: Pose
+    residuals: Float64Array
+    used: BoolArray
+    sigma_px: float
+    covariance: Float64Array
+    """Of rotation (rad), then the free parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    points: ControlPoints
+    bend: float
+    position: Float64Array
+    position_sigma: Float64Array | None
+
+    def robust_fit(
+        self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
+    ) -> Fit:
+        """Soft-L1, then Cauchy loss, which gross errors move less; the median residual of all points is its scale."""
+        everyone = np.ones(len(self.points.names), bool)
+        fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
+        for turn in range(rounds):
+            scale = max(sigma_px, _scale(fit.residuals, 3 + size_of(free)))
+            fit = self._solve(
+                fit, free, everyone, min(scale, diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
+            )
+        return fit
+
+    def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
+        """Least squares over the points within OUTLIER_SIGMAS, until that set stays."""
+        size = 3 + size_of(free)
+        before = None
+        for _ in range(10):
+            used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
+            if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
+                raise PoseError(
+                    f"{(~used).sum()} of {len(used)} control points fit no common pose: "
+                    f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
+                )
+            settled = before is not None and bool((used == before).all())
+            spread = float(np.sqrt(np.sum(fit.residuals[used] ** 2) / (2 * used.sum() - size)))
+            fit = self._solve(fit, free, used, max(sigma_px, spread), "linear")
+            if settled:
+                break
+            before = used
+        return fit
+
+    def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
+        sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
+        return np.asarray(self.points.pixels - camera.project(sight @ pose.rotation), np.float64)
+
+    def _solve(self, start: Fit, free: tuple[Parameter, ...], used: BoolArray, sigma_px: float, loss: str) -> Fit:
+        far = 2 * diagonal(start.camera)
+
+        def errors(x: Float64Array) -> Float64Array:
+            camera, pose = _applied(x, start.camera, start.pose, free)
+            # A point behind the camera has no pixel; a constant keeps it from pulling.
+            rows = np.nan_to_num(self._residuals(camera, pose)[used], nan=far).ravel() / sigma_px
+            if "position" in free and self.position_sigma is not None:
+                rows = np.concatenate([rows, (pose.position - self.position) / self.position_sigma])
+            return rows
+
+        x0 = np.zeros(3 + size_of(free))
+        solved = least_squares(errors, x0, jac="3-point", x_scale="jac", loss=loss, max_nfev=100)
+        camera, pose = _applied(solved.x, start.camera, start.pose, free)
+        return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
+
+
+def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
+    """Camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1, position."""
+    rest = list(x[3:])
+    position = pose.position
+    for name in free:
+        if name == "focal":
+            factor = float(np.exp(np.clip(rest.pop(0), -5, 5)))
+            camera = camera.zoomed(factor)
+        elif name == "k1":
+            camera = replace(camera, distortion=(camera.distortion[0] + float(rest.pop(0)), *camera.distortion[1:]))
+        else:
+            position = position + np.array([rest.pop(0) for _ in range(3)])
+    return camera, Pose(position, matrix_of_vector(x[:3]) @ pose.rotation)
+
+
+def _inverse(jacobian: Float64Array) -> Float64Array:
+    """(J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    norms[norms == 0] = 1e-12
+    _, singular, basis = np.linalg.svd(jacobian / norms, full_matrices=False)
+    singular = np.maximum(singular, 1e-10 * singular.max())
+    half = basis.T / singular
+    return np.asarray((half @ half.T) / np.outer(norms, norms), np.float64)
+
+
+def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
+    """The points of `which` by residual, largest first."""
+    off = lengths(residuals)
+    order = [i for i in np.argsort(-off, kind="stable") if which[i]]
+    shown = [
+        f"{points.names[i]} ({'behind the camera' if np.isinf(off[i]) else f'off by {off[i]:.0f} px'})"
+        for i in order[:8]
+    ]
+    return ", ".join(shown) + (f" and {len(order) - 8} more" if len(order) > 8 else "")
+
+
+def lengths(residuals: Float64Array) -> Float64Array:
+    return np.nan_to_num(np.hypot(residuals[:, 0], residuals[:, 1]), nan=np.inf)
+
+
+def median_px(residuals: Float64Array) -> float:
+    return float(np.median(lengths(residuals)))
+
+
+def _scale(residuals: Float64Array, parameters: int) -> float:
+    """Deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n - p."""
+    observed = residuals.size
+    return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
+
+
+def size_of(free: tuple[Parameter, ...]) -> int:
+    return sum(SIZE[name] for name in free)
+
+
+def diagonal(camera: Camera) -> float:
+    return float(np.hypot(camera.width, camera.height))
+
+
+MAX_MEDIAN_SHARE = 0.02
+"""Median residual over the image's diagonal above which no pose explains the points."""
+MAX_ANGLE_SIGMA_DEG = 1.0
+MAX_FOCAL_SIGMA = 0.03
+"""Share of the focal length."""
+MAX_K1_SHIFT = 0.01
+"""Share of the image's diagonal: what one sigma of k1 moves at the image's corner."""
+MAX_POSITION_SIGMA = 0.02
+"""Share of the median distance of the points."""
+
+
+def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:
+    names = np.array(points.names)
+    if len(names) < 3:
+        raise PoseError(f"resection needs at least 3 control points, got {len(names)}: {', '.join(names) or 'none'}")
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise PoseError(f"the camera's position must be three finite metres, got {position.tolist()}")
+    u, v = points.pixels.T
+    outside = (u < -0.5) | (v < -0.5) | (u > camera.width - 0.5) | (v > camera.height - 0.5)
+    if outside.any():
+        at = ", ".join(f"{n} ({a:g}, {b:g})" for n, a, b in zip(names[outside], u[outside], v[outside], strict=True))
+        raise PoseError(
+            f"control points outside the image of {camera.width} x {camera.height} pixels: {at}; is the calibration "
+            "that of this image size, are u (column) and v (row) in their order, are pixels counted from 0 or 1?"
+        )
+    near = np.linalg.norm(points.places - position, axis=1) < 1.0
+    if near.any():
+        raise PoseError(f"control points within 1 m of the camera: {', '.join(names[near])}; check the position")
+
+
+def hold_for_redundancy(chosen: list[Parameter], count: int, prior: bool) -> dict[Parameter, str]:
+    """Take parameters out of `chosen` that so few points cannot fit, k1 first."""
+    held: dict[Parameter, str] = {}
+    for name in ("k1", "position", "focal"):
+        observed = 2 * count + (3 if prior and "position" in chosen else 0)
+        needed = 3 + size_of(tuple(chosen)) + MIN_REDUNDANCY
+        if observed >= needed:
+            break
+        if name in chosen:
+            chosen.remove(name)
+            held[name] = f"{count} points are too few to fit it: {(needed + 1) // 2} are needed"
+    return held
+
+
+def check_fit(points: ControlPoints, fit: Fit) -> None:
+    limit = MAX_MEDIAN_SHARE * diagonal(fit.camera)
+    median = median_px(fit.residuals)
+    if median > limit:
+        raise PoseError(
+            f"no pose explains the control points: the median residual is {median:.0f} px (limit {limit:.0f} px): "
+            f"{named(points, fit.residuals, np.ones(len(points.names), bool))}. {REMEDY}"
+        )
+
+
+def unbearable(
+    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
+) -> tuple[Parameter, str] | None:
+    """The free parameter that the points bear least, and why; None where they bear all but those that are `forced`.
+    Raises for the angles.
+    """
+    camera = fit.camera
+    sigma = np.sqrt(np.diag(fit.covariance))
+    sights = points.places[fit.used] - fit.pose.position
+    distance = float(np.median(np.linalg.norm(sights, axis=1)))
+    worst: tuple[float, Parameter, str] | None = None
+    at = 3
+    for name in free:
+        own = float(sigma[at : at + SIZE[name]].max())
+        at += SIZE[name]
+        if name == "focal":
+            excess, reason = own / MAX_FOCAL_SIGMA, f"its sigma would be {own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
+        elif name == "k1":
+            corner = _corner_radius(camera)
+            shift = own * corner**3 * camera.fx
+            limit = MAX_K1_SHIFT * diagonal(camera)
+            excess = shift / limit
+            reason = f"its sigma would be {own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
+        else:
+            limit = MAX_POSITION_SIGMA * distance
+            excess = own / limit
+            reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
+            if _in_line(points.places[fit.used]):
+                reason += "; the points lie in one line"
+        if name not in forced and excess > 1 and (worst is None or excess > worst[0]):
+            worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image"
+    if worst is not None:
+        return worst[1], worst[2]
+    turn = float(np.degrees(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3]).max())))
+    if turn <= MAX_ANGLE_SIGMA_DEG:
+        return None
+    loose = [name for name in free if name not in forced]
+    if loose:
+        name = "position" if "position" in loose else loose[-1]
+        return name, f"with it the angles' sigma would be {turn:.2g} degrees (limit {MAX_ANGLE_SIGMA_DEG:g})"
+    if free:
+        return None
+    raise PoseError(
+        f"the camera's angles do not follow from the control points {', '.join(points.names)}: sigma {turn:.2g} "
+        f"degrees (limit {MAX_ANGLE_SIGMA_DEG:g}); mark points further apart in the image, and check their pixels"
+    )
+
+
+def _in_line(places: Float64Array) -> bool:
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < 0.02 * spread[0])
+
+
+def _corner_radius(camera: Camera) -> float:
+    """Of the corner farthest from the principal point, in focal lengths."""
+    x = max(camera.cx, camera.width - 1 - camera.cx) / camera.fx
+    y = max(camera.cy, camera.height - 1 - camera.cy) / camera.fy
+    return float(np.hypot(x, y))

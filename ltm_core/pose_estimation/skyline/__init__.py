@@ -1,0 +1,1 @@
+"""Pose from the skyline and the ridges in a photo."""

@@ -1,0 +1,165 @@
+"""How well the terrain's occluding contours lie on a photo's edges, for many poses at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import Float32Array, Float64Array, IndexArray
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS, ImageContours
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+_MOST_POINTS = 4000
+_ONE_EDGE = 8.0
+"""Pixels of the edges' picture along a ridge within which an edge goes on."""
+_SPREAD = 0.7
+"""Standard deviation of a pixel's response, and so of the scores that chance gives."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContourDirections:
+    """Directions (M, 3) in the map frame of points of contours, of the next point on each, their range and the DEM's
+    cell there (M,), metres. `every`: how many points each of them stands for.
+    """
+
+    here: Float64Array
+    following: Float64Array
+    range: Float64Array
+    cell: Float64Array
+    every: int = 1
+
+    @classmethod
+    def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
+        """Points beyond `nearest` metres; `with_horizon`: the horizon's too, where it is a ridge."""
+        contours = horizon.contours
+        kept = np.flatnonzero((contours.following >= 0) & (contours.range > nearest))
+        after = contours.following[kept]
+        here = _directions(contours.azimuth[kept], contours.tangent[kept])
+        following = _directions(contours.azimuth[after], contours.tangent[after])
+        ranges, cells = contours.range[kept], contours.cell[kept]
+        if with_horizon:
+            azimuths, t, r = horizon.azimuths, horizon.tangent, horizon.range
+            steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > nearest) & (r[1:] > nearest)
+            steady &= np.abs(np.diff(np.log(np.maximum(r, 1.0)))) < 0.12
+            steady &= ~(horizon.at_edge[:-1] | horizon.at_edge[1:])
+            k = np.flatnonzero(steady)
+            here = np.concatenate([here, _directions(azimuths[k], t[k])])
+            following = np.concatenate([following, _directions(azimuths[k + 1], t[k + 1])])
+            ranges, cells = np.concatenate([ranges, r[k]]), np.concatenate([cells, horizon.cell[k]])
+        return cls(here, following, ranges, cells)
+
+    def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
+        """Those before a camera or a little beside it, at most so many."""
+        ahead = self.here @ pose.rotation
+        wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
+        kept = np.flatnonzero((ahead[:, 2] > 0.05) & (np.abs(ahead[:, 0]) < wide * ahead[:, 2]))
+        every = max(1, -(-len(kept) // most))
+        kept = kept[::every]
+        return self._only(kept, every)
+
+    def thinned(self, every: int) -> ContourDirections:
+        """Every so many of them."""
+        return self._only(np.arange(0, len(self.range), every), every)
+
+    def _only(self, kept: IndexArray, every: int) -> ContourDirections:
+        return ContourDirections(
+            self.here[kept], self.following[kept], self.range[kept], self.cell[kept], self.every * every
+        )
+
+
+def _directions(azimuth: Float64Array, tangent: Float64Array) -> Float64Array:
+    return np.column_stack([np.sin(azimuth), np.cos(azimuth), tangent])
+
+
+def contour_scores(
+    rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
+) -> Float64Array:
+    """Scores (P,) of rotations (P, 3, 3), optical to map, of an undistorted camera of the photo's size: the sum of
+    responses over what they are in the mean of the picture, by the root of their number."""
+    return scores_and_counts(rotations, directions, camera, edges)[0]
+
+
+def usual_score(scores: Float64Array) -> tuple[float, float]:
+    """Median and robust standard deviation of the scores (P,) of many poses. Where most have no ridge in view they
+    score alike, and yet chance spreads those of the others."""
+    middle = float(np.median(scores))
+    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
+
+
+def ridge_strength(
+    pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
+) -> float:
+    """How many times more than chance the ridges before a pose lie on edges, taking those within 8 pixels as one.
+
+    `step`: radians of azimuth between the contours' points.
+    """
+    around = directions.in_view(pose, camera, _MOST_POINTS)
+    scores, counts = scores_and_counts(pose.rotation[None], around, camera, edges)
+    count = float(counts[0])
+    if count < 5:
+        return 0.0
+    excess = float(scores[0]) * math.sqrt(count + 20.0) / count
+    length = count * around.every * step * camera.fx / edges.scale
+    return excess * math.sqrt(length / _ONE_EDGE) / _SPREAD
+
+
+def scores_and_counts(
+    rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
+) -> tuple[Float64Array, Float64Array]:
+    """Scores (P,) as in `contour_scores`, and how many points (P,) lie in view."""
+    mean = edges.response.mean(axis=(1, 2), dtype=np.float64)
+    scores, counts = np.zeros(len(rotations)), np.zeros(len(rotations))
+    _scores(
+        np.ascontiguousarray(rotations, np.float64),
+        directions.here,
+        directions.following,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        edges.response,
+        edges.scale,
+        mean,
+        scores,
+        counts,
+    )
+    return scores, counts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _scores(
+    rotations: Float64Array,
+    here: Float64Array,
+    following: Float64Array,
+    lens: Float64Array,
+    response: Float32Array,
+    scale: float,
+    mean: Float64Array,
+    scores: Float64Array,
+    counts: Float64Array,
+) -> None:
+    fx, fy, cx, cy = lens
+    height, width = response.shape[1], response.shape[2]
+    for p in range(len(rotations)):
+        m = rotations[p]
+        total, count = 0.0, 0
+        for k in range(len(here)):
+            x, y, t = here[k, 0], here[k, 1], here[k, 2]
+            z = m[0, 2] * x + m[1, 2] * y + m[2, 2] * t
+            if z < 0.1:
+                continue
+            u = (fx * (m[0, 0] * x + m[1, 0] * y + m[2, 0] * t) / z + cx + 0.5) / scale
+            v = (fy * (m[0, 1] * x + m[1, 1] * y + m[2, 1] * t) / z + cy + 0.5) / scale
+            if u < 2 or v < 2 or u >= width - 2 or v >= height - 2:
+                continue
+            x, y, t = following[k, 0], following[k, 1], following[k, 2]
+            z = m[0, 2] * x + m[1, 2] * y + m[2, 2] * t
+            du = (fx * (m[0, 0] * x + m[1, 0] * y + m[2, 0] * t) / z + cx + 0.5) / scale - u
+            dv = (fy * (m[0, 1] * x + m[1, 1] * y + m[2, 1] * t) / z + cy + 0.5) / scale - v
+            normal = math.atan2(du, -dv)
+            o = math.floor(normal * (ORIENTATIONS / math.pi) + 0.5) % ORIENTATIONS
+            total += response[o, int(v), int(u)] - mean[o]
+            count += 1
+        scores[p], counts[p] = total / math.sqrt(count + 20.0), count

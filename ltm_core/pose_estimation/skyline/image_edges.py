@@ -1,0 +1,271 @@
+"""Find the edges of a photo that poses are compared with: contours, and the sky's lower edge.
+
+Far land, pale before the sky, above the edge of nearer land that the strongest gradient takes for the sky's.
+
+Going down from clear sky, its upper edge is the first step of colour that stands out from what the sky does by itself,
+and from there on all is alike until the nearer land begins. An edge that is merely blurred, or slanted, grows darker
+all the way down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.vision.label_corrections import cie_lab
+from ltm_core.vision.labels import Label
+
+ORIENTATIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ImageContours:
+    """`response`: (ORIENTATIONS, h, w) float32, of an edge whose normal stands at k 180/ORIENTATIONS degrees from the
+    image's u axis towards v, in units of the change that is usual around. `scale`: of its pixels, to the photo's."""
+
+    response: Float32Array
+    scale: float
+
+
+def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
+    """Edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds and masks.
+
+    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
+    """
+    full_height, full_width = photo.shape[:2]
+    size = (width, max(2, round(full_height * width / full_width)))
+    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
+    lab = cie_lab(np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), np.uint8))
+    # Of the three channels' gradients, that which is strongest.
+    gu = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 1, 0) for c in range(3)])
+    gv = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 0, 1) for c in range(3)])
+    strongest = np.argmax(gu * gu + gv * gv, axis=0)[None]
+    gu, gv = np.take_along_axis(gu, strongest, 0)[0], np.take_along_axis(gv, strongest, 0)[0]
+    if hidden is not None:
+        shut = cv2.resize(hidden.astype(np.uint8), (gu.shape[1], gu.shape[0]), interpolation=cv2.INTER_NEAREST)
+        shut = cv2.dilate(shut, np.ones((5, 5), np.uint8)) > 0
+        gu[shut], gv[shut] = 0.0, 0.0
+    window = max(5, gu.shape[1] // 16) | 1
+    power = cv2.boxFilter(gu * gu + gv * gv, cv2.CV_32F, (window, window), borderType=cv2.BORDER_REFLECT)
+    usual = np.sqrt(power) + np.float32(1e-3) + np.float32(0.15) * np.float32(np.sqrt(power.mean()))
+    gu, gv = gu / usual, gv / usual
+    response = np.empty((ORIENTATIONS, *gu.shape), np.float32)
+    for k in range(ORIENTATIONS):
+        angle = np.pi * k / ORIENTATIONS
+        c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        across, along = np.abs(gu * c + gv * s), np.abs(gv * c - gu * s)
+        np.maximum(across - np.float32(0.7) * along, 0.0, out=response[k])
+    return ImageContours(np.minimum(response, np.float32(4.0)), full_width / gu.shape[1])
+
+
+_ABOVE, _SKY = 12.0 / 640, 20.0 / 640
+"""Widths of the image above the nearer land's edge within which pale land is sought, and above those where the sky
+tells how uneven it is."""
+_LEAST_STEP, _STEPS = 3.0, 6.7
+"""By which it must stand out, in units of CIE Lab, and in what the sky changes by."""
+_PALE, _ALIKE = 25.0, (2.0, 2.0)
+"""What differs from the sky by more is no pale land; nor what does by more than so many times the step and so much."""
+_ACROSS = 5
+"""Pixels across which colours are averaged,"""
+_THICK = 2.0
+"""and by how many of an image of 640 across pale land must be higher than what a slanted edge is blurred to by that."""
+
+
+def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
+    """Rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at rows `v`;
+    `v` where there is none, or three of five neighbouring columns do not agree on it. Columns must rise.
+    """
+    if len(u) < 2:
+        return v
+    unit = photo.shape[1] / 640
+    above, sky, size = round(_ABOVE * photo.shape[1]), round(_SKY * photo.shape[1]), max(2, round(2 * unit))
+    ends = np.floor(v - unit).astype(np.int64)
+    seen = photo[: max(int(ends.max()) + size, 1)]  # what lies lower tells nothing
+    found = _first_step(np.asarray(cv2.blur(cie_lab(seen), (_ACROSS, 1)), np.float32), u, ends, above, sky, size)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(found, 2, constant_values=np.nan), 5)
+    agreed = np.isfinite(windows).sum(axis=1) >= 3
+    middle = np.full(len(u), np.nan)
+    middle[agreed] = np.nanmedian(windows[agreed], axis=1)
+    thick = v - found > _THICK * unit + _ACROSS * np.abs(np.gradient(v, u))
+    return np.where((np.abs(found - middle) < 2 * unit) & thick, found, v)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
+    """How far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
+    total = 0.0
+    for i in range(3):
+        away = 0.0
+        for row in range(size):
+            away += lab[a + row, column, i] - lab[b + row, column, i]
+        total += (away / size) ** 2
+    return float(np.sqrt(total))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
+    """Whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no cloud."""
+    if lab[row : row + size, column, 0].mean() > lab[above + 1 : above + 1 + size, column, 0].mean():
+        return False  # air makes far land as light as the sky and no lighter
+    lowest, highest = np.inf, 0.0
+    sky = np.array([lab[above : above + size, column, i].mean() for i in range(3)])
+    for below in range(row, end + 1):
+        total = 0.0
+        for i in range(3):
+            total += (lab[below, column, i] - sky[i]) ** 2
+        lowest, highest = min(lowest, np.sqrt(total)), max(highest, np.sqrt(total))
+    return bool(lowest > 0.5 * step and highest < min(_PALE, _ALIKE[0] * step + _ALIKE[1]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, sky: int, size: int) -> Float64Array:
+    """Of columns (K,) the row from which on all, down to `ends`, stands out from the sky alike; NaN without."""
+    found = np.full(len(u), np.nan)
+    skip = size // 2  # rows that an edge is blurred over
+    steps = np.zeros(above + sky + 1)
+    for k in range(len(u)):
+        column, end = u[k], ends[k]
+        top = end - above - sky
+        if top < size + skip + 2:
+            continue
+        for n in range(above + sky):
+            steps[n] = _apart(lab, column, top + n, top + n - size - skip, size)
+        least = max(_LEAST_STEP, _STEPS * np.median(steps[: sky - size]))
+        for n in range(sky, above + sky):
+            if steps[n] > least and steps[n] >= steps[n + 1] and steps[n] >= steps[n - 1]:
+                row = top + n
+                cleared = _apart(lab, column, row, top, size) < 0.5 * steps[n]  # sky below a cloud
+                if not cleared and _is_pale(lab, column, row, end, row - size - skip - 1, size, steps[n]):
+                    found[k] = row - 0.25 - 0.5 * skip
+                break
+    return found
+
+
+COLUMNS = 240
+_RUN = 3
+"""Rows of land under each other that end the sky."""
+_REACH = 7.0 / 640
+"""Widths of the image within which the edge is sought about the labels' edge, one sigma at half of it."""
+_FAINT = 2.0
+"""A gradient, in units of CIE Lab, by which an edge is known twice as well as by the labels alone. Far ranges in
+rendered haze err by 0.35 pixels from gradients of 5 on, which 1.4 would state: a photo's edges are less sharp."""
+_SHARP_PX, _PALE_PX = 0.45, 0.5
+"""What sharp edges err by, and those of pale land besides."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSkyline:
+    """The sky's lower edge in up to COLUMNS columns of an image.
+
+    `u`, `v`: (K,) pixels, where sky ends; `crest_v`: (K,) where nearer land begins below that, which is at `v` where no
+    pale land stands above it. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below the crest. `covered_u`: (C,)
+    columns that are land up to the image's upper edge. `spacing`: pixels between columns.
+    """
+
+    u: Float64Array
+    v: Float64Array
+    crest_v: Float64Array
+    sigma_px: Float64Array
+    cover: UInt8Array
+    covered_u: Float64Array
+    spacing: float
+
+    def only(self, kept: BoolArray) -> ImageSkyline:
+        """Of those columns (K,) alone."""
+        return replace(
+            self,
+            u=self.u[kept],
+            v=self.v[kept],
+            crest_v=self.crest_v[kept],
+            sigma_px=self.sigma_px[kept],
+            cover=self.cover[kept],
+        )
+
+
+def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
+    """Of a photo (H, W, 3) and its labels (H, W)."""
+    height, width = labels.shape
+    spacing = max(1.0, width / COLUMNS)
+    columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
+    sky = labels == np.uint8(Label.SKY)
+    top = _first_land(sky, columns, _RUN)
+    # A column without any sky says that the terrain covers it; one whose "sky" starts below land is a hole in trees.
+    covered = top <= 1
+    edge = (top > 1) & (top < height - _RUN)
+    u, rows = columns[edge], top[edge]
+    reach = max(3.0, _REACH * width)
+    strength = _vertical_gradient(photo)
+    crest_v, sharpness = _sharpened(strength, u, rows, reach)
+    v = pale_edges(photo, u, crest_v)
+    # Below the labels' own edge, too: what stands between the two edges is called sky.
+    below = np.minimum(np.maximum(np.rint(crest_v).astype(np.int64), rows) + max(2, height // 180), height - 1)
+    # Hardly an edge at all (haze, cloud on the crest): no better than the labels.
+    blurred = 0.5 * reach / (1.0 + (sharpness / _FAINT) ** 2)
+    fine = max(1.0, width / 1280)
+    sigma = np.hypot(_SHARP_PX * fine, np.where(v < crest_v, _PALE_PX * fine, blurred))
+    return ImageSkyline(
+        u.astype(np.float64),
+        v,
+        crest_v,
+        np.asarray(sigma, np.float64),
+        labels[below, u],
+        columns[covered].astype(np.float64),
+        spacing,
+    )
+
+
+def _vertical_gradient(photo: UInt8Array) -> Float32Array:
+    """How much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
+    lab = cv2.cvtColor(cv2.GaussianBlur(photo, (0, 0), 1.0), cv2.COLOR_RGB2LAB).astype(np.float32)
+    change = np.zeros_like(lab)
+    change[1:-1] = lab[2:] - lab[:-2]
+    change[..., 0] *= np.float32(100 / 255)
+    return np.asarray(np.sqrt(np.einsum("hwc,hwc->hw", change, change)), np.float32)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
+    """The first row from which on `run` rows are no sky; H without."""
+    height = sky.shape[0]
+    top = np.full(len(columns), height, np.int64)
+    for k in range(len(columns)):
+        length = 0
+        for v in range(height):
+            length = 0 if sky[v, columns[k]] else length + 1
+            if length == run:
+                top[k] = v - run + 1
+                break
+    return top
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _sharpened(
+    strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
+) -> tuple[Float64Array, Float64Array]:
+    """The edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how strong
+    it is."""
+    height = strength.shape[0]
+    v, sharpness = np.empty(len(columns)), np.empty(len(columns))
+    for k in range(len(columns)):
+        middle = rows[k] - 0.5
+        best, at = -1.0, rows[k]
+        for row in range(max(1, int(middle - reach)), min(height - 1, int(middle + reach) + 2)):
+            z = (row - middle) / (0.5 * reach)
+            value = strength[row, columns[k]] * np.exp(-0.5 * z * z)
+            if value > best:
+                best, at = value, row
+        # From there to the crest of the gradient itself: the labels' edge only says which one.
+        while at + 2 < height and strength[at + 1, columns[k]] > strength[at, columns[k]]:
+            at += 1
+        while at > 1 and strength[at - 1, columns[k]] > strength[at, columns[k]]:
+            at -= 1
+        a, b, c = strength[at - 1, columns[k]], strength[at, columns[k]], strength[at + 1, columns[k]]
+        curve = a - 2 * b + c
+        part = 0.5 * (a - c) / curve if curve < 0 else 0.0
+        v[k] = at + min(max(part, -0.5), 0.5)
+        sharpness[k] = b
+    return v, sharpness

@@ -1,0 +1,147 @@
+"""Prepares a photo for the search of its pose: undistorted, in a working size, its skyline and edges found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.pose_estimation.skyline.image_edges import ImageContours, ImageSkyline, image_contours, image_skyline
+from ltm_core.pose_estimation.skyline.picture_pose_config import ContourConfig, PicturePoseConfig
+from ltm_core.vision.labels import UNLABELLED, Label
+
+_BORDER = 0.006
+"""Of the width: a skyline so near, above or below, to what is hidden is its border."""
+_SKY_EDGE = 0.01
+"""Of the width: edges so near to the land are kept, those of clouds further up are not."""
+_LEAST_SKY = 0.1
+"""Share of columns that a skyline must have to be one."""
+
+
+@dataclass(frozen=True, eq=False)
+class PictureEdges:
+    """A photo's edges, each found when it is first asked for: `find` gives those in a picture so many pixels wide."""
+
+    find: Callable[[int], ImageContours]
+    config: ContourConfig
+
+    @cached_property
+    def fine(self) -> ImageContours:
+        """To which ridges are laid."""
+        return self.find(self.config.width)
+
+    @cached_property
+    def coarse(self) -> ImageContours:
+        """By which poses are compared: who only tracks a pose never needs them."""
+        return self.find(self.config.coarse_width)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureEvidence:
+    """What a photo, undistorted and in its working size, shows: `skyline` (None: no sky in it), `found`, its edges, and
+    the labels (H, W) that tell what grows on a ridge."""
+
+    camera: Camera
+    labels: UInt8Array
+    skyline: ImageSkyline | None
+    found: PictureEdges
+
+    @property
+    def edges(self) -> ImageContours:
+        return self.found.fine
+
+    @property
+    def coarse_edges(self) -> ImageContours:
+        return self.found.coarse
+
+    @property
+    def unseen(self) -> PictureEvidence:
+        """The same, its edges still to be found: for who measures how long that takes."""
+        return replace(self, found=replace(self.found))
+
+    @property
+    def plants(self) -> float:
+        """The share of trees and shrubs in the land."""
+        land = self.labels != np.uint8(Label.SKY)
+        grown = (self.labels == np.uint8(Label.TREE)) | (self.labels == np.uint8(Label.SHRUB))
+        return float(grown.sum()) / max(float(land.sum()), 1.0)
+
+
+def picture_evidence(
+    photo: UInt8Array,
+    labels: UInt8Array,
+    camera: Camera,
+    config: PicturePoseConfig = PicturePoseConfig(),
+    hidden: BoolArray | None = None,
+) -> PictureEvidence:
+    """Of a photo (H, W, 3) of `camera`, its labels (H, W), and where it shows something else (`hidden`, (H, W): a
+    caption, parts of a tower). Raises ImageError where their sizes differ.
+    """
+    size = (camera.height, camera.width)
+    if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
+        raise ImageError(
+            f"photo {photo.shape}, labels {labels.shape} and camera {size} must be of one size, (H, W, 3) and (H, W)"
+        )
+    masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
+    width = min(camera.width, config.working_width)
+    work = camera.resized(width, max(2, round(camera.height * width / camera.width)))
+    shape = (work.width, work.height)
+    small = cv2.resize(photo, shape, interpolation=cv2.INTER_AREA) if width < camera.width else photo
+    ids = cv2.resize(labels, shape, interpolation=cv2.INTER_NEAREST)
+    masked = cv2.resize(masked, shape, interpolation=cv2.INTER_NEAREST)
+    if any(work.distortion):
+        k1, k2, p1, p2, k3 = work.distortion
+        to_x, to_y = cv2.initUndistortRectifyMap(
+            work.matrix, np.array([k1, k2, p1, p2, k3]), np.eye(3), work.matrix, shape, cv2.CV_32FC1
+        )
+        small = cv2.remap(small, to_x, to_y, cv2.INTER_LINEAR)
+        ids = cv2.remap(ids, to_x, to_y, cv2.INTER_NEAREST, borderValue=int(UNLABELLED))
+        masked = cv2.remap(masked, to_x, to_y, cv2.INTER_NEAREST, borderValue=1)
+        work = Camera(work.width, work.height, work.fx, work.fy, work.cx, work.cy)
+    shut = masked > 0
+    ids = np.where(shut, np.uint8(UNLABELLED), ids).astype(np.uint8)
+    skyline = image_skyline(small, ids if hidden is None else _seen_through(ids, shut))
+    sky = ids == np.uint8(Label.SKY)
+    if hidden is None:
+        kept = ~shut[np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1), skyline.u.astype(np.intp)]
+        skyline = skyline.only(kept)
+    else:
+        skyline = _beside(skyline, shut)
+    found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
+
+    def edges(pixels: int) -> ImageContours:
+        # Of the sky what is well above the land alone: where it ends stands a crest's own edge, without which the crest
+        # would be laid on what is below it.
+        reach = max(3, round(_SKY_EDGE * work.width))
+        clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+        return image_contours(small, pixels, shut | clear)
+
+    return PictureEvidence(work, ids, skyline if found else None, PictureEdges(edges, config.contours))
+
+
+def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
+    """Labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes below: a
+    caption over the sky is no land, and a lens's corner does not cover its columns."""
+    first = np.argmin(shut, axis=0)
+    row = ids[first, np.arange(ids.shape[1])]
+    found = np.empty_like(ids)
+    for v in range(len(ids)):
+        row = np.where(shut[v], row, ids[v])
+        found[v] = row
+    return found
+
+
+def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
+    """Without the columns where it may be the border of what is hidden (H, W), and without those that what is hidden
+    covers up to the image's upper edge."""
+    reach = max(4, round(_BORDER * shut.shape[1]))
+    tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
+    v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)
+    kept = skyline.only(~tall[v, skyline.u.astype(np.intp)])
+    return replace(kept, covered_u=kept.covered_u[~shut[0, kept.covered_u.astype(np.intp)]])

@@ -1,0 +1,171 @@
+"""Sets up the search of a picture's pose from a guess file, and writes what came of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.cameras.plausibility import doubt_of_height
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain
+from ltm_core.pose_estimation.skyline.pose_hypothesis import UNKNOWN_DEG, PosePrior
+from ltm_core.raster.dem import Dem
+from ltm_core.storage.photo_io import open_picture
+from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
+from ltm_core.vision.labels import Label
+
+AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
+"""Of angles that are stated without a sigma: a phone's compass, and a level held by hand."""
+UNSTATED_TILT_SIGMA_DEG = 5.0
+"""Of a pitch or roll that is not stated at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSetup:
+    """A guess placed on a DEM, ready for `find_pose`."""
+
+    frame: SiteFrame
+    camera: Camera
+    prior: PosePrior
+    terrain: Terrain
+
+
+@dataclass(frozen=True, eq=False)
+class PoseResult:
+    """What a search hands on: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are
+    those found where the verdict is `accepted`, and those that came in otherwise."""
+
+    pose: Pose
+    camera: Camera
+    covariance: Float64Array
+    accepted: bool
+
+
+def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
+    """Place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and ConfigError."""
+    frame, local = near_frame(guess, dem)
+    stated = guess.pose
+    position = stated.position(local, frame)
+    ground = float(local.elevation_at(*position[:2]))
+    if position[2] <= ground:
+        raise PoseError(f"camera at {stated.described(frame)}: {doubt_of_height(position[2], ground)}")
+    azimuth = stated.grid_azimuth_deg(frame, position, None)
+    pose = Pose.from_angles(position, azimuth or 0.0, stated.pitch_deg or 0.0, stated.roll_deg or 0.0)
+
+    def tilt(value: float | None, sigma: float | None) -> float:
+        return sigma or (UNSTATED_TILT_SIGMA_DEG if value is None else TILT_SIGMA_DEG)
+
+    prior = PosePrior(
+        pose,
+        UNKNOWN_DEG if azimuth is None else (stated.azimuth_sigma_deg or AZIMUTH_SIGMA_DEG),
+        tilt(stated.pitch_deg, stated.pitch_sigma_deg),
+        tilt(stated.roll_deg, stated.roll_sigma_deg),
+        stated.position_sigma or 0.0,
+        stated.height_sigma or stated.position_sigma or 0.0,
+    )
+    bend = ray_bend(guess.curvature, guess.refraction)
+    return SearchSetup(frame, guess.calibration.camera(), prior, Terrain(local, bend, guess.possible_ground))
+
+
+def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
+    """Class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
+    with open_picture(Path(path)) as (source, _):
+        labels = np.asarray(source)
+    if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
+        raise ImageError(
+            f"{path}: labels must be a PNG of one channel of class ids, {camera.width} x {camera.height} pixels, got "
+            f"{labels.shape} {labels.dtype}"
+        )
+    return labels
+
+
+def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | None:
+    """In words, where the sky of labels (H, W) lies lower than the land, beside what a mask hides (H, W)."""
+    seen = np.ones(labels.shape, np.bool_) if hidden is None else ~hidden
+    sky = seen & (labels == np.uint8(Label.SKY))
+    land = seen & ~sky
+    if not 0.05 * seen.sum() < sky.sum() < 0.95 * seen.sum():
+        return None
+    rows = np.arange(len(sky))
+    if rows @ sky.sum(axis=1) / sky.sum() < rows @ land.sum(axis=1) / land.sum():
+        return None
+    return "the sky lies below the land: the photo seems to be upside down; turn it, or mend its orientation tag"
+
+
+def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseResult:
+    """Never a worse pose than came in without a word: what is not accepted leaves the prior pose. `camera`: the
+    photo's."""
+    if search.verdict.word != "accepted":
+        return PoseResult(prior.pose, camera, prior.covariance, False)
+    found = search.hypotheses[0].refined
+    factor = found.camera.fx / search.evidence.camera.fx
+    lens = camera.zoomed(factor)
+    return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
+
+
+def write_result(
+    path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
+) -> None:
+    """The pose file of a result; whether and why it was found stands at its top."""
+    notes = [f"Pose from the picture: {word} ({reason})."]
+    if not result.accepted:
+        notes.append("It was not taken: this is the pose that was given.")
+    write_pose_file(path, result.camera, result.pose, sigma_keys(result.pose, result.covariance), guess, frame, notes)
+
+
+def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
+    """What was found, for JSON; positions in the frame's CRS."""
+    verdict = search.verdict
+
+    def place(pose: Pose) -> list[float]:
+        x, y, z = (float(v) for v in pose.position)
+        return [x + frame.x_origin, y + frame.y_origin, z]
+
+    def described(pose: Pose, covariance: Float64Array) -> dict[str, Any]:
+        azimuth, pitch, roll = pose.angles_deg
+        sigma = pose_sigmas(pose, covariance)[3:].tolist()
+        return {
+            "position": place(pose),
+            "azimuth_deg": azimuth,
+            "pitch_deg": pitch,
+            "roll_deg": roll,
+            "sigma_deg": [s if math.isfinite(s) else None for s in sigma],
+            "covariance": covariance.tolist(),
+        }
+
+    return {
+        "verdict": verdict.word,
+        "reason": verdict.reason,
+        "gap": verdict.gap if math.isfinite(verdict.gap) else None,
+        "runner_up_azimuth_deg": verdict.alternative_deg,
+        "skyline_that_fits": verdict.support,
+        "variance_of_misfits": search.hypotheses[0].refined.skyline.variance if search.hypotheses else None,
+        "crs": frame.crs,
+        "given": described(prior.pose, prior.covariance),
+        "result": described(result.pose, result.covariance),
+        "fx": result.camera.fx,
+        "hypotheses": [
+            {
+                "angles_deg": list(h.refined.pose.angles_deg),
+                "cost": h.cost,
+                "ridge_score": h.ridge_score,
+                "focal_factor": h.refined.camera.fx / search.evidence.camera.fx,
+            }
+            for h in search.hypotheses
+        ],
+    }
+
+
+def write_figures_of(path: Path | str, content: Any) -> None:
+    """As JSON."""
+    Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

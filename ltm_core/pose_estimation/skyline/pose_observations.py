@@ -1,0 +1,270 @@
+"""Where a photo's skyline and edges lie beside those that terrain predicts from a pose, linearised about it.
+
+Unknowns: shifts along the map's x, y, z (m), rotations about them (rad), the logarithm of the focal length. Weights are
+those of `skyline_search`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.skyline_search import column_weight
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """`error` (N,): px by which terrain lies below what the photo shows; `slopes` (N, 7), `sigma`, `weight` (N,)."""
+
+    error: Float64Array
+    slopes: Float64Array
+    sigma: Float64Array
+    weight: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
+class SkylineObservations(Observations):
+    """Of the skyline's columns, the shares `veiled`, where a nearer crest stands so close below the horizon that its
+    trees may hide it; `open`, where land beyond the DEM may stand over it; and `free`, where it is taken to do so.
+    """
+
+    veiled: float
+    open: float
+    free: float
+
+
+@dataclass(frozen=True, eq=False)
+class RidgeObservations(Observations):
+    """`shared` (N,): px, the part of sigma that neighbouring places share, what grows there; `ground` (N, 2): where,
+    metres of the map from the place that ridges were predicted from."""
+
+    shared: Float64Array
+    ground: Float64Array
+
+    def only(self, kept: IndexArray) -> RidgeObservations:
+        """Of those places (K,) alone."""
+        return RidgeObservations(
+            self.error[kept],
+            self.slopes[kept],
+            self.sigma[kept],
+            self.weight[kept],
+            self.shared[kept],
+            self.ground[kept],
+        )
+
+
+def _projected(
+    directions: Float64Array, ranges: Float64Array, pose: Pose, camera: Camera, origin: Float64Array
+) -> tuple[Float64Array, Float64Array, BoolArray]:
+    """Pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in front."""
+    pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
+    ahead = np.empty(len(ranges), np.bool_)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    _project(directions, ranges, pose.position - origin, pose.rotation, lens, pixels, slopes, ahead)
+    return pixels, slopes, ahead
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _project(
+    directions: Float64Array,
+    ranges: Float64Array,
+    moved: Float64Array,
+    rotation: Float64Array,
+    lens: Float64Array,
+    pixels: Float64Array,
+    slopes: Float64Array,
+    ahead: BoolArray,
+) -> None:
+    d, across = np.empty(3), np.empty((2, 3))
+    for k in range(len(ranges)):
+        far = max(ranges[k], 1.0)
+        x, y, z = 0.0, 0.0, 0.0
+        for i in range(3):
+            d[i] = directions[k, i] - moved[i] / far
+            x += d[i] * rotation[i, 0]
+            y += d[i] * rotation[i, 1]
+            z += d[i] * rotation[i, 2]
+        ahead[k] = z > 0.05
+        if not ahead[k]:
+            z = 1.0
+        for i in range(3):
+            across[0, i] = lens[0] / z * (rotation[i, 0] - x / z * rotation[i, 2])
+            across[1, i] = lens[1] / z * (rotation[i, 1] - y / z * rotation[i, 2])
+        pixels[k, 0], pixels[k, 1] = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
+        for j in range(2):
+            for i in range(3):
+                following, last = (i + 1) % 3, (i + 2) % 3
+                slopes[k, j, i] = -across[j, i] / far
+                # A turn w of the camera moves a direction d by -w x d = d x w, seen from the camera; b (d x w) is
+                # (b x d) w.
+                slopes[k, j, 3 + i] = across[j, following] * d[last] - across[j, last] * d[following]
+            slopes[k, j, 6] = pixels[k, j] - lens[2 + j]
+
+
+def skyline_observations(
+    pose: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    wide: float,
+    config: PicturePoseConfig,
+) -> SkylineObservations | None:
+    """Row of the terrain's skyline minus that of the photo's, column by column; None where there is none."""
+    skyline, noise = evidence.skyline, config.skyline
+    if skyline is None or len(skyline.u) < 8:
+        return None
+    azimuths = horizon.azimuths
+    middle = math.radians(pose.angles_deg[0])
+    away = (azimuths - middle + math.pi) % (2 * math.pi) - math.pi
+    half = math.atan(max(camera.cx, camera.width - camera.cx) / camera.fx) + math.radians(8.0)
+    seen = np.flatnonzero((np.abs(away) < half) & (horizon.range > 0))
+    seen = seen[np.argsort(away[seen])]
+    if len(seen) < 8:
+        return None
+    t, r = horizon.tangent[seen], horizon.range[seen]
+    directions = np.column_stack([np.sin(azimuths[seen]), np.cos(azimuths[seen]), t])
+    pixels, slopes, ahead = _projected(directions, r, pose, camera, horizon.position)
+    # To the right only: where a roll folds the horizon back on itself, the first of it.
+    forward = ahead & (pixels[:, 0] > np.concatenate([[-np.inf], np.maximum.accumulate(pixels[:-1, 0])]))
+    pixels, slopes, t, r, seen = pixels[forward], slopes[forward], t[forward], r[forward], seen[forward]
+    if len(r) < 8:
+        return None
+    right = np.searchsorted(pixels[:, 0], skyline.u)
+    inside = (right > 0) & (right < len(r))
+    right = np.clip(right, 1, len(r) - 1)
+    left = right - 1
+    span = pixels[right, 0] - pixels[left, 0]
+    part = (skyline.u - pixels[left, 0]) / span
+    steep = (pixels[right, 1] - pixels[left, 1]) / span
+    near = np.where(r[left] < r[right], left, right)
+    ranges, cells = r[near], horizon.cell[seen][near]
+    v = pixels[left, 1] + part * (pixels[right, 1] - pixels[left, 1])
+    down = slopes[left] + part[:, None, None] * (slopes[right] - slopes[left])
+    height, cover_sigma = noise.cover.at(skyline.cover, ranges)
+    metre = camera.fy / ranges
+    lift, uneven = noise.cell_lift * cells, noise.cell_share * cells
+    v = v - (height + lift) * metre
+    # Negative: terrain where the photo has sky. Positive: land beyond the DEM may stand there instead, or it is the
+    # horizon after all, whichever is the likelier.
+    error = v - skyline.v
+    above = np.maximum(0.0, (horizon.bound[seen][near] - t[near]) * camera.fy - (height + lift) * metre)
+    sigma = np.sqrt(
+        skyline.sigma_px**2 * (1 + np.minimum(steep, 3.0) ** 2)
+        + (noise.dem_sigma**2 + cover_sigma**2 + uneven**2) * metre**2
+    )
+    wider = sigma * wide
+    # Of two edges the lower may be the horizon's: the upper is of land beyond it, or of none. Compared by the root of
+    # Student's power, 5/2.
+    low = v - skyline.crest_v
+    doubt = np.where(above > 0, 1.0, (1 - noise.no_land) / noise.no_land) ** 0.4
+    lower = (skyline.crest_v > skyline.v) & (1 + (error / wider) ** 2 / 4 > doubt * (1 + (low / wider) ** 2 / 4))
+    upper, error = error, np.where(lower, low, error)
+    own = noise.own_crest / wider / (1 + (error / wider) ** 2 / 4) ** 2.5
+    beyond = (upper > 0) & (above > 0) & (own <= (1 - noise.own_crest) / (wider + 0.375 * above))
+    error = np.where(beyond, np.maximum(0.0, upper - above), error)
+    free = beyond & (error == 0.0)
+    # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
+    front = horizon.front_range[seen][near]
+    over = camera.fy / np.where(front > 0, front, 1.0)
+    fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (height + lift) * metre
+    before, before_sigma = noise.cover.at(skyline.cover, front)
+    behind = v + fallen - before * over - skyline.crest_v
+    spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
+    hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
+    error, sigma, metre = (
+        np.where(hidden, behind, error),
+        np.where(hidden, spread, sigma),
+        np.where(hidden, over, metre),
+    )
+    free &= ~hidden
+    share = column_weight(skyline, camera, noise.independent_fit)
+    weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
+    rows = down[:, 1] - steep[:, None] * down[:, 0]
+    veiled, open_share, taken = (float((where & inside).mean()) for where in (front > 0, above > 0, free))
+    return SkylineObservations(error, rows, sigma * wide, weight, veiled, open_share, taken)
+
+
+def ridge_observations(
+    pose: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    ridges: ContourDirections,
+    origin: Float64Array,
+    search: float,
+    config: PicturePoseConfig,
+) -> RidgeObservations | None:
+    """Across ridges, from the edge nearby to where they are predicted, pixels."""
+    if len(ridges.range) == 0:
+        return None
+    noise, edges = config.contours, evidence.edges
+    pixels, slopes, ahead = _projected(ridges.here, ridges.range, pose, camera, origin)
+    shift = (pose.position - origin) / ridges.range[:, None]
+    after = (ridges.following - shift) @ pose.rotation
+    z = np.where(after[:, 2] > 0.05, after[:, 2], 1.0)
+    line = np.column_stack([camera.fx * after[:, 0] / z + camera.cx, camera.fy * after[:, 1] / z + camera.cy]) - pixels
+    inside = ahead & (after[:, 2] > 0.05) & (pixels >= 2).all(axis=1)
+    inside &= (pixels[:, 0] < camera.width - 3) & (pixels[:, 1] < camera.height - 3)
+    kept = np.flatnonzero(inside)
+    if len(kept) < 6:
+        return None
+    pixels, slopes, line, ranges = pixels[kept], slopes[kept], line[kept], ridges.range[kept]
+    lift, uneven = config.skyline.cell_lift * ridges.cell[kept], config.skyline.cell_share * ridges.cell[kept]
+    length = np.hypot(line[:, 0], line[:, 1])
+    normal = np.column_stack([-line[:, 1], line[:, 0]]) / np.maximum(length, 1e-9)[:, None]
+    unit = camera.width / 640.0
+    below = np.clip(np.rint(pixels[:, 1] + 2 * unit), 0, camera.height - 1).astype(np.intp)
+    labels = evidence.labels[below, np.rint(pixels[:, 0]).astype(np.intp)]
+    height, cover_sigma = config.skyline.cover.at(labels, ranges)
+    metre = camera.fy / ranges
+    pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
+    found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
+    shared = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
+    sigma = np.sqrt((noise.sigma_px * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
+    step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
+    correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)
+    weight = np.minimum(1.0, step / correlation) * np.minimum(strength, 2.0) / 2.0
+    rows = np.einsum("mi,mij->mj", normal, slopes)
+    away = ridges.here[kept, :2]
+    ground = away * (ranges / np.hypot(away[:, 0], away[:, 1]))[:, None]
+    return RidgeObservations(-found, rows, sigma, weight, shared, ground)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _nearest_edges(
+    pixels: Float64Array, normal: Float64Array, response: Float32Array, scale: float, search: float, step: float
+) -> tuple[Float64Array, Float64Array]:
+    """How far along its normal (N, 2) the strongest edge of each pixel's direction lies, and its response."""
+    height, width = response.shape[1], response.shape[2]
+    found, strength = np.zeros(len(pixels)), np.zeros(len(pixels))
+    for k in range(len(pixels)):
+        angle = math.atan2(normal[k, 1], normal[k, 0])
+        o = math.floor(angle * (ORIENTATIONS / math.pi) + 0.5) % ORIENTATIONS
+        best = 0.0
+        n = int(search / step)
+        for i in range(-n, n + 1):
+            d = i * step
+            u = (pixels[k, 0] + d * normal[k, 0] + 0.5) / scale - 0.5
+            v = (pixels[k, 1] + d * normal[k, 1] + 0.5) / scale - 0.5
+            if u < 1 or v < 1 or u >= width - 2 or v >= height - 2:
+                continue
+            c, r = int(u), int(v)
+            fu, fv = u - c, v - r
+            value = (1 - fv) * ((1 - fu) * response[o, r, c] + fu * response[o, r, c + 1])
+            value += fv * ((1 - fu) * response[o, r + 1, c] + fu * response[o, r + 1, c + 1])
+            value *= math.exp(-0.5 * (d / (0.6 * search)) ** 2)
+            if value > best:
+                best = value
+                found[k] = d
+        strength[k] = best
+    return found, strength

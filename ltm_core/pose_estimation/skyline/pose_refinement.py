@@ -1,0 +1,268 @@
+"""Refine a pose by least squares over the skyline and the ridges of a photo.
+
+Least squares of a pose over a photo's skyline and the ridges within it, from a start that is right but for a degree.
+
+Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
+the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
+
+Settles a pose on the ridges in its picture, whose errors neighbouring places share.
+
+What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
+(`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
+ground does. Here errors are a Gaussian process over the ground, so that the shape of a ridge counts for more than its
+height: least squares whitened by the covariance of all places with each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance, pose_sigmas
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_slopes, turned
+from ltm_core.pose_estimation.skyline.pose_observations import (
+    Observations,
+    RidgeObservations,
+    ridge_observations,
+    skyline_observations,
+)
+from ltm_core.pose_estimation.skyline.skyline_search import column_weight
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+# Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
+ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
+MOST_FOCAL_STEP = 0.05
+"""Of the focal length's logarithm, in one round."""
+FEWEST = 6
+"""Places of a skyline or of ridges that say anything."""
+_TELLING = 0.02
+"""Radians: columns of a larger sigma do not support a pose."""
+_LEAST_TOLD = 1 / 3
+"""Share of a skyline that the DEM's horizon must tell of: of a shorter one what fits is no support."""
+_MOST_SQUARE = 9.0
+"""Of a column's error in its sigma, squared: what is further off is another thing."""
+
+
+@dataclass(frozen=True)
+class SkylineFit:
+    """How a photo's skyline lies on the terrain's. `support`: the share of its columns that fit, of those that are not
+    taken for land beyond the DEM; `veiled`: that where a nearer crest may hide the horizon; `open`: that where such
+    land may stand over it. `variance`: the square of what columns that fit err by, over that of their sigmas.
+    """
+
+    cost: float = 0.0
+    support: float = 0.0
+    veiled: float = 0.0
+    variance: float = 1.0
+    open: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPose:
+    """`covariance`: (7, 7) of x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
+    skyline and prior. `skyline`: how that of the photo lies on the terrain's.
+    """
+
+    pose: Pose
+    camera: Camera
+    covariance: Float64Array
+    cost: float
+    skyline: SkylineFit
+
+    @property
+    def sigma_deg(self) -> tuple[float, float, float]:
+        """Of azimuth, pitch and roll."""
+        azimuth, pitch, roll = pose_sigmas(self.pose, self.covariance[:6, :6])[3:].tolist()
+        return azimuth, pitch, roll
+
+
+PictureSystem = Callable[
+    [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
+    tuple[Float64Array, Float64Array],
+]
+"""Gives what `picture_system` does."""
+
+
+def refine(
+    start: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    ridges: ContourDirections,
+    prior: PosePrior,
+    focal_sigma: float,
+    config: PicturePoseConfig,
+    rounds: tuple[tuple[float, float], ...] = ROUNDS,
+    system: PictureSystem | None = None,
+) -> RefinedPose:
+    """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it. `system`: else `picture_system`."""
+    system = picture_system if system is None else system
+    pose, focal = start, 0.0
+    free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
+    for search, wide in rounds:
+        normal, gradient = system(pose, camera, evidence, horizon, ridges, search, wide, config, False)
+        normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
+        step = np.zeros(7)
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
+        step[3:6] *= min(1.0, math.radians(3.0) / max(float(np.linalg.norm(step[3:6])), 1e-12))
+        step[6] = min(max(step[6], -MOST_FOCAL_STEP), MOST_FOCAL_STEP)
+        pose = turned(pose, step[3:6], step[:3])
+        focal += step[6]
+        camera = camera.zoomed(math.exp(step[6]))
+    normal, gradient = system(pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, True)
+    fit = skyline_fit(pose, camera, evidence, horizon, config)
+    normal, _ = _with_prior(normal / fit.variance, gradient, pose, prior, focal, focal_sigma)
+    covariance = np.zeros((7, 7))
+    covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
+    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
+    deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
+    return RefinedPose(pose, camera, covariance, fit.cost + 0.5 * float(deviation @ deviation), fit)
+
+
+def skyline_fit(
+    pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
+) -> SkylineFit:
+    """Of a photo's skyline alone."""
+    rows = skyline_observations(pose, camera, evidence, horizon, 1.0, config)
+    if rows is None:
+        return SkylineFit()
+    noise = config.skyline
+    square = (rows.error / rows.sigma) ** 2
+    q = 1 + square / 4
+    odds = noise.odds * camera.fy / rows.sigma
+    like = odds / q**2.5
+    fits = rows.weight > 0
+    share = column_weight(evidence.skyline, camera, noise.independent) if evidence.skyline is not None else 0.0
+    cost = -share * float(np.log1p(like)[fits].sum())
+    inlier = like / (1 + like)
+    # A crest so near, or so uncertain, that anything fits says nothing.
+    supports = inlier * (rows.sigma < _TELLING * camera.fy)
+    total = len(evidence.skyline.u) if evidence.skyline is not None else 1
+    counted = rows.weight * inlier
+    variance = (noise.stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (noise.stated + counted.sum())
+    told = max(total, 1) * max(1.0 - rows.free, _LEAST_TOLD)
+    return SkylineFit(cost, float(supports[fits].sum()) / told, rows.veiled, float(variance), rows.open)
+
+
+def _with_prior(
+    normal: Float64Array, gradient: Float64Array, pose: Pose, prior: PosePrior, focal: float, focal_sigma: float
+) -> tuple[Float64Array, Float64Array]:
+    slopes = np.zeros((6, 7))
+    slopes[:3, :3] = np.eye(3)
+    slopes[3:, 3:6] = angle_slopes(pose)
+    inverse = np.where(prior.sigmas > 0, 1.0 / np.maximum(prior.sigmas, 1e-9) ** 2, 0.0)
+    if not prior.heading_known:
+        inverse[3] = 0.0
+    normal = normal + (slopes.T * inverse) @ slopes
+    gradient = gradient + (slopes.T * inverse) @ prior.deviation(pose)
+    if focal_sigma > 0:
+        normal[6, 6] += 1 / focal_sigma**2
+        gradient[6] += focal / focal_sigma**2
+    return normal, gradient
+
+
+def picture_system(
+    pose: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    ridges: ContourDirections,
+    search: float,
+    wide: float,
+    config: PicturePoseConfig,
+    expected: bool = False,
+) -> tuple[Float64Array, Float64Array]:
+    """Normal matrix (7, 7) and gradient (7,) of the picture's cost."""
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
+    skyline = skyline_observations(pose, camera, evidence, horizon, wide, config)
+    contours = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
+    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, config.contours.odds(search))):
+        if rows is None or len(rows.error) < FEWEST:
+            continue
+        weight = rows.weight * fitting(rows, odds, expected) / rows.sigma**2
+        normal += (rows.slopes.T * weight) @ rows.slopes
+        gradient += rows.slopes.T @ (weight * rows.error)
+    return normal, gradient
+
+
+def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
+    """How far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of, in one
+    sigma of a pixel."""
+    q = 1 + (rows.error / rows.sigma) ** 2 / 4
+    like = odds / rows.sigma / q**2.5
+    # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
+    # of this, would state more than pictures err by.
+    return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
+
+
+_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
+"""As `pose_refinement.ROUNDS`."""
+_LEAST_FITTING = 0.02
+"""Edges that fit less are left out: they would cost time and say nothing."""
+
+
+def settled_on_ridges(
+    refined: RefinedPose,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    focal_sigma: float,
+    config: PicturePoseConfig,
+) -> RefinedPose:
+    """The same picture's pose by ridges alone, the DEM's own horizon among them; with its skyline's fit as it was."""
+    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
+    unseen = replace(evidence, skyline=None)
+    found = refine(
+        refined.pose, refined.camera, unseen, horizon, around, prior, focal_sigma, config, _ROUNDS, ridge_system
+    )
+    return replace(found, covariance=config.settling.doubt * found.covariance, skyline=refined.skyline)
+
+
+def ridge_system(
+    pose: Pose,
+    camera: Camera,
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    ridges: ContourDirections,
+    search: float,
+    wide: float,
+    config: PicturePoseConfig,
+    expected: bool = False,
+) -> tuple[Float64Array, Float64Array]:
+    """As `picture_system`, of ridges alone, with what neighbouring places share."""
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
+    rows = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
+    if rows is None:
+        return normal, gradient
+    fits = fitting(rows, config.contours.odds(search), expected)
+    kept = np.flatnonzero((rows.weight > 0) & (fits > _LEAST_FITTING))
+    if len(kept) < FEWEST:
+        return normal, gradient
+    rows = rows.only(kept)
+    root = np.linalg.cholesky(shared_covariance(rows, fits[kept], config.settling))
+    whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error]), lower=True, check_finite=False)
+    slopes, error = whitened[:, :7], whitened[:, 7]
+    return normal + slopes.T @ slopes, slopes.T @ error
+
+
+def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
+    """(N, N), px^2, of the errors of `rows`, each of which `fits` (N,) so far: what does not is as unsure as it is
+    unlikely, by itself."""
+    x, y = rows.ground.T
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)
+    covariance = rows.shared[:, None] * rows.shared * together
+    own = rows.sigma**2 - rows.shared**2 + np.maximum(1 / np.maximum(fits, 1e-3) - 1, 0.0) * rows.sigma**2
+    covariance[np.diag_indices(len(own))] += own
+    return np.asarray(covariance, np.float64)

@@ -1,0 +1,281 @@
+"""Search poses by the skyline, and by ridges alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.skyline.contour_scores import (
+    ContourDirections,
+    contour_scores,
+    ridge_strength,
+    usual_score,
+)
+from ltm_core.pose_estimation.skyline.crest_cover import CoverHeights, everywhere
+from ltm_core.pose_estimation.skyline.find_pose import MANY_PLANTS
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import (
+    Hypothesis,
+    PosePrior,
+    angles_between,
+    focal_candidates,
+    rotations_of,
+    search_reach,
+)
+from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine
+from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+_KEPT = 18
+_ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
+"""Whatever the labels are, where few of them are of trees and shrubs: rock and ice, which labels know the least."""
+_ALONG = 8.0
+"""Metres and pixels within which a ridge's errors are one and the same: of rock."""
+_FLOOR_DEG = (0.15, 0.05, 0.15)
+"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing."""
+_MOST_POINTS = 1000
+_COARSE_POINTS = 500
+_NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
+"""Degrees about each of the coarse grid's best at which finer edges are looked at."""
+_ROUNDS = (
+    (16.0, 1.0),
+    (12.0, 1.0),
+    (10.0, 1.0),
+    (8.0, 1.0),
+    (6.0, 1.0),
+    (5.0, 1.0),
+    (4.0, 1.0),
+    (4.0, 1.0),
+    (4.0, 1.0),
+)
+_SETTLING = ((4.0, 1.0),) * 12
+"""Both as `pose_refinement.ROUNDS`."""
+
+
+def search_ridges(
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> list[Hypothesis]:
+    """Hypotheses from the best down; none where too few ridges may be in view."""
+    cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
+    config = config.model_copy(
+        update={
+            "skyline": config.skyline.model_copy(update={"cover": cover}),
+            "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
+        }
+    )
+    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    if len(ridges.range) < 30:
+        return []
+    azimuth, pitch, roll = prior.pose.angles_deg
+    camera = evidence.camera
+    coarse = evidence.coarse_edges
+    grid = np.stack(
+        np.meshgrid(
+            azimuth + _steps(_reach_deg(prior, config), 0.5),
+            pitch + _steps(2.5 * prior.pitch_sigma_deg, 0.2),
+            roll + _steps(2.5 * prior.roll_sigma_deg, 1.0),
+            indexing="ij",
+        ),
+        axis=-1,
+    ).reshape(-1, 3)
+    points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
+    few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
+    found: list[tuple[float, Float64Array, Camera]] = []
+    for factor in focal_candidates(focal_sigma):
+        lens = camera.zoomed(factor)
+        scores = contour_scores(rotations_of(grid), few, lens, coarse)
+        scores = scores - _prior_cost(grid, prior)
+        first = grid[np.argsort(-scores)[: 16 * _KEPT]]
+        nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
+        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)
+        scores = (scores - _prior_cost(nearby, prior)).reshape(len(first), -1)
+        best = scores.argmax(axis=1)
+        found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
+    found.sort(key=lambda entry: -entry[0])
+
+    def refined_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> RefinedPose:
+        around = ridges.in_view(start, lens, _MOST_POINTS)
+        refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, rounds)
+        covariance = refined.covariance.copy()
+        covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *_FLOOR_DEG)[3:, 3:]
+        return replace(refined, covariance=covariance)
+
+    hypotheses: list[Hypothesis] = []
+    starts = _apart([(angles, lens) for _, angles, lens in found])
+    for _ in range(4):
+        for angles, lens in starts:
+            start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
+            refined = refined_from(start, lens, _ROUNDS)
+            z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
+            cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
+            hypotheses.append(Hypothesis(refined, cost, z))
+        hypotheses.sort(key=lambda hypothesis: hypothesis.cost)
+        # Again from about the best: what a wrong roll trapped gets out.
+        best = hypotheses[0].refined
+        at = np.array(best.pose.angles_deg)
+        starts = [(at + offset, best.camera) for offset in _restarts()]
+    # Rounds end before a pose has settled where azimuth and roll make up for each other. It is judged as it was found,
+    # as the others are.
+    hypotheses[0] = replace(hypotheses[0], refined=refined_from(best.pose, best.camera, _SETTLING))
+    kept: list[Hypothesis] = []
+    for hypothesis in hypotheses:
+        if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):
+            kept.append(hypothesis)
+    return kept
+
+
+def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
+    if not prior.heading_known:
+        return 180.0
+    return min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
+
+
+def _restarts() -> list[Float64Array]:
+    """Degrees. Along a ridge that runs up through the picture azimuth, pitch and roll make up for each other."""
+    offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
+    return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
+
+
+def _steps(reach: float, step: float) -> Float64Array:
+    n = max(1, math.ceil(reach / step))
+    return np.asarray(step * np.arange(-n, n + 1), np.float64)
+
+
+def _prior_cost(grid: Float64Array, prior: PosePrior) -> Float64Array:
+    away = np.abs(grid - np.array(prior.pose.angles_deg))
+    away[:, 0] = np.minimum(away[:, 0], 360 - away[:, 0])
+    sigma = np.array([prior.azimuth_sigma_deg, prior.pitch_sigma_deg, prior.roll_sigma_deg])
+    if not prior.heading_known:
+        sigma[0] = np.inf
+    return np.asarray(0.25 * ((away / sigma) ** 2).sum(axis=1), np.float64)
+
+
+def _apart(found: list[tuple[Float64Array, Camera]]) -> list[tuple[Float64Array, Camera]]:
+    kept: list[tuple[Float64Array, Camera]] = []
+    for angles, lens in found:
+        if len(kept) == _KEPT:
+            break
+        if all(
+            float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 or lens is not another
+            for other, another in kept
+        ):
+            kept.append((angles, lens))
+    return kept
+
+
+def _distance(a: Pose, b: Pose) -> float:
+    return float(np.abs(angles_between(a, b)).max())
+
+
+_skyline_poses_SETTLING = ((3.0, 1.0),) * 6
+"""As `ROUNDS`: further ones."""
+_PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
+
+
+def poses_on_skyline(
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> list[Hypothesis]:
+    """Hypotheses from the best down, of a picture that shows a skyline."""
+    s, skyline = config.search, evidence.skyline
+    assert skyline is not None  # nosec B101 # tells the type checker what holds
+    reach = search_reach(prior, config)
+    step = math.radians(s.step_deg if prior.heading_known else s.wide_step_deg)
+    azimuth, pitch, roll = prior.pose.angles_deg
+    n = math.ceil(reach / step)
+    azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
+    ridges = ContourDirections.of(horizon, config.contours.nearest)
+    coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
+    position_sigma = 0.5 * prior.position_sigma
+    candidates = []
+    for factor in focal_candidates(focal_sigma):
+        camera = evidence.camera.zoomed(factor)
+        costs = search_azimuths(
+            skyline,
+            camera,
+            pitch,
+            roll,
+            (math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)),
+            horizon,
+            azimuths,
+            position_sigma,
+            config.skyline,
+        )
+        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
+        scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
+        candidates.append((camera, angles, costs.cost, scores))
+    everything = np.concatenate([scores for *_, scores in candidates])
+    usual, spread = usual_score(everything)
+    ranked: list[tuple[float, Float64Array, Camera]] = []
+    for camera, angles, cost, scores in candidates:
+        total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
+        ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
+    ranked.sort(key=lambda entry: entry[0])
+    starts: list[tuple[Pose, Camera]] = []
+    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
+        for _, at, camera in ranked:
+            if len(starts) == most:
+                break
+            pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
+            if all(abs(angles_between(pose, other)[0]) >= math.radians(apart_deg) for other, _ in starts):
+                starts.append((pose, camera))
+
+    def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
+        around = ridges.in_view(pose, camera, config.contours.most_points)
+        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config, rounds)
+        score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
+        ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
+        return Hypothesis(refined, refined.cost + ridge, (score - usual) / spread)
+
+    found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
+    # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
+    near = math.radians(config.verdict.alternative_deg)
+    middle = found[0].refined.pose
+    found = [
+        hypothesis_from(h.refined.pose, h.refined.camera, _skyline_poses_SETTLING)
+        if abs(angles_between(middle, h.refined.pose)[0]) <= near
+        else h
+        for h in found
+    ]
+    return sorted(found, key=lambda hypothesis: hypothesis.cost)
+
+
+def _best_over_pitch(
+    rotations: Float64Array,
+    ridges: ContourDirections,
+    camera: Camera,
+    evidence: PictureEvidence,
+) -> Float64Array:
+    """Ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
+    best = np.full(len(rotations), -np.inf)
+    for offset in _PITCHES_DEG:
+        c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))
+        up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
+        best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges))
+    return best
+
+
+def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
+    z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
+    return np.asarray(-config.contours.weight * z * z / 2, np.float64)
+
+
+def _heading_cost(azimuths_deg: Float64Array, prior: PosePrior) -> Float64Array:
+    if not prior.heading_known:
+        return np.zeros(len(azimuths_deg))
+    away = (azimuths_deg - prior.pose.angles_deg[0] + 180.0) % 360.0 - 180.0
+    return np.asarray(0.5 * (away / prior.azimuth_sigma_deg) ** 2, np.float64)

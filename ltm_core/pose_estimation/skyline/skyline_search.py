@@ -1,0 +1,247 @@
+"""Compares a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
+
+A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
+The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
+ever so uncertain. Where land beyond the DEM may stand over the horizon, that is the skyline as often as not, and else
+all skylines between it and the bound of that land are alike likely. Where trees on a nearer crest may hide the horizon,
+either is what is seen. Where pale land stands above the edge of nearer land (`pale_land`), that crest is at the lower
+edge, and the horizon at the upper one, or at the lower where the pale land may lie beyond it, or be none. Neighbouring
+columns are alike: all of a picture count as a few, and in the fit and its covariance those within one correlation
+length of a crest count as one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.crest_cover import farness
+from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
+from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig
+from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+
+_STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
+_ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])
+"""By which sigmas are widened in the rounds of the robust fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkylineCosts:
+    """Of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to be added to those of the pose that was given."""
+
+    azimuth: Float64Array
+    cost: Float64Array
+    pitch: Float64Array
+    roll: Float64Array
+
+
+def search_azimuths(
+    skyline: ImageSkyline,
+    camera: Camera,
+    pitch_deg: float,
+    roll_deg: float,
+    tilt_sigma: tuple[float, float],
+    horizon: TerrainHorizon,
+    azimuths: Float64Array,
+    position_sigma: float,
+    config: SkylineConfig,
+) -> SkylineCosts:
+    """Costs of azimuths (Y,), radians, of an undistorted camera.
+
+    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres.
+    """
+    rays = np.column_stack(
+        [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
+    )
+    away, tangent = _level(rays, pitch_deg, roll_deg)
+    small = 0.05
+    by_pitch = (_level(rays, pitch_deg + small, roll_deg)[1] - tangent) / np.radians(small)
+    by_roll = (_level(rays, pitch_deg, roll_deg + small)[1] - tangent) / np.radians(small)
+    cover = config.cover.of(skyline.cover)
+    crest = rays + np.outer((skyline.crest_v - skyline.v) / camera.fy, (0.0, 1.0, 0.0))
+    drop = _level(crest, pitch_deg, roll_deg)[1] - tangent
+    columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover, drop])
+    step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
+    out = np.empty((len(azimuths), 3))
+    _search(
+        columns,
+        np.column_stack(
+            [
+                horizon.tangent,
+                horizon.range,
+                horizon.cell,
+                horizon.bound,
+                horizon.front_tangent,
+                horizon.front_range,
+                farness(horizon.range),
+                farness(horizon.front_range),
+            ]
+        ),
+        horizon.start,
+        horizon.step,
+        horizon.whole,
+        azimuths,
+        np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx]),
+        np.array(
+            [
+                config.dem_sigma,
+                config.cell_share,
+                config.cell_lift,
+                config.correlation,
+                config.odds,
+                column_weight(skyline, camera, config.independent),
+                config.own_crest,
+                config.no_land,
+            ]
+        ),
+        out,
+    )
+    return SkylineCosts(azimuths, out[:, 0], out[:, 1], out[:, 2])
+
+
+def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:
+    """Of one column among those of a picture, that count as `independent` altogether."""
+    return min(1.0, independent * skyline.spacing / camera.width)
+
+
+def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
+    """Azimuth from the optical axis' and tangent of optical rays (K, 3)."""
+    x, y, z = (rays @ Pose.from_angles((0.0, 0.0, 0.0), 0.0, pitch_deg, roll_deg).rotation.T).T
+    return np.arctan2(x, y), z / np.hypot(x, y)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _cover(column: Float64Array, far: float) -> tuple[float, float]:
+    """Height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
+    return (1 - far) * column[5] + far * column[7], (1 - far) * column[6] + far * column[8]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _search(
+    columns: Float64Array,
+    horizon: Float64Array,
+    start: float,
+    step: float,
+    whole: bool,
+    azimuths: Float64Array,
+    setting: Float64Array,
+    noise: Float64Array,
+    out: Float64Array,
+) -> None:
+    count = len(columns)
+    total = len(horizon)
+    half_step, position_sigma, pitch_sigma, roll_sigma, spacing = setting
+    dem_sigma, cell_share, cell_lift, correlation, odds, share, own, no_land = noise
+    error, sigma = np.empty(count), np.empty(count)
+    gap, weight = np.empty(count), np.empty(count)
+    front, front_sigma = np.empty(count), np.empty(count)
+    for j in range(len(azimuths)):
+        for k in range(count):
+            x = (columns[k, 0] + azimuths[j] - start) / step
+            if whole:
+                x -= np.floor(x / total) * total
+            i = int(x)
+            weight[k] = 0.0
+            if x < 0 or (i + 1 >= total and not whole):
+                continue
+            i1 = i + 1 if i + 1 < total else 0
+            part = x - i
+            # The range is that of the nearer one: at a step between two crests no mean of both.
+            r = min(horizon[i, 1], horizon[i1, 1])
+            if not r > 0.0:
+                continue
+            t = (1 - part) * horizon[i, 0] + part * horizon[i1, 0]
+            slope = (horizon[i1, 0] - horizon[i, 0]) / step
+            cell = cell_share * horizon[i, 2]
+            far = horizon[i, 6] if horizon[i, 1] <= horizon[i1, 1] else horizon[i1, 6]
+            height, cover_sigma = _cover(columns[k], far)
+            rise = height + cell_lift * horizon[i, 2]
+            error[k] = columns[k, 1] - t - rise / r
+            s = dem_sigma**2 + cover_sigma**2 + cell * cell + position_sigma**2
+            sigma[k] = np.sqrt(columns[k, 4] ** 2 + (slope * half_step) ** 2 + s / (r * r))
+            gap[k] = max(0.0, max(horizon[i, 3], horizon[i1, 3]) - t - rise / r)
+            weight[k] = min(share, spacing * r / correlation)
+            front_sigma[k] = 0.0
+            r = horizon[i, 5]
+            if r > 0.0:
+                height, cover_sigma = _cover(columns[k], horizon[i, 7])
+                front[k] = columns[k, 1] + columns[k, 9] - horizon[i, 4] - height / r
+                s = dem_sigma**2 + cover_sigma**2 + position_sigma**2
+                front_sigma[k] = np.sqrt(columns[k, 4] ** 2 + (0.5 * step) ** 2 + s / (r * r))
+        used = np.flatnonzero(weight > 0)
+        out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
+        if len(used) < 8:
+            continue
+        ordered = np.sort(error[used])
+        best = np.inf
+        for begin in range(len(_STARTS) + 1):
+            # Pitch brings a skyline up by about as much as it is turned.
+            a = 0.0 if begin == len(_STARTS) else -ordered[int(_STARTS[begin] * (len(used) - 1))]
+            if abs(a) > 4 * pitch_sigma:
+                continue
+            b = 0.0
+            for wide in _ROUNDS:
+                paa, pab, pbb = 1 / pitch_sigma**2, 0.0, 1 / roll_sigma**2
+                pa, pb = 0.0, 0.0
+                for n in range(used.size):
+                    k = int(used[n])
+                    e = error[k] + a * columns[k, 2] + b * columns[k, 3]
+                    free = e if e < 0 else max(0.0, e - gap[k])
+                    s = sigma[k] * wide
+                    # Towards the nearer end of what fits: the horizon, or the bound above it.
+                    target = error[k] if e < 0 else error[k] - gap[k]
+                    drop = columns[k, 9]
+                    if gap[k] > 0 and e > 0:
+                        low = e + drop if e + drop > -e else e
+                        q = 1 + low * low / (4 * s * s)
+                        if own / s / (q * q * np.sqrt(q)) > (1 - own) / (s + 0.375 * gap[k]):
+                            free, target = low, error[k] + low - e
+                        elif free == 0.0:
+                            continue
+                    elif gap[k] == 0.0 and drop < 0:
+                        q, q2 = 1 + e * e / (4 * s * s), 1 + (e + drop) ** 2 / (4 * s * s)
+                        if (1 - no_land) / (q * q * np.sqrt(q)) < no_land / (q2 * q2 * np.sqrt(q2)):
+                            free, target = e + drop, error[k] + drop
+                    q = 1 + free * free / (4 * s * s)
+                    like = odds / s / (q * q * np.sqrt(q))
+                    w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
+                    if front_sigma[k] > 0.0:
+                        s2 = front_sigma[k] * wide
+                        q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * s2 * s2)
+                        other = odds / s2 / (q2 * q2 * np.sqrt(q2))
+                        if other > like:
+                            w = weight[k] * other / (1 + other) * 1.25 / q2 / (s2 * s2)
+                            target = front[k]
+                    paa += w * columns[k, 2] ** 2
+                    pab += w * columns[k, 2] * columns[k, 3]
+                    pbb += w * columns[k, 3] ** 2
+                    pa -= w * columns[k, 2] * target
+                    pb -= w * columns[k, 3] * target
+                d = paa * pbb - pab * pab
+                a, b = (pbb * pa - pab * pb) / d, (paa * pb - pab * pa) / d
+            cost = 0.5 * (a / pitch_sigma) ** 2 + 0.5 * (b / roll_sigma) ** 2
+            for n in range(used.size):
+                k = int(used[n])
+                e = error[k] + a * columns[k, 2] + b * columns[k, 3]
+                free = e if e < 0 else max(0.0, e - gap[k])
+                q = 1 + free * free / (4 * sigma[k] ** 2)
+                like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
+                if gap[k] > 0:
+                    low = min(abs(e), abs(e + columns[k, 9]))
+                    q = 1 + low * low / (4 * sigma[k] ** 2)
+                    like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
+                elif columns[k, 9] < 0:
+                    q = 1 + (e + columns[k, 9]) ** 2 / (4 * sigma[k] ** 2)
+                    like = (1 - no_land) * like + no_land * odds / sigma[k] / (q * q * np.sqrt(q))
+                if front_sigma[k] > 0.0:
+                    q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * front_sigma[k] ** 2)
+                    like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))
+                cost -= share * np.log(1 + like)
+            if cost < best:
+                best = cost
+                out[j, 0], out[j, 1], out[j, 2] = cost, a, b

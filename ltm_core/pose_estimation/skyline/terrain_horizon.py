@@ -1,0 +1,301 @@
+"""Compute the skyline and the ridges that the terrain shows from one place.
+
+What the terrain shows of itself from one place: the horizon all round, and the ridges below it.
+
+Directions are (azimuth, tangent): the tangent of a point at height h and horizontal range r is that of the ray which
+meets it, (h - z0) / r - bend r (`geodesy.ray_bend`). Along each azimuth the running maximum of the tangent is the
+horizon; where ground comes into view again behind a hidden gap, its former maximum is a point of an occluding contour.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.errors import PoseError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
+from ltm_core.raster.dem import Dem
+from ltm_core.tracing.holes import PossibleGround
+
+_MOST_RISE = 4.0
+"""Steps of azimuth by which neighbours of a contour may differ in tangent,"""
+_MOST_CHANGE = 0.12
+"""and the logarithm by which they may differ in range."""
+_SHORTEST = math.radians(0.6)
+"""Contours that span less azimuth are left out: single trees and the DEM's noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class OccludingContours:
+    """Points of contours. (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the
+    DEM's `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+
+    azimuth: Float64Array
+    tangent: Float64Array
+    range: Float64Array
+    behind: Float64Array
+    cell: Float64Array
+    following: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.azimuth)
+
+
+def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
+    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind,
+    cell), from one azimuth to the next; what stays shorter than 0.6 degrees is left out.
+    """
+    following, length = _link(points, found, step)
+    kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
+    rows, cols = np.nonzero(kept)
+    number = np.full(kept.shape, -1, np.int64)
+    number[rows, cols] = np.arange(len(rows))
+    after = following[rows, cols]
+    ends = (after < 0) | (rows + 1 >= len(found))
+    linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
+    t, r, behind, cell = (values.copy() for values in points[rows, cols].T)
+    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, behind, cell, linked)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Array, Int32Array]:
+    """Of each point the one that follows it at the next azimuth, -1 without, and its contour's number of points."""
+    count, most = points.shape[0], points.shape[1]
+    following = np.full((count, most), -1, np.int32)
+    length = np.zeros((count, most), np.int32)
+    taken = np.full((count, most), -1, np.int32)
+    for k in range(count - 1):
+        for i in range(found[k]):
+            best, least = -1, 1.0
+            for j in range(found[k + 1]):
+                rise = abs(points[k + 1, j, 0] - points[k, i, 0]) / (_MOST_RISE * step)
+                change = abs(math.log(points[k + 1, j, 1] / points[k, i, 1])) / _MOST_CHANGE
+                if taken[k + 1, j] < 0 and rise < 1.0 and change < 1.0 and rise + change < 2 * least:
+                    best, least = j, (rise + change) / 2
+            if best >= 0:
+                following[k, i] = best
+                taken[k + 1, best] = i
+    for k in range(count):
+        for i in range(found[k]):
+            if taken[k, i] < 0:  # a contour begins
+                n, a, b = 0, k, i
+                while b >= 0:
+                    n, a, b = n + 1, a + 1, following[a, b]
+                a, b = k, i
+                while b >= 0:
+                    length[a, b] = n
+                    a, b = a + 1, following[a, b]
+    return following, length
+
+
+_NEAREST = 20.0
+"""Metres: what the DEM says of nearer ground is as much its error as the ground's shape."""
+_FARTHEST = 80_000.0
+_NEAREST_FRONT, _TREES = 120.0, 5.0
+_MOST_CONTOURS = 24
+"""Points of occluding contours that are kept along one azimuth."""
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainHorizon:
+    """Horizon and occluding contours seen from `position`, every `step` radians of azimuth from `start` on.
+
+    `tangent`, `range`: (N,) of the horizon, -inf and 0 where there is no known ground; `cell`: (N,) metres of the DEM
+    there; `at_edge`: (N,) the DEM ends there, so that it is no crest. `bound`: (N,) the tangent above which there is
+    certainly no ground, also none beyond the DEM; what lies between the two is open. `front_tangent`,
+    `front_range`: (N,) of the nearer crest that trees of 5 m would raise highest, 0 where that is the horizon itself:
+    trees on it, or haze, may hide the horizon.
+    """
+
+    position: Float64Array
+    start: float
+    step: float
+    tangent: Float64Array
+    range: Float64Array
+    cell: Float64Array
+    at_edge: BoolArray
+    bound: Float64Array
+    front_tangent: Float64Array
+    front_range: Float64Array
+    contours: OccludingContours
+
+    @property
+    def azimuths(self) -> Float64Array:
+        """(N,) radians, increasing."""
+        return np.asarray(self.start + self.step * np.arange(len(self.tangent)), np.float64)
+
+    @property
+    def whole(self) -> bool:
+        """The azimuths go all round."""
+        return len(self.tangent) * self.step > 2 * math.pi - 1.5 * self.step
+
+    @property
+    def open(self) -> BoolArray:
+        """(N,) where land beyond the DEM may stand over the known horizon, by more than a hundredth of a degree."""
+        return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
+
+
+def terrain_horizon(
+    dem: Dem,
+    position: Float64Array,
+    bend: float,
+    possible: PossibleGround = PossibleGround(),
+    azimuth: float = 0.0,
+    half_width: float = math.pi,
+    step: float = math.radians(0.04),
+) -> TerrainHorizon:
+    """Look round from `position` (3,), within `half_width` radians of `azimuth`.
+
+    `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
+    of the DEM lies around the position.
+    """
+    count = math.ceil(2 * min(half_width, math.pi) / step)
+    if half_width >= math.pi:
+        step = 2 * math.pi / count
+    start = azimuth - min(half_width, math.pi)
+    levels = dem.levels
+    geometry = np.array([[g.x_min, g.y_max, g.resolution] for g in (level.geometry for level in levels)])
+    top = max(float(np.nanmax(level.elevation)) for level in levels)
+    tangent, rng, cell, bound, front, front_range = (np.empty(count) for _ in range(6))
+    points = np.empty((count, _MOST_CONTOURS, 4))
+    found, at_edge = np.zeros(count, np.int32), np.zeros(count, np.bool_)
+    _sweep(
+        tuple(_read_only(level.elevation) for level in levels),
+        geometry,
+        np.array(position, np.float64),
+        bend,
+        start,
+        step,
+        _reach(levels, position),
+        np.array([possible.steepest, possible.limit(top)]),
+        tangent,
+        rng,
+        cell,
+        at_edge,
+        bound,
+        front,
+        front_range,
+        points,
+        found,
+    )
+    if not (rng > 0).any():
+        x, y, _ = (float(v) for v in position)
+        raise PoseError(
+            f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
+            "camera's place and its crs, or give a DEM that surrounds it"
+        )
+    return TerrainHorizon(
+        np.array(position, np.float64),
+        start,
+        step,
+        tangent,
+        rng,
+        cell,
+        at_edge,
+        bound,
+        front,
+        front_range,
+        link_contours(start, step, points, found),
+    )
+
+
+def _read_only(elevation: Float32Array) -> Float32Array:
+    """Rasters of a stack are of one type for compiled code, whichever of them are shared."""
+    view = elevation.view()
+    view.flags.writeable = False
+    return view
+
+
+def _reach(levels: tuple[Dem, ...], position: Float64Array) -> float:
+    x_min, y_min, x_max, y_max = levels[-1].geometry.bounds
+    x, y = float(position[0]), float(position[1])
+    return min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")  # type: ignore[untyped-decorator]
+def _height(elevation: Float32Array, row: float, col: float) -> float:
+    r0, c0 = int(row), int(col)
+    if r0 > elevation.shape[0] - 2:
+        r0 = elevation.shape[0] - 2
+    if c0 > elevation.shape[1] - 2:
+        c0 = elevation.shape[1] - 2
+    fr, fc = row - r0, col - c0
+    north = (1 - fc) * elevation[r0, c0] + fc * elevation[r0, c0 + 1]
+    south = (1 - fc) * elevation[r0 + 1, c0] + fc * elevation[r0 + 1, c0 + 1]
+    return float((1 - fr) * north + fr * south)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+def _sweep(
+    levels: tuple[Float32Array, ...],
+    geometry: Float64Array,
+    position: Float64Array,
+    bend: float,
+    start: float,
+    step: float,
+    reach: float,
+    possible: Float64Array,
+    tangent: Float64Array,
+    rng: Float64Array,
+    cell: Float64Array,
+    at_edge: BoolArray,
+    bound: Float64Array,
+    front: Float64Array,
+    front_range: Float64Array,
+    points: Float64Array,
+    found: Int32Array,
+) -> None:
+    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, range behind, cell)."""
+    ox, oy, oz = position
+    steepest, limit = possible
+    most = points.shape[1]
+    for k in range(len(tangent)):
+        azimuth = start + step * k
+        sx, sy = math.sin(azimuth), math.cos(azimuth)
+        highest, at, at_cell = -math.inf, 0.0, 0.0
+        last_r, last_h = 0.0, math.nan
+        raised, raised_at, raised_t = -math.inf, 0.0, 0.0
+        hidden = False
+        n = 0
+        r = _NEAREST
+        while r < reach:
+            x, y = ox + r * sx, oy + r * sy
+            h, size = math.nan, geometry[len(geometry) - 1, 2]
+            for i in range(len(levels)):
+                col = (x - geometry[i, 0]) / geometry[i, 2] - 0.5
+                row = (geometry[i, 1] - y) / geometry[i, 2] - 0.5
+                elevation = levels[i]
+                if row >= 0.0 and col >= 0.0 and row <= elevation.shape[0] - 1 and col <= elevation.shape[1] - 1:
+                    h, size = _height(elevation, row, col), geometry[i, 2]
+                    break
+            if h == h:
+                last_r, last_h = r, h
+                t = (h - oz) / r - bend * r
+                if r > _NEAREST_FRONT and t + _TREES / r > raised:
+                    raised, raised_at, raised_t = t + _TREES / r, r, t
+                if t > highest:
+                    if hidden and r > 1.08 * at and r - at > 5 * at_cell and n < most:
+                        points[k, n, 0], points[k, n, 1], points[k, n, 2], points[k, n, 3] = highest, at, r, at_cell
+                        n += 1
+                    highest, at, at_cell = t, r, size
+                    hidden = False
+                else:
+                    hidden = True
+            r += max(0.6 * size, 0.0008 * r)
+        tangent[k], rng[k], cell[k] = highest, at, at_cell
+        at_edge[k] = last_r - at < 3 * at_cell + 0.005 * at
+        found[k] = n
+        front[k] = raised_t
+        front_range[k] = raised_at if raised_at < 0.8 * at else 0.0
+        # The highest that land beyond the last known ground may reach.
+        top = -math.inf
+        if last_r > 0.0 and limit > -1e3:
+            r = last_r
+            while r < 2e5:
+                h = min(last_h + steepest * (r - last_r), limit)
+                top = max(top, (h - oz) / r - bend * r)
+                r += max(30.0, 0.02 * r)
+        bound[k] = max(top, highest)

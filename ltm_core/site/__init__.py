@@ -1,0 +1,1 @@
+"""The site file: its configuration classes, loading, editing and checks."""

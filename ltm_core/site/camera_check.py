@@ -1,0 +1,186 @@
+"""Checks the cameras of a site file before anything runs: where they stand, what they look at, what hides it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import LtmError, PoseError
+from ltm_core.base.finding import Finding, Verdict
+from ltm_core.cameras.plausibility import TALLEST_MAST, doubt_of_height, doubt_of_radians
+from ltm_core.pose_estimation.mount.mount_config import MountConfig
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.masks import Looking
+from ltm_core.vision.scene_view import SceneFilter
+
+_MUCH_MASKED = 0.6
+"""Share of a picture above which a mask may be inverted."""
+_TURNING = ("lens", "caption")
+"""Classes of polygons that hide the same pixels wherever a head looks."""
+_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[Finding]:
+    """Whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets it."""
+    config = site.cameras[name]
+    try:
+        camera = config.calibration.camera() if config.calibration is not None else None
+        pose = config.pose.pose(dem, site.frame) if config.pose is not None else None
+        if camera is not None and camera.width * camera.height > site.limits.pixels:
+            raise PoseError(
+                f"calibration of {camera.width} x {camera.height} pixels, at most {site.limits.pixels} are taken: "
+                "raise pixels under `limits`"
+            )
+    except LtmError as error:
+        yield Finding.of("cameras", name, error)
+        return
+    if config.mount is not None:
+        yield _head(config.mount, name, site, dem)
+        return
+    topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
+    if pose is None or config.pose is None:
+        yield Finding("cameras", name, Verdict.OK, f"{' and '.join(topics)} come as topics")
+        return
+    x, y, z = (float(v) for v in pose.position)
+    ground = float(dem.elevation_at(x, y))
+    if math.isnan(ground):
+        covered = dem.levels[-1].geometry.translated(*site.origin).described()
+        doubt: str | None = f"stands at ({config.pose.x:g}, {config.pose.y:g}) beside the DEM, which covers {covered}"
+    elif config.pose.height_above_ground is not None:
+        tall = f"height_above_ground {z - ground:g} m is more than masts have: if these are feet, write metres"
+        doubt = tall if z - ground > TALLEST_MAST else None
+    else:
+        doubt = doubt_of_height(z, ground)
+    azimuth, pitch, _ = pose.angles_deg
+    width = "" if camera is None else f", {camera.hfov_deg:.0f} deg wide"
+    found = f"{z - ground:.1f} m above the ground, looks {_WINDS[round(azimuth / 45) % 8]} ({azimuth:g} deg), "
+    found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
+    found += "; calibration comes as topic" if camera is None else ""
+    yield (
+        Finding("cameras", name, Verdict.OK, found)
+        if doubt is None
+        else Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
+    )
+    if camera is not None:
+        views.append(PosedCamera(name, camera, pose))
+
+
+def check_mask(site: Site, name: str) -> Iterator[Finding]:
+    """Where a camera has one: what share of the picture it hides, if its size is known; and those of its views."""
+    config = site.cameras[name]
+    yield from _check_view_masks(site, name)
+    if config.mask is None:
+        return
+    called = f"{name}: mask"
+    try:
+        mask = SceneFilter.of(site, name).mask
+    except LtmError as error:
+        yield Finding.of("cameras", called, error)
+        return
+    found = "polygons, drawn when the calibration comes as topic"
+    doubts = []
+    if mask is not None:
+        found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
+        if mask.share > _MUCH_MASKED:
+            doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+    turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
+    if config.mount is not None and not turning:
+        doubts.append(
+            "the head turns, and the mask hides the same pixels in every view: only what turns with it belongs into "
+            "it, such as corners of the lens and captions; the others belong into view_masks"
+        )
+    verdict = Verdict.DOUBTFUL if doubts else Verdict.OK
+    yield Finding("cameras", called, verdict, ": ".join([found, *doubts]))
+
+
+def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
+    config = site.cameras[name]
+    if not config.view_masks:
+        return
+    lens = None if config.mount is None else config.mount.lens
+    size = config.calibration or lens
+    try:
+        scene = SceneFilter.of(site, name)
+    except LtmError as error:
+        yield Finding.of("cameras", f"{name}: view_masks", error)
+        return
+    for view in config.view_masks:
+        called, width = f"{name}: mask of view {view.name}", view.hfov_deg
+        looking = Looking(view.azimuth_deg, view.pitch_deg, width or 1.0)
+        doubts = []
+        if lens is not None and width is None:
+            doubts.append(
+                "the lens zooms, and the view says not how wide it is: give hfov_deg, or it hides at any zoom"
+            )
+        others = [other for other in config.view_masks if other is not view]
+        double = [o.name for o in others if looking.off_deg(o) <= min(view.within_deg, o.within_deg)]
+        if double:
+            doubts.append(f"{', '.join(double)} looks there too; the nearer one is taken")
+        found = f"azimuth {view.azimuth_deg:g}, pitch {view.pitch_deg:g}, within {view.within_deg:g} deg"
+        if size is not None:
+            try:
+                hidden = scene.hidden(size.width, size.height, looking)
+            except LtmError as error:
+                yield Finding.of("cameras", called, error)
+                continue
+            share = 0.0 if hidden is None else float(hidden.mean())
+            found += f": hides {share:.1%} of {size.width} x {size.height} pixels"
+            if share > _MUCH_MASKED:
+                doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+        yield Finding("cameras", called, Verdict.DOUBTFUL if doubts else Verdict.OK, "; ".join([found, *doubts]))
+
+
+def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
+    """Of a camera on a pan-tilt-zoom head."""
+    try:
+        model = mount.model(dem, site.frame)
+        lens = mount.lens
+        if lens is not None and lens.width * lens.height > site.limits.pixels:
+            raise PoseError(
+                f"lens of {lens.width} x {lens.height} pixels, at most {site.limits.pixels} are taken: raise pixels "
+                "under `limits`"
+            )
+    except LtmError as error:
+        return Finding.of("cameras", name, error)
+    above = float(model.base.position[2]) - float(dem.elevation_at(*model.base.position[:2]))
+    worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
+    if not mount.calibrated:
+        doubt = (
+            f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
+            f"{name}` calibrates it (docs/cameras.md)"
+        )
+        return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
+    return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
+
+
+def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[Finding]:
+    """Whether the azimuths of all, or of `cameras`, may be radians."""
+    poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
+    doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
+    if doubt is not None:
+        yield Finding("cameras", "azimuth_deg", Verdict.DOUBTFUL, doubt)
+
+
+def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
+    """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
+    for name in dict.fromkeys(view.name for view in views):
+        positions = np.array([view.pose.position for view in views if view.name == name])
+        above = positions[:, 2] - dem.elevation_at(positions[:, 0], positions[:, 1])
+        lowest = int(np.argmin(np.where(np.isnan(above), np.inf, above)))
+        doubt = doubt_of_height(float(positions[lowest, 2]), float(positions[lowest, 2] - above[lowest]))
+        if np.isnan(above).all():
+            x, y = positions[0, :2]
+            doubt = (
+                f"stands at map ({x:.0f}, {y:.0f}) beside the DEM, which covers {dem.levels[-1].geometry.described()}"
+            )
+        if doubt is not None:
+            verdict = Verdict.WRONG if above[lowest] <= 0 else Verdict.DOUBTFUL
+            yield Finding.of("recording", name, doubt, verdict)
+        else:
+            said = f"{len(positions)} different views, {above[lowest]:.1f} m above the ground"
+            yield Finding("recording", name, Verdict.OK, said)

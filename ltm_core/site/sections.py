@@ -1,0 +1,276 @@
+"""The sections of a site file, one typed class each: what a site states of its rasters, cameras, limits and nodes."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float64Array
+from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
+from ltm_core.cameras.sensor_pose import SensorsConfig
+from ltm_core.fuel.growth_limits import GrowthLimits
+from ltm_core.fuel.prior import PriorConfig
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.pose_estimation.mount.mount_config import MountConfig
+from ltm_core.site.ptz_config import PtzConfig
+from ltm_core.site.source_config import NetworkSettings, SnapshotConfig, SourceConfig
+from ltm_core.vision.manifest import SHIPPED_HEAD
+from ltm_core.vision.masks import MOST_VIEW_MASKS, MaskConfig, ViewMask
+
+
+class DemConfig(StrictModel):
+    path: Path
+    """Raster file, relative to the site file."""
+    crs: str | None = None
+    """Only for a raster that carries none."""
+
+
+class FuelConfig(StrictModel):
+    resolution: float = Field(30.0, gt=0)
+    """Cell size, metres; LANDFIRE's is 30."""
+    phase: float = 15.0
+    """Cell edges lie at phase mod resolution in the site's CRS; LANDFIRE's at 15 mod 30."""
+    max_range: float = Field(6000.0, gt=0)
+    """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
+    growth: GrowthLimits = GrowthLimits()
+    """Where the terrain says that no plant stands, so that none there votes."""
+    prior: PriorConfig | None = None
+    """The fuel map that evidence starts from; None: nothing is known before it is seen."""
+    region: str = "dry"
+    """Which codes changed cells get: a name in config/fuel/regions/."""
+    fusion: FusionRules = FusionRules()
+    """How evidence is weighed and when a cell changes."""
+    label_errors: str | None = None
+    """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
+
+
+class PoseErrorConfig(StrictModel):
+    """Standard deviations of a pose that comes without a covariance."""
+
+    angle_deg: float = Field(0.3, gt=0)
+    """Of each angle. What surveyed mounts keep; a phone's compass is off by five degrees, and should say so."""
+    position: float = Field(0.5, gt=0)
+    """Metres, of each coordinate."""
+
+    def covariance(self) -> Float64Array:
+        """(6, 6): position, then rotation about the map's axes, in metres and radians."""
+        return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
+
+
+class Limits(StrictModel):
+    """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
+
+    So that each node stays below a gigabyte at the bound (`ltm bench bounds`).
+    """
+
+    image_bytes: int = Field(32 << 20, ge=1)
+    """Size of a compressed image."""
+    pixels: int = Field(12_600_000, ge=1)
+    """Number in an image and in a calibration: the depth of a pixel takes 44 bytes while it is traced."""
+    waiting_bytes: int = Field(128 << 20, ge=1)
+    """Size of the image data that waits in a node for the other messages of its frame."""
+
+
+class WatchdogConfig(StrictModel):
+    """When the runner takes a node for hung, kills it and starts it again. Seconds in which both run."""
+
+    silent: float = Field(8.0, ge=2)
+    """Without a sign of life, while it neither computes nor waits for a core or a disk: stopped, or deadlocked with
+    Python's lock in hand."""
+    stuck: float = Field(120.0, ge=2)
+    """On one message, or in one callback of its executor."""
+    deaf: float = Field(120.0, ge=2)
+    """Without a message of any topic, while other processes of the graph send ten or more on topics that it listens to.
+    After each run in a row that heard nothing, the next has twice as long."""
+    slow: float = Field(600.0, ge=2)
+    """For what may take long: the start (kernels are compiled, the DEM is read), what a service was asked for, the end.
+    After each start in a row that was too slow, the next has twice as long."""
+
+
+class PoseRefinementConfig(StrictModel):
+    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    for each camera. Angles in degrees."""
+
+    every: float = Field(10.0, ge=0)
+    """Seconds between two pictures that are looked at."""
+    gather: int = Field(6, ge=2)
+    """Clear pictures in which a mount's error is sought together,"""
+    most_gathered: int = Field(12, ge=2)
+    """and at most so many, where they leave it open."""
+    judged: int = Field(6, ge=1)
+    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    slipped: int = Field(4, ge=1)
+    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    least_slip_deg: float = Field(0.2, gt=0)
+    """A picture says so where it is off by more than this"""
+    slip_sigmas: float = Field(3.0, gt=0)
+    """and by so many of its standard deviations,"""
+    slip_sigma_deg: float = Field(3.0, gt=0)
+    """and this is the standard deviation of a slip's angles."""
+
+
+class TerrainConfig(StrictModel):
+    """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
+
+    resolution: float | None = Field(None, gt=0)
+    """Cell size; None: the DEM's."""
+    min_range: float = Field(20.0, ge=0)
+    """Anything nearer is taken for an object close to the lens and ignored."""
+    max_range: float = Field(1500.0, gt=0)
+    """Beyond it, depth is too coarse to move a cell."""
+    columns: int = Field(960, ge=1)
+    """Of an image, at most so many are used, evenly spaced, and rows as far apart."""
+    threshold: float = Field(1.5, gt=0)
+    """Change of height that is worth reporting."""
+    confidence: float = Field(3.0, gt=0)
+    """Standard deviations by which a change must be sure; also the gate between agreement and contradiction."""
+    alone: float = Field(5.0, gt=0)
+    """Those by which a change must be sure that one camera alone has seen: a network is off by more than five of its
+    sigmas about as often as noise is by more than three, and two cameras seldom in the same place."""
+    min_area: float = Field(25.0, ge=0)
+    """Square metres of connected change; less is left out."""
+    reference_sigma: float = Field(0.3, gt=0)
+    """Of the heights of the DEM and of the surface raster."""
+    independent_after: float = Field(3600.0, gt=0)
+    """Two looks of one camera are independent when they are that far apart."""
+    settle: float = Field(600.0, ge=0)
+    """Two cameras must agree over at least that long: what moves is gone by then."""
+    repeated_error_share: float = Field(0.95, ge=0, le=1)
+    """Of the variance of a depth, what each look of a camera has alike, which no number of them averages out. A network
+    sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's (then `alone`
+    need not be more than `confidence`)."""
+    memory: float = Field(8.0, ge=1)
+    """Looks that a cell's mean remembers."""
+    lasting: float = Field(365.0 * 86400.0, gt=0)
+    """Time in which a look loses all but 1/e of its weight: over years, plants grow and rivers move their banks."""
+    tallest: float = Field(60.0, gt=0)
+    """Nothing on the ground is higher: smoke, birds and aircraft are."""
+    register_frames: bool = True
+    """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
+    cache_mb: float = Field(100.0, ge=32)
+    """Memory for cells; the others wait in the store."""
+    trace_confirmed: bool = False
+    """Trace depth, and export heights, to the surface as views have confirmed it; False: to `dem` and `surface` as
+    they were given. Needs a folder for the node's state."""
+    confirm_every: float = Field(600.0, ge=0)
+    """Of the frames' time: a new version of the confirmed surface follows the one before after so long at the
+    earliest."""
+    views_mb: float = Field(34.0, ge=0)
+    """Memory for what the reference shows in the pixels of cameras that stand still: 17 MB each at 1080p."""
+
+
+class CameraConfig(StrictModel):
+    image: Literal["compressed", "raw"] = "compressed"
+    """`image_raw/compressed` (JPEG or PNG) or `image_raw`."""
+    calibration: CalibrationConfig | None = None
+    """None: from the camera_info topic."""
+    pose: PoseConfig | None = None
+    """None: from the pose topic."""
+    sensors: SensorsConfig | None = None
+    """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+    mask: MaskConfig | None = None
+    """What of a camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
+    `ltm mask`. None: nothing of them."""
+    view_masks: tuple[ViewMask, ...] = Field((), max_length=MOST_VIEW_MASKS)
+    """Of a turning camera: what hides the landscape besides, where it looks one way. A picture that looks nowhere near
+    any of them has `mask` alone."""
+    head: str = SHIPPED_HEAD
+    """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
+    (`ltm train head`); a name, or a path from the site's folder of heads. `auto`: chosen by the picture."""
+    mount: MountConfig | None = None
+    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
+    ptz: PtzConfig | None = None
+    """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
+    source: SourceConfig | None = None
+    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
+    judge_pictures: bool = True
+    """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
+    terrain or fit the pose."""
+    judge_smoke: bool = True
+    """Of judged pictures: tell smoke before the land, which does not vote, by earlier pictures. False: each picture is
+    judged by itself alone, as in an archive, whose map is then that of the recording replayed."""
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(
+                f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a head (mount), or "
+                "its sensors tell where it is (sensors)"
+            )
+        if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
+            raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
+        return self
+
+    @model_validator(mode="after")
+    def _views_turn(self) -> Self:
+        if self.view_masks and self.pose is not None:
+            raise ValueError("view_masks are of a camera that turns; one with a pose looks one way: write `mask`")
+        names = [view.name for view in self.view_masks]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"view_masks: {', '.join(twice)} stands there twice; each view has its own name")
+        return self
+
+    @model_validator(mode="after")
+    def _ptz_needs(self) -> Self:
+        if self.ptz is None:
+            return self
+        if self.mount is None:
+            raise ValueError("ptz needs mount: what makes a pose of what the head says")
+        if self.source is None:
+            raise ValueError("ptz needs source: a head is asked where it looks before and after each picture")
+        if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
+            raise ValueError(
+                f"a patrol needs a source of kind snapshot, which is asked at each preset, not {self.source.kind}"
+            )
+        if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
+            raise ValueError(f"a source of kind {self.source.kind} has no address: write that of the head as ptz.url")
+        return self
+
+    @model_validator(mode="after")
+    def _source_needs(self) -> Self:
+        if self.source is None:
+            return self
+        if self.calibration is None and (self.mount is None or self.mount.lens is None):
+            raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+        if self.image == "raw" and self.source.kind not in ("rtsp", "v4l2"):
+            raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
+        return self
+
+
+class HealthConfig(StrictModel):
+    """Where a tower answers monitoring systems; a site that has this section runs the node `health`."""
+
+    port: int = Field(9464, ge=0, le=65535)
+    """TCP; 0: any that is free."""
+    address: str = "127.0.0.1"
+    """IP address to listen on. Any but this machine's own loopback needs `certificate`, `key` and `token`."""
+    certificate: Path | None = None
+    """PEM, with the chain; relative to the site file."""
+    key: Path | None = None
+    """PEM. A systemd credential of the file's name goes before the file."""
+    token: Path | None = None
+    """File with the token that must be known (`Authorization: Bearer ...`); a credential goes before it, too."""
+    frame_age: float = Field(120.0, gt=0)
+    """Seconds; a camera whose newest frame is older is not ready."""
+
+    @model_validator(mode="after")
+    def _closed_to_strangers(self) -> Self:
+        try:
+            local = ipaddress.ip_address(self.address).is_loopback
+        except ValueError as error:
+            raise ValueError(f"address {self.address!r}: give an IP address, such as 127.0.0.1") from error
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("give certificate and key together")
+        if not local and (self.certificate is None or self.token is None):
+            raise ValueError(
+                f"address {self.address} is not this machine alone: give certificate, key and token, or 127.0.0.1"
+            )
+        return self

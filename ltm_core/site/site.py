@@ -1,0 +1,202 @@
+"""Typed configuration of one site. Defaults stand here and in the sections, and nowhere else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.locating.locator import LocatingConfig
+from ltm_core.raster.dem import Dem
+from ltm_core.raster.dem_stack import open_terrain, with_surface
+from ltm_core.raster.shared_rasters import shared
+from ltm_core.site.sections import (
+    CameraConfig,
+    DemConfig,
+    FuelConfig,
+    HealthConfig,
+    Limits,
+    PoseErrorConfig,
+    PoseRefinementConfig,
+    TerrainConfig,
+    WatchdogConfig,
+)
+from ltm_core.tracing.holes import PossibleGround
+from ltm_core.uplink.config import UplinkConfig
+from ltm_core.vision.manifest import DEFAULT_MODEL
+
+
+def _ros_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"{name!r} becomes part of topic names: use a-z, 0-9 and _, starting with a letter")
+    return name
+
+
+RosName = Annotated[str, AfterValidator(_ros_name)]
+
+FARTHEST_ORIGIN = 100_000.0
+"""Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
+
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
+"""Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
+
+
+def _camera_name(name: str) -> str:
+    if name in SITE_NAMES:
+        raise ValueError(f"{name!r} is a node of the site, so no camera can have this name")
+    return name
+
+
+CameraName = Annotated[RosName, AfterValidator(_camera_name)]
+
+
+def _projected_crs(crs: str) -> str:
+    try:
+        SiteFrame(crs)
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
+    return crs
+
+
+ProjectedCrs = Annotated[str, AfterValidator(_projected_crs)]
+
+
+class Site(StrictModel):
+    name: RosName
+    crs: ProjectedCrs
+    origin: tuple[float, float]
+    """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
+    dem: DemConfig
+    """One, or in YAML a list: the finest first, then coarser ones around it (see `dem_stack`)."""
+    coarser: tuple[DemConfig, ...] = ()
+    """The rest of such a list."""
+    surface: DemConfig | None = None
+    """Tops of trees and houses as elevations; where it is nodata the ground shows."""
+    curvature: bool = True
+    refraction: float = Field(0.13, ge=0, lt=1)
+    possible_ground: PossibleGround = PossibleGround()
+    """How high the ground may be where the DEM does not know it, beyond its end too: what is sky hangs on it."""
+    fuel: FuelConfig = FuelConfig()
+    assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
+    terrain: TerrainConfig | None = None
+    """Where given, the surface is kept up to date from fused depth."""
+    locating: LocatingConfig | None = None
+    """Where given, what is marked in the cameras' pictures is located on the map."""
+    labels: str = "labels.yaml"
+    """Label set in config/."""
+    model: str = DEFAULT_MODEL
+    """Segmentation manifest: a name in config/models/ or a path."""
+    heads: Path | None = None
+    """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""
+    depth_model: str = ""
+    """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
+    cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    processes: Literal["site", "node"] = "site"
+    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
+    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    workers: int | None = Field(None, ge=1)
+    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    refine_poses: PoseRefinementConfig | None = None
+    """None: poses are taken as they are stated."""
+    limits: Limits = Limits()
+    watchdog: WatchdogConfig = WatchdogConfig()
+    health: HealthConfig | None = None
+    """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
+    region: UplinkConfig | None = None
+    """Where given, votes also go to the map of a region."""
+    nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
+    """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _finest_first(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and isinstance(data.get("dem"), list)):
+            return data
+        if not data["dem"] or "coarser" in data:
+            raise ValueError("dem is one raster, or a list of them from the finest to the coarsest")
+        finest, *coarser = data["dem"]
+        return {**data, "dem": finest, "coarser": coarser}
+
+    @property
+    def frame(self) -> SiteFrame:
+        return SiteFrame(self.crs, *self.origin)
+
+    @property
+    def bend(self) -> float:
+        return ray_bend(self.curvature, self.refraction)
+
+    def open_dem(self) -> Dem:
+        """The bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser rasters
+        too.
+
+        Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
+        """
+        rasters = [(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]
+
+        def read() -> Dem:
+            dem = open_terrain(rasters)
+            try:
+                local = dem.in_frame(self.frame)
+            except RasterError as error:
+                raise RasterError(f"{self.dem.path}: {error}") from error
+            self._check_origin(dem.geometry)
+            return local
+
+        return shared([path for path, _ in rasters], (*(crs for _, crs in rasters), self.frame), read)
+
+    def _check_origin(self, terrain: GridGeometry) -> None:
+        """`terrain`: in the site's CRS."""
+        x, y = self.origin
+        away = terrain.distance_to(x, y)
+        if away <= FARTHEST_ORIGIN:
+            return
+        swapped = terrain.distance_to(y, x) <= FARTHEST_ORIGIN
+        x_middle, y_middle = (terrain.x_min + terrain.x_max) / 2, (terrain.y_min + terrain.y_max) / 2
+        wanted = f"[{y:.10g}, {x:.10g}]" if swapped else f"[{round(x_middle, -3):.0f}, {round(y_middle, -3):.0f}]"
+        raise ConfigError(
+            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km away from the DEM, which covers "
+            f"{terrain.described()}: "
+            + ("x and y are swapped, write " if swapped else "it must lie near the site, such as ")
+            + wanted
+        )
+
+    def open_surface(self, ground: Dem) -> Dem:
+        """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
+        where the site has a surface raster.
+        """
+        given = self.surface
+        if given is None:
+            return ground
+        rasters = [dem.path for dem in (given, self.dem, *self.coarser)]
+        way = ("surface", given.crs, self.dem.crs, *(dem.crs for dem in self.coarser), self.frame)
+        return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
+
+    def fuel_geometry(self, dem: Dem) -> GridGeometry:
+        """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
+        x, y = self.origin
+        x_min, y_min, x_max, y_max = dem.geometry.bounds
+        snapped = GridGeometry.snapped(
+            (x_min + x, y_min + y, x_max + x, y_max + y), self.fuel.resolution, self.fuel.phase
+        )
+        return snapped.translated(-x, -y)
+
+    def in_crs(self, geometry: GridGeometry) -> GridGeometry:
+        """A raster of the map frame as a raster of the site's CRS, for files."""
+        return geometry.translated(*self.origin, crs=self.crs)
+
+    def in_map(self, geometry: GridGeometry) -> GridGeometry:
+        """A raster of the site's CRS as a raster of the map frame."""
+        x, y = self.origin
+        return geometry.translated(-x, -y)
+
+    def camera(self, name: str) -> CameraConfig:
+        """Raises ConfigError naming the cameras there are."""
+        if name not in self.cameras:
+            raise ConfigError(f"site {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
+        return self.cameras[name]

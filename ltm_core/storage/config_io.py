@@ -1,0 +1,236 @@
+"""Read YAML files into typed configuration, within bounds; errors name the file, the key and the value.
+
+Reads YAML within bounds, so that a few bytes can take neither minutes nor gigabytes.
+
+PyYAML has no bounds of its own: nested brackets end in a RecursionError, aliases of aliases are billions of values to
+whoever walks over them, and values that look like dates or numbers and are none raise whatever Python raises.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable, Collection, Hashable, Sequence
+from copy import deepcopy
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from yaml.composer import Composer
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.redaction import shown
+from ltm_core.storage.text_io import read_text
+
+LARGEST_FILE = 512 << 10
+"""Bytes; parsed in some two seconds. The largest that ships has 20 kB, one of a site with 50 cameras 30 kB."""
+LARGEST_DEPTH = 40
+"""Mappings and lists inside each other."""
+MOST_VALUES = 100_000
+"""Keys and values, with those that an alias repeats counted each time."""
+LONGEST_NUMBER = 40
+"""Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
+LARGEST_KEPT = 32 << 10
+"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and
+site many times, and to copy values takes a fraction of the time that parsing takes."""
+_KEPT = 64
+
+_BROKEN = (
+    *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
+    *(OverflowError, RecursionError),
+)
+"""What PyYAML raises, on purpose and not: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError), `!!bool x`
+(KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
+
+
+if TYPE_CHECKING:
+    _AnyLoader = yaml.SafeLoader
+else:
+    _AnyLoader = object
+
+
+class _Bounds(_AnyLoader):
+    """Before a loader: refuses a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera
+    perhaps), and what is nested too deep or repeated too often."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._open: list[int] = []
+        """Values so far in each node that is being composed, outermost first."""
+        self._values: dict[int, int] = {}
+        """Values in each node that is composed, by its identity."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
+            node = super().compose_node(parent, index)
+            if id(node) not in self._values:
+                raise yaml.composer.ComposerError(None, None, "an alias within what it stands for", mark)
+            values = self._values[id(node)]
+        else:
+            if len(self._open) >= LARGEST_DEPTH:
+                raise yaml.composer.ComposerError(None, None, f"nested deeper than {LARGEST_DEPTH}", mark)
+            self._open.append(1)
+            node = super().compose_node(parent, index)
+            values = self._values[id(node)] = self._open.pop()
+        if self._open:
+            self._open[-1] += values
+            if self._open[-1] > MOST_VALUES:
+                raise yaml.composer.ComposerError(None, None, f"more than {MOST_VALUES} values", mark)
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        "in a mapping", node.start_mark, f"the key {key.value!r} stands twice", key.start_mark
+                    )
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_scalar(self, node: Any) -> Any:
+        value = super().construct_scalar(node)
+        if isinstance(value, str) and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value):
+            raise yaml.constructor.ConstructorError(
+                None, None, "a character that neither names nor texts have", node.start_mark
+            )
+        return value
+
+    def construct_yaml_int(self, node: Any) -> int:
+        if len(str(node.value)) > LONGEST_NUMBER:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"a number of more than {LONGEST_NUMBER} characters", node.start_mark
+            )
+        return int(super().construct_yaml_int(node))
+
+
+class _BoundedLoader(_Bounds, yaml.SafeLoader):
+    """All in Python: its errors show the line that is wrong."""
+
+
+_BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
+_FAST: type[_Bounds] | None = None
+"""Where PyYAML was built with libyaml."""
+_ALIKE = re.compile(r"(?s)(?!.*[|>][-+\d]*#)[\n \"->@-~]*")
+"""Texts that both make the same of. With tabs, question marks, characters beyond ASCII, or a comment at the sign of a
+block (`|#`), libyaml takes what PyYAML refuses; and of `!` alone it makes a text, where PyYAML finds nothing."""
+if yaml.__with_libyaml__:
+
+    class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):
+        """Scans and parses in C, six times as fast: every node and command reads a dozen files when it starts. Nodes
+        are composed in Python, so that the bounds hold before C has gone down thousands of brackets."""
+
+        def __init__(self, stream: str) -> None:
+            yaml.CSafeLoader.__init__(self, stream)
+            Composer.__init__(self)
+            self._open, self._values = [], {}
+
+    _FastLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
+    _FAST = _FastLoader
+
+
+def parse_yaml(text: str, place: str) -> Any:
+    """What a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises ConfigError: no
+    YAML, keys twice, or more than the bounds above."""
+    if len(text) <= LARGEST_KEPT:
+        with contextlib.suppress(ConfigError):  # said below with the place
+            return deepcopy(_kept(text))
+    return _read(text, place, lambda loader: loader.get_single_data())
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept(text: str) -> Any:
+    return _read(text, "", lambda loader: loader.get_single_data())
+
+
+def compose_yaml(text: str, place: str) -> yaml.Node | None:
+    """The nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
+    parse_yaml(text, place)
+    return _composed(text, place)
+
+
+def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
+    """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
+    stepped over. None where it stands nowhere.
+    """
+    node = _composed(read_text(path, LARGEST_FILE, ConfigError), str(path))
+    line = None
+    for key in keys:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
+            node = node.value[key]
+            line = node.start_mark.line + 1
+        elif isinstance(node, yaml.MappingNode):
+            for name, value in node.value:
+                if name.value == str(key):
+                    node, line = value, name.start_mark.line + 1
+                    break
+    return line
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
+    return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))
+
+
+def _composed(text: str, place: str) -> yaml.Node | None:
+    node: yaml.Node | None = _read(text, place, lambda loader: loader.get_single_node())
+    return node
+
+
+def _read(text: str, place: str, take: Callable[[_Bounds], Any]) -> Any:
+    if len(text) > LARGEST_FILE:
+        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
+    if _FAST is not None and _ALIKE.fullmatch(text):
+        with contextlib.suppress(*_BROKEN):  # said below in words that show the line
+            return take(_FAST(text))
+    try:
+        return take(_BoundedLoader(text))
+    except _BROKEN as error:
+        raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error
+
+
+Model = TypeVar("Model", bound=BaseModel)
+Keys = tuple[int | str, ...]
+
+
+def load_yaml(path: Path | str, model: type[Model]) -> Model:
+    """Read a YAML mapping into `model`. Raises ConfigError: no file, no YAML, keys unknown or twice, wrong values."""
+    path = Path(path)
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: expected a mapping of keys to values, got {type(content).__name__}")
+    return checked(model, content, str(path), line_of=lambda keys: line_of(path, keys))
+
+
+def checked(
+    model: type[Model],
+    content: object,
+    place: str,
+    line_of: Callable[[Keys], int | None] = lambda keys: None,
+    unnamed: Collection[str] = (),
+) -> Model:
+    """`content` as a `model`. Raises ConfigError that lists every wrong key with its value.
+
+    `line_of`: where in the file a key stands. `unnamed`: sections of the model that the file does not write, such as
+    those of the columns of a CSV.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        known = ", ".join(model.model_fields)
+        lines = []
+        for item in error.errors():
+            key = ".".join(str(part) for part in item["loc"] if part not in unnamed) or "(all)"
+            line = line_of(item["loc"])
+            at = "" if line is None else f", line {line}"
+            if item["type"] == "extra_forbidden":
+                lines.append(f"  {key}: unknown key{at}" + (f"; known are {known}" if len(item["loc"]) == 1 else ""))
+            elif item["type"] == "missing":
+                lines.append(f"  {key}: missing")
+            else:
+                lines.append(f"  {key}: {item['msg']} (got {shown(item['input'], item['loc'])}{at})")
+        raise ConfigError("\n".join([f"{place}:", *lines])) from error

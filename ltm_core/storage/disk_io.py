@@ -1,0 +1,189 @@
+"""Check disk space and output paths before and while files are written."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ltm_core.base.errors import ConfigError
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; not, too, of a name that none can have or that we may not look at: until Python 3.14
+    `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there; see `is_file`."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def is_there(path: Path) -> bool:
+    """Whether a file, a folder or a device is there; see `is_file`."""
+    return os.path.exists(path)  # noqa: PTH110
+
+
+def folder_that_exists(path: Path) -> Path:
+    """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
+    path = path.absolute()
+    while not is_there(path) and path != path.parent:
+        path = path.parent
+    return path
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder where only it is missing, so that a disk that is not there is noticed. Raises ConfigError."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
+    except OSError as error:
+        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
+
+
+def disk_bytes(path: Path) -> int:
+    """Size of the file system that holds `path`. Raises OSError."""
+    room = os.statvfs(folder_that_exists(path))
+    return room.f_blocks * room.f_frsize
+
+
+def free_bytes(path: Path) -> int:
+    """What we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
+    room = os.statvfs(folder_that_exists(path))
+    return room.f_bavail * room.f_frsize
+
+
+class SpaceFloor:
+    """Whether a disk has less free space than `floor` bytes.
+
+    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer shall not stop
+    and start with every file that somebody else removes.
+    """
+
+    def __init__(self, path: Path, floor: int) -> None:
+        self._path, self.floor = path, floor
+        self.again = floor + floor // 10
+        self.low = False
+        self.free = 0
+        """At the last look."""
+
+    def look(self) -> bool:
+        """Look again; `low`. A disk that cannot be asked (gone, read-only) is not low: writing tells what is wrong."""
+        try:
+            self.free = free_bytes(self._path)
+        except OSError:
+            return self.low
+        self.low = self.free < (self.again if self.low else self.floor)
+        return self.low
+
+
+class DiskReserve:
+    """Room on a disk, held by a file that is given up when nothing else is left.
+
+    Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Nothing is held yet."""
+        self.path = path
+        self.most = 0
+        """Bytes that have been held at most."""
+
+    @property
+    def held(self) -> int:
+        """Bytes that are held now."""
+        try:
+            return self.path.stat().st_blocks * 512
+        except OSError:
+            return 0
+
+    def hold(self, wanted: int) -> None:
+        """Hold so many bytes, or a quarter of what is free where that is less; on a full disk nothing, and no error."""
+        held = self.held
+        try:
+            size = min(wanted, (held + free_bytes(self.path)) // 4)
+            if size > held:
+                self._grow(size)
+        except OSError:
+            if not held:
+                self.give_up()
+        self.most = max(self.most, self.held)
+
+    def _grow(self, size: int) -> None:
+        descriptor = os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+        finally:
+            os.close(descriptor)
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """What was held is free for the caller; what it leaves is held again."""
+        held = self.held
+        self.give_up()
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                self._grow(min(held, free_bytes(self.path) * 15 // 16))
+
+    def give_up(self) -> None:
+        """What was held is free for anybody."""
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError:
+            return
+
+
+def require_folder(folder: Path, what: str = "results") -> None:
+    """Raises ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
+    reason = _why_not_into(folder)
+    if reason is not None:
+        raise ConfigError(f"{folder}: {what} cannot be written there ({reason}): name another folder")
+
+
+def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
+    """Raises ConfigError unless each of `files` can be written, its folders made where they are missing.
+
+    `overwrite`: whether files may be there already. Makes and changes nothing.
+    """
+    for file in files:
+        if is_folder(file):
+            raise ConfigError(f"{file}: is a folder, {what} need the name of a file")
+        if is_there(file) and not overwrite:
+            raise ConfigError(f"{file}: exists already; name another place, or write over it with --overwrite")
+        reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
+        if reason is not None:
+            raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
+
+
+def _why_not_into(folder: Path) -> str | None:
+    """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
+    there = folder_that_exists(folder.expanduser())
+    if not is_folder(there):
+        return f"{there} is no folder"
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            return _why_no_name(folder)
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def _why_no_name(place: Path) -> str | None:
+    try:
+        place.exists()  # raises for a name that is too long
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
+
+
+def _why_not_over(file: Path) -> str | None:
+    try:
+        os.close(os.open(file, os.O_WRONLY))
+    except OSError as error:
+        return error.strerror or str(error)
+    return None

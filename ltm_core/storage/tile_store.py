@@ -1,0 +1,317 @@
+"""SQLite file that holds the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
+
+The nodes `fuel_map` and `terrain` keep their maps in it. A transaction is in the file whole or not at all, also after a
+power cut: what `commit` has returned from is kept. Frames may be committed before the tiles that hold their effect:
+their payloads wait in the file, as in a redo log, so that a frame costs a small write, and the tiles are written now
+and then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from math import prod
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from numpy.typing import NDArray
+
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.storage.disk_io import DiskReserve
+from ltm_core.storage.tile_store_file import (
+    TABLES,
+    checked_rows,
+    create_store,
+    grow,
+    lock_store,
+    open_store,
+    transaction,
+    wants_room,
+)
+from ltm_core.storage.tile_store_frames import KEPT_FRAMES, MOST_FRAMES, Remembered, count_frames
+from ltm_core.storage.tile_store_schema import (
+    CellChanges,
+    Field,
+    FrameRecord,
+    Key,
+    StoreSchema,
+    Tile,
+    Touch,
+    decompressed,
+)
+
+__all__ = ["CellChanges", "Field", "FrameRecord", "Key", "StoreSchema", "Tile", "TileStore", "Touch"]
+
+RESERVE_BYTES = 32 << 20
+"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
+WAITING_CELL_BYTES, WAITING_HEADER_BYTES = 512, 64 << 10
+"""What a frame that waits holds at most, for each cell of the grid and besides."""
+
+
+class TileStore:
+    """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
+
+    A store that is written holds some room on its disk. On a full one a transaction is made in that room, which then
+    is held again as far as it is left; its second half is for the last transaction alone (`commit`, `last`).
+
+    Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
+    it, and the call may be made again), and ConfigError where its content is damaged.
+    """
+
+    def __init__(
+        self,
+        database: sqlite3.Connection,
+        schema: StoreSchema,
+        name: str,
+        lock: int | None,
+        kept_frames: int = KEPT_FRAMES,
+        most_frames: int = MOST_FRAMES,
+        reserve: DiskReserve | None = None,
+    ) -> None:
+        self.schema = schema
+        self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
+        self._rows = partial(checked_rows, database, name)
+        self._remembered = Remembered(kept_frames, most_frames)
+        self.strain = ""
+        """Where the last commit was made on a full disk: what that means, in words."""
+
+    @classmethod
+    def open(
+        cls,
+        path: Path | str,
+        schema: StoreSchema,
+        kept_frames: int = KEPT_FRAMES,
+        most_frames: int = MOST_FRAMES,
+    ) -> TileStore:
+        """The store in `path`, made where there is none, for this process alone to write.
+
+        One of an earlier version that lacks fields gets them, all 0, in one transaction. Raises ConfigError for a file
+        that is no store, is damaged, or was made for other content or another grid: such a file stays as it is.
+        Raises StoreError where another process writes it, the folder cannot be written or the disk is full.
+        """
+        path = Path(path)
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+        lock = lock_store(path)
+        try:
+            if not path.exists():
+                create_store(path, schema)
+            database, stored = open_store(path, read_only=False)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
+            try:
+                if schema.grown_from(stored):
+                    try:
+                        grow(database, stored, schema, str(path))
+                    except StoreError as error:
+                        # Held by a process that was killed; one that ends in order leaves nothing held.
+                        if not wants_room(error) or not reserve.held:
+                            raise
+                        with _lent(reserve, database):
+                            grow(database, stored, schema, str(path))
+                elif differences := schema.differences(stored):
+                    raise ConfigError(
+                        f"{path}: not a store of this map: {differences}; move it away or name another file"
+                    )
+            except BaseException:
+                database.close()
+                raise
+            store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            store._hold()
+            return store
+        except BaseException:
+            os.close(lock)
+            raise
+
+    @classmethod
+    def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
+        """A store of that kind as it is, with its own schema, also while another process writes it.
+
+        Raises ConfigError and StoreError as `open` does.
+        """
+        path = Path(path)
+        database, schema = open_store(path, read_only=True)
+        if schema.kind != kind:
+            database.close()
+            raise ConfigError(f"{path}: holds {schema.kind}, not {kind}")
+        return cls(database, schema, str(path), None)
+
+    @classmethod
+    def in_memory(
+        cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
+    ) -> TileStore:
+        """A store that ends with the process."""
+        database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        database.executescript(TABLES)
+        return cls(database, schema, "memory", None, kept_frames, most_frames)
+
+    def close(self) -> None:
+        """Idempotent."""
+        self._db.close()
+        if self._reserve is not None:
+            self._reserve.give_up()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def keys(self) -> list[Key]:
+        """Tiles that the store holds, in row-major order."""
+        keys = self._rows("SELECT row, col FROM tiles ORDER BY row, col", (), int, int)
+        down, across = self.schema.tiles
+        for row, col in keys:
+            if not (0 <= row < down and 0 <= col < across):
+                raise ConfigError(f"{self._name}: the store is damaged: tile {row, col} of {down, across}; restore it")
+        return [(row, col) for row, col in keys]
+
+    def read(self, key: Key) -> Tile | None:
+        """A tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
+        rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key, bytes)
+        return self.schema.unpack(rows[0][0]) if rows else None
+
+    def tiles(self) -> Iterator[tuple[Key, Tile]]:
+        """All tiles, one at a time."""
+        for key in self.keys():
+            tile = self.read(key)
+            if tile is not None:
+                yield key, tile
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
+        found = self._rows(
+            "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
+            "FROM sources WHERE name = ?1",
+            (source, stamp_ns),
+            int,
+        )
+        return bool(found and found[0][0])
+
+    def forgotten(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
+        found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
+        return bool(found and stamp_ns <= found[0][0])
+
+    def frame_count(self) -> int:
+        """Frames counted since the store was made, of all sources."""
+        return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources", (), int)[0][0])
+
+    def sources(self) -> dict[str, int]:
+        """Frames counted of each source."""
+        return dict(self._rows("SELECT name, counted FROM sources ORDER BY name", (), str, int))
+
+    def newest_ns(self) -> int | None:
+        """The latest stamp that is remembered; None where no frame has been counted."""
+        found = self._rows(
+            "SELECT newest FROM "
+            "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
+            "WHERE newest IS NOT NULL",
+            (),
+            int,
+        )
+        return int(found[0][0]) if found else None
+
+    def touches(self, key: Key) -> list[Touch]:
+        """Who has touched a tile, by source and network."""
+        found = self._rows(
+            "SELECT name, model, frames, first_ns, last_ns FROM touches JOIN sources ON source = id "
+            "WHERE row = ? AND col = ? ORDER BY name, model",
+            key,
+            *(str, str, int, int, int),
+        )
+        return [Touch(*row) for row in found]
+
+    def waiting(self) -> list[FrameRecord]:
+        """Frames that are counted and that no tile holds yet, with their payloads, in the order of their commits."""
+        found = self._rows(
+            "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number",
+            (),
+            *(str, int, str, bytes),
+        )
+        most = prod(self.schema.geometry.shape) * WAITING_CELL_BYTES + WAITING_HEADER_BYTES
+        return [FrameRecord(name, at, (), model, decompressed(payload, most)) for name, at, model, payload in found]
+
+    def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
+        """The journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
+        limit = 2**63 - 1 if until_ns is None else until_ns
+        found = self._rows(
+            "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number",
+            (layer, limit),
+            *(int, bytes),
+        )
+        return (CellChanges.unpack(layer, at, content, self.schema.geometry.shape) for at, content in found)
+
+    def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
+        """A layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the first."""
+        if initial.shape != self.schema.geometry.shape:
+            raise ValueError(f"initial layer of {initial.shape}, the grid is {self.schema.geometry.shape}")
+        result = initial.copy()
+        for change in self.changes(layer, until_ns):
+            result[change.rows, change.cols] = change.new
+        return result
+
+    def commit(
+        self,
+        tiles: Mapping[Key, Mapping[str, NDArray[Any]]] | None = None,
+        frames: Sequence[FrameRecord] = (),
+        changes: Sequence[CellChanges] = (),
+        last: bool = False,
+    ) -> None:
+        """Write all of it in one transaction, or nothing. `last`: before the store is closed.
+
+        Where tiles are given, they hold the effect of all frames until now, these among them: no payload waits any
+        longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema.
+        """
+        packed = [(*key, self.schema.pack(key, arrays)) for key, arrays in (tiles or {}).items()]
+        try:
+            self._write(packed, frames, changes)
+        except StoreError as error:
+            reserve = self._reserve
+            if reserve is None or not wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
+                raise
+            with _lent(reserve, self._db):
+                self._write(packed, frames, changes)
+            self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
+        else:
+            self.strain = ""
+            self._hold()
+
+    def _hold(self) -> None:
+        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        if self._reserve is not None:
+            with contextlib.suppress(OSError):
+                self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))
+
+    def _write(
+        self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
+    ) -> None:
+        with transaction(self._db, self._name) as db:
+            count_frames(db, self._name, frames, not packed, self._remembered)
+            db.executemany(
+                "INSERT INTO changes (layer, stamp_ns, content) VALUES (?, ?, ?)",
+                [(c.layer, c.stamp_ns, c.pack()) for c in changes if len(c.rows)],
+            )
+            if packed:
+                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
+                db.execute("DELETE FROM waiting")
+
+
+@contextlib.contextmanager
+def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
+    """The room that was held, for one transaction."""
+    with reserve.lent():
+        try:
+            yield
+        finally:
+            # What the transaction took beside the file is free again for the next.
+            with contextlib.suppress(sqlite3.Error):
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")

@@ -1,0 +1,214 @@
+"""The SQLite file of a tile store: made, locked, opened and checked, with errors that name the file and the remedy."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import sqlite3
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.storage.tile_store_schema import StoreSchema, with_all_fields
+
+APPLICATION_ID = 0x4C544D31  # "LTM1"
+LAYOUT = 1
+"""Of the tables below, SQLite's user_version."""
+LARGEST_VALUE = 256 << 20
+"""Bytes of one value in the file; a tile has some hundred kilobytes."""
+CHECKED_BYTES = 64 << 20
+"""Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
+
+CACHE_KB = 256
+"""Of the file in memory, for each connection: the pages that each frame touches, full after the first tiles. SQLite's
+own 2 MB would fill over 16 hours, and serve nobody: what is written is not read again."""
+
+TABLES = """
+CREATE TABLE description (content TEXT NOT NULL);
+CREATE TABLE tiles (row INTEGER, col INTEGER, content BLOB NOT NULL, PRIMARY KEY (row, col));
+CREATE TABLE sources (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE,
+    counted INTEGER NOT NULL DEFAULT 0, kept INTEGER NOT NULL DEFAULT 0, horizon_ns INTEGER NOT NULL DEFAULT -1);
+CREATE TABLE frames (source INTEGER, stamp_ns INTEGER, PRIMARY KEY (source, stamp_ns)) WITHOUT ROWID;
+CREATE TABLE waiting (
+    number INTEGER PRIMARY KEY, source INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, model TEXT NOT NULL,
+    payload BLOB NOT NULL);
+CREATE TABLE changes (
+    number INTEGER PRIMARY KEY, layer TEXT NOT NULL, stamp_ns INTEGER NOT NULL, content BLOB NOT NULL);
+CREATE TABLE touches (
+    row INTEGER, col INTEGER, source INTEGER, model TEXT, frames INTEGER NOT NULL,
+    first_ns INTEGER NOT NULL, last_ns INTEGER NOT NULL, PRIMARY KEY (row, col, source, model)) WITHOUT ROWID;
+"""
+
+
+def lock_store(path: Path) -> int:
+    """The right to write a store, until the descriptor is closed or the process ends in whatever way."""
+    name = path.with_name(path.name + ".lock")
+    try:
+        lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StoreError(
+            f"{path}: the folder cannot be written ({error.strerror}); check its owner and disk"
+        ) from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise StoreError(f"{path}: another process writes this store; run one node on it") from error
+    return lock
+
+
+def create_store(path: Path, schema: StoreSchema) -> None:
+    """A store without content, which appears under its name only when it is whole."""
+    partial = path.with_name(f".{path.name}.new")
+    try:
+        for leftover in (partial, *(partial.with_name(partial.name + end) for end in ("-wal", "-shm", "-journal"))):
+            leftover.unlink(missing_ok=True)
+        with named_errors(str(path)), contextlib.closing(sqlite3.connect(partial, isolation_level=None)) as db:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            db.execute(f"PRAGMA user_version = {LAYOUT}")
+            db.executescript(TABLES)
+            db.execute("INSERT INTO description VALUES (?)", (schema.described(),))
+        partial.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the name, too, shall survive a power cut
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be made ({error.strerror}); check its folder and the disk") from error
+
+
+def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
+    """A connection to a store that was found sound, and the schema that it states."""
+    _check_header(path)
+    with named_errors(str(path)):
+        db = sqlite3.connect(
+            f"{path.resolve().as_uri()}?mode={'ro' if read_only else 'rw'}",
+            uri=True,
+            isolation_level=None,
+            check_same_thread=False,
+            timeout=5.0,
+        )
+        try:
+            db.execute("PRAGMA synchronous = FULL")  # a commit outlives a power cut
+            db.execute(f"PRAGMA cache_size = -{CACHE_KB}")
+            db.execute("PRAGMA cell_size_check = ON")
+            db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
+            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+            check_tables(db, path, TABLES)
+            if path.stat().st_size <= CHECKED_BYTES:
+                (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+                if verdict != "ok":
+                    raise ConfigError(f"{path}: the store is damaged ({verdict}); restore it from a copy")
+            (described,) = db.execute("SELECT content FROM description").fetchone() or ("",)
+            return db, StoreSchema.from_description(str(described), str(path))
+        except BaseException:
+            db.close()
+            raise
+
+
+def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
+    """A view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the script
+    that makes ours. Raises ConfigError.
+    """
+    query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
+    with contextlib.closing(sqlite3.connect(":memory:")) as ours:
+        ours.executescript(tables)
+        expected = ours.execute(query).fetchall()
+    if (found := db.execute(query).fetchall()) != expected:
+        names = ", ".join(f"{kind} {name!r:.40}" for kind, name, _ in set(found) ^ set(expected))
+        raise ConfigError(f"{path}: the store is damaged: its tables are not those of a store ({names}); restore it")
+
+
+def _check_header(path: Path) -> None:
+    """Before SQLite touches a file, which may change it: is it ours? Raises ConfigError, StoreError."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: there is no such store") from error
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        raise ConfigError(f"{path}: not a tile store; it stays as it is: move it away or name another file")
+    layout, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
+    if application != APPLICATION_ID:
+        raise ConfigError(f"{path}: an SQLite file of another program; it stays as it is: name another file")
+    if layout != LAYOUT:
+        raise ConfigError(f"{path}: a store of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+
+
+@contextlib.contextmanager
+def named_errors(name: str) -> Iterator[None]:
+    """SQLite's errors as ours, with the file's name and what may help."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorname", "") or ""
+        no_text = not code and isinstance(error, sqlite3.OperationalError)  # a text that is no UTF-8
+        if no_text or code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_ERROR")):
+            raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
+        if not isinstance(error, sqlite3.OperationalError):
+            raise  # a bug, not the disk
+        remedy = next((text for start, text in _REMEDIES.items() if code.startswith(start)), "see the error")
+        raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
+    except UnicodeDecodeError as error:  # of SQLite's own words, which repeat a damaged name
+        raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
+
+
+def checked_rows(
+    db: sqlite3.Connection, name: str, query: str, values: Sequence[object], *types: type
+) -> list[tuple[Any, ...]]:
+    """What a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables
+    only where their writer does."""
+    with named_errors(name):
+        rows = db.execute(query, values).fetchall()
+    for row in rows:
+        if tuple(map(type, row)) != types:
+            found = ", ".join(f"{value!r:.40}" for value in row)
+            raise ConfigError(f"{name}: the store is damaged: a row holds {found}; restore it from a copy")
+    return rows
+
+
+def wants_room(error: StoreError) -> bool:
+    """Whether more room on the disk may help: a quota comes as an error of input and output."""
+    code = getattr(error.__cause__, "sqlite_errorname", "") or ""
+    return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
+
+
+_REMEDIES = {
+    "SQLITE_FULL": "make room on the disk",
+    "SQLITE_READONLY": "make the file and its folder writable",
+    "SQLITE_CANTOPEN": "make its folder writable, and room on the disk",
+    "SQLITE_BUSY": "another process holds it",
+    "SQLITE_IOERR": "check the disk",
+}
+
+
+@contextlib.contextmanager
+def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connection]:
+    """Gives `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
+    with named_errors(name):
+        db.execute("BEGIN IMMEDIATE")
+        try:
+            yield db
+            db.execute("COMMIT")
+        except BaseException:
+            if db.in_transaction:
+                db.execute("ROLLBACK")
+            raise
+
+
+def grow(db: sqlite3.Connection, stored: StoreSchema, schema: StoreSchema, name: str) -> None:
+    """Make a store of an earlier version, of which `schema` has grown, one of `schema`: all of it or nothing."""
+    with transaction(db, name):
+        for row, col in db.execute("SELECT row, col FROM tiles").fetchall():
+            (content,) = db.execute("SELECT content FROM tiles WHERE row = ? AND col = ?", (row, col)).fetchone()
+            packed = schema.pack((row, col), with_all_fields(stored.unpack(content), schema.fields, schema.tile))
+            db.execute("UPDATE tiles SET content = ? WHERE row = ? AND col = ?", (packed, row, col))
+        db.execute("UPDATE description SET content = ?", (schema.described(),))

@@ -1,0 +1,254 @@
+"""Schema of a tile store, the records of a transaction, and the serialisation of arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import ceil, prod
+from typing import Annotated, Any
+
+import numpy as np
+import zstandard
+from numpy.typing import DTypeLike, NDArray
+from pydantic import Field as NumberField
+from pydantic import ValidationError
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.geometry.grid import GridGeometry
+
+Key = tuple[int, int]
+"""(row, col) of a tile, counted in tiles from the grid's north-west corner."""
+Tile = dict[str, NDArray[Any]]
+
+LARGEST_TILE = 64 << 20
+"""Bytes of a tile; those of our maps have one or two million."""
+_LEVEL = 1
+_RENAMED = {
+    "witnesses": "camera_hashes",
+    "sheet_variance": "relative_variance",
+    "c_sheet_variance": "c_relative_variance",
+}
+"""Fields by the names that stores of version 0.1 know them by; a field's place in a tile's bytes is not by name."""
+_CHANGE = np.dtype([("row", "<i4"), ("col", "<i4"), ("old", "<i4"), ("new", "<i4")])
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of every tile: `shape` is that of one cell's value, () a scalar."""
+
+    dtype: DTypeLike
+    shape: tuple[int, ...] = ()
+
+    @property
+    def stored(self) -> np.dtype[Any]:
+        """The dtype in the file: little-endian."""
+        return np.dtype(self.dtype).newbyteorder("<")
+
+
+class _Description(StrictModel):
+    """The JSON of a schema."""
+
+    kind: str
+    version: int
+    geometry: GridGeometry
+    tile: int = NumberField(ge=1, le=1024)
+    fields: dict[
+        str,
+        tuple[
+            Annotated[str, NumberField(pattern=r"^[<|][bfiu][1248]$")],
+            Annotated[list[Annotated[int, NumberField(ge=1, le=256)]], NumberField(max_length=4)],
+        ],
+    ] = NumberField(min_length=1, max_length=256)
+    terms: str
+
+
+@dataclass(frozen=True)
+class StoreSchema:
+    """`kind`, `version`: of the content (`fuel`, 1). `geometry`: in the site's CRS. `tile`: cells a side. `terms`: what
+    else the meaning of the numbers depends on, such as constants that went into them.
+    """
+
+    kind: str
+    version: int
+    geometry: GridGeometry
+    tile: int
+    fields: Mapping[str, Field]
+    terms: str = ""
+    extends: int | None = None
+    """The earliest version to which this one has only added fields, so that what is not in its stores is 0."""
+
+    def __post_init__(self) -> None:
+        if self.tile < 1 or not self.fields:
+            raise ConfigError(f"a tile store needs tiles of a cell or more and a field, got {self.tile}, {self.fields}")
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
+        return ceil(self.geometry.height / self.tile), ceil(self.geometry.width / self.tile)
+
+    def described(self) -> str:
+        """The schema as the JSON text that the file holds."""
+        return json.dumps(
+            {
+                "kind": self.kind,
+                "version": self.version,
+                "geometry": asdict(self.geometry),
+                "tile": self.tile,
+                "fields": {name: [f.stored.str, list(f.shape)] for name, f in self.fields.items()},
+                "terms": self.terms,
+            }
+        )
+
+    @classmethod
+    def from_description(cls, text: str, place: str) -> StoreSchema:
+        """The inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
+        try:
+            content = _Description.model_validate_json(text)
+            schema = cls(
+                content.kind,
+                content.version,
+                GridGeometry(**asdict(content.geometry)),
+                content.tile,
+                {
+                    _RENAMED.get(name, name): Field(np.dtype(dtype), tuple(shape))
+                    for name, (dtype, shape) in content.fields.items()
+                },
+                content.terms,
+            )
+        except ValidationError as error:
+            found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
+            raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+        size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
+        if size > LARGEST_TILE:
+            raise ConfigError(f"{place}: its description states tiles of {size} bytes, at most {LARGEST_TILE} are read")
+        return schema
+
+    def differences(self, other: StoreSchema) -> str:
+        """What `other` has otherwise; empty where both are the same."""
+        mine, theirs = (json.loads(schema.described()) for schema in (self, other))
+        return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
+
+    def grown_from(self, older: StoreSchema) -> bool:
+        """Whether `older` is an earlier version that lacks fields and is otherwise the same (`extends`)."""
+        same = all(getattr(self, n) == getattr(older, n) for n in ("kind", "geometry", "tile", "terms"))
+        known = all(name in self.fields and self.fields[name] == field for name, field in older.fields.items())
+        return same and known and self.extends is not None and self.extends <= older.version < self.version
+
+    def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+        """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
+        across = self.tiles
+        if not (0 <= key[0] < across[0] and 0 <= key[1] < across[1]):
+            raise ValueError(f"tile {key} is outside a grid of {across} tiles")
+        if arrays.keys() != self.fields.keys():
+            raise ValueError(f"a tile of {self.kind} has {sorted(self.fields)}, got {sorted(arrays)}")
+        parts = []
+        for name, spec in self.fields.items():
+            array, shape = arrays[name], (self.tile, self.tile, *spec.shape)
+            if array.shape != shape or array.dtype.newbyteorder("<") != spec.stored:
+                raise ValueError(
+                    f"field {name} of a tile is {array.shape} {array.dtype}, must be {shape} {spec.stored}"
+                )
+            parts.append(np.ascontiguousarray(array, spec.stored).tobytes())
+        return compressed(b"".join(parts))
+
+    def unpack(self, content: bytes) -> Tile:
+        """The inverse of `pack`; the arrays are writable. Raises ConfigError where the bytes are damaged."""
+        shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
+        sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
+        whole = decompressed(content, sum(sizes.values()))
+        if len(whole) != sum(sizes.values()):
+            raise ConfigError(
+                f"the store's content is damaged: {len(whole)} bytes in place of {sum(sizes.values())}; restore it"
+            )
+        arrays, offset = {}, 0
+        for name, spec in self.fields.items():
+            part = np.frombuffer(whole, spec.stored, prod(shapes[name]), offset)
+            arrays[name] = part.reshape(shapes[name]).astype(np.dtype(spec.dtype).newbyteorder("="))
+            offset += sizes[name]
+        return arrays
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A frame that is counted: once by `source` (its camera) and `stamp_ns`.
+
+    `tiles`, `model`: for the record of who touched which tile with what network. `payload`: what it takes to count the
+    frame again; the store keeps it until tiles that hold the frame's effect are committed.
+    """
+
+    source: str
+    stamp_ns: int
+    tiles: Sequence[Key] = ()
+    model: str = ""
+    payload: bytes = field(default=b"", repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class CellChanges:
+    """Cells of a layer that a frame of `stamp_ns` (or an order of that time) changed, for the journal.
+
+    `rows`, `cols`, `old`, `new`: (N,) integers that fit int32.
+    """
+
+    layer: str
+    stamp_ns: int
+    rows: NDArray[Any]
+    cols: NDArray[Any]
+    old: NDArray[Any]
+    new: NDArray[Any]
+
+    def pack(self) -> bytes:
+        table = np.empty(len(self.rows), _CHANGE)
+        for name, column in (("row", self.rows), ("col", self.cols), ("old", self.old), ("new", self.new)):
+            table[name] = column
+        return compressed(table.tobytes())
+
+    @classmethod
+    def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> CellChanges:
+        """`shape`: of the grid. Raises ConfigError where the bytes are damaged, or cells lie outside the grid."""
+        whole = decompressed(content, prod(shape) * _CHANGE.itemsize)
+        if len(whole) % _CHANGE.itemsize:
+            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes are no changes; restore it")
+        table = np.frombuffer(whole, _CHANGE)
+        for name, count in zip(("row", "col"), shape, strict=True):
+            if len(table) and not (table[name].min() >= 0 and table[name].max() < count):
+                raise ConfigError(f"the store's journal is damaged: a {name} is none of {count}; restore it")
+        return cls(layer, stamp_ns, table["row"], table["col"], table["old"], table["new"])
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What a source's frames, labelled by one network, did to a tile: how many they are, the first and last stamp."""
+
+    source: str
+    model: str
+    frames: int
+    first_ns: int
+    last_ns: int
+
+
+def with_all_fields(tile: Tile, fields: Mapping[str, Field], size: int) -> Tile:
+    """A tile of an earlier version, `size` cells a side, with all of today's `fields`: what it did not know is 0."""
+    return {
+        name: tile[name] if name in tile else np.zeros((size, size, *spec.shape), np.dtype(spec.dtype))
+        for name, spec in fields.items()
+    }
+
+
+def compressed(content: bytes) -> bytes:
+    """Zstandard with a checksum, so that damage is found when the bytes are read."""
+    return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True, write_content_size=True).compress(content)
+
+
+def decompressed(content: bytes, most: int) -> bytes:
+    """Raises ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
+    try:
+        # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
+        stated = zstandard.frame_content_size(content)
+        if not 0 <= stated <= most:
+            raise ConfigError(f"the store's content is damaged: it states {stated} bytes, at most {most}; restore it")
+        return zstandard.ZstdDecompressor().decompress(content, max_output_size=most)
+    except zstandard.ZstdError as error:
+        raise ConfigError(f"the store's content is damaged ({error}); restore it from a copy") from error

@@ -1,0 +1,284 @@
+"""Recursive estimate of each cell's surface height, updated frame by frame in compiled code.
+
+Each cell has an *estimate* of its height above the reference, which consistent observations refine, and at most one
+*candidate*: what contradicts the estimate, until it is contradicted itself or enough independent views confirm it;
+then it becomes the estimate. So a single view, or a moving object, changes nothing.
+
+Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
+time: one look per hour counts, however many frames there are. Of the variance of a mean, the part that is new in each
+look falls with the number of looks; the part that a camera repeats, and the part due to pose errors, fall only with the
+number of cameras. Looks of years ago tell little of today.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.kernels import prefetch
+from ltm_core.base.types import Int32Array
+from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, TileCells
+from ltm_core.surface.frame_sums import FrameSums
+
+TALL = 10.0
+"""Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
+WATCHED = 12.5
+"""Log odds by which a camera's labels tell that what it has seen to stand is gone: five sigmas."""
+TOLD_AFTER = 72_000.0
+"""Seconds for which one camera's labels must contradict what it has watched: fog and dusk, in which they err more, are
+gone by the next day."""
+_STANDS = 0.3
+"""Of a cell's labels, by their log odds, that may say it is open where something is taken to stand."""
+_AHEAD = 12
+"""Cells whose memory is fetched while others are worked on."""
+TALL_LOOKS = 2.5
+"""Looks of one camera that it takes to believe it; two cameras need no more of them than for anything else."""
+
+
+class Rules(NamedTuple):
+    gate: float
+    reference_variance: float
+    independent_after: float
+    settle: float
+    memory: float
+    lasting: float
+    threshold: float
+    carve_variance: float
+    looked_for: float
+    repeated_error_share: float
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _bits(mask: int) -> int:
+    count = 0
+    while mask:
+        mask &= mask - 1
+        count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def independent(cameras: int, first: int, last: int, independent_after: float, settle: float) -> bool:
+    """Whether these views are more than one: two cameras over some time, or one camera long enough apart."""
+    span = float(last) - float(first)
+    return span >= independent_after or (span >= settle and _bits(cameras) >= 2)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeated: float) -> float:
+    """Of an estimate. `repeated`: of the observations' own variance, what is the same in each look of a camera."""
+    total = looks / weight
+    pose = min(pose_variance, total)
+    own = total - pose
+    variance: float = (1 - repeated) * own / max(looks, 1.0) + (repeated * own + pose) / max(_bits(cameras), 1)
+    return variance
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: float) -> float:
+    """Of a look: all of it for a camera that has not seen the cell, else what has passed of an hour."""
+    if (cameras & bit) == 0:
+        return 1.0
+    return min(max((float(seconds) - float(last)) / independent_after, 1e-3), 1.0)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _remembered(seconds: int, last: int, lasting: float) -> float:
+    """What is left of the weight of looks that ended with `last`."""
+    passed = float(seconds) - float(last)
+    if not passed > 0:
+        return 1.0
+    age = passed / lasting
+    # Of a few hours, the series to its second term is exact to float32, and takes a tenth of the time.
+    return 1.0 - age + 0.5 * age * age if age < 1e-3 else math.exp(-age)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
+    """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
+    it is not in memory.
+    """
+    observed, count = 0, sums.used[0]
+    for i in range(count):
+        ahead = sums.cells[min(i + _AHEAD, count - 1)].place
+        prefetch(cells.estimate, slots[ahead >> PLACE_BITS] * CELLS + (ahead & (CELLS - 1)))
+        one = sums.cells[i]
+        slot = slots[one.place >> PLACE_BITS]
+        if slot < 0:
+            continue
+        k = one.place & (CELLS - 1)
+        observed += 1
+        n, bounded, wait = one.number, False, rules.independent_after
+        if n + one.off_count > 0:
+            if one.off_count > n:
+                n, weight, moment, pose = one.off_count, one.off_weight, one.off_moment, one.off_pose
+            else:
+                weight, moment, pose = one.weight, one.moment, one.pose
+            dz, variance, pose = moment / weight, n / weight, pose / n
+            relative_variance = (
+                min(one.relative_variance / n + pose, variance) if one.off_count <= one.number else variance
+            )
+            if one.labelled > 0 and one.off_count <= one.number:
+                # Depth and label of the same pixels: two words on one height.
+                by_label, doubt, shared = _told(cells, slot, k, one, seconds, bit, rules)
+                if doubt < variance:
+                    wait = max(wait, TOLD_AFTER)
+                dz = (dz * doubt + by_label * variance) / (doubt + variance)
+                pose = min(pose, shared)
+                variance, relative_variance = (
+                    max(_both(variance, doubt), pose),
+                    max(_both(relative_variance, doubt), pose),
+                )
+        elif one.labelled > 0:
+            dz, variance, pose = _told(cells, slot, k, one, seconds, bit, rules)
+            relative_variance, wait = variance, max(wait, TOLD_AFTER)
+        else:
+            dz, variance, pose = one.lowest, np.float32(rules.carve_variance), np.float32(0.0)
+            # That something has gone is no surer than that the ray has passed; how low the cell is then, is.
+            relative_variance, bounded = max(variance, (dz / one.passed) ** 2), True
+        update_cell(cells, slot, k, dz, variance, relative_variance, pose, bounded, seconds, bit, wait, rules)
+        e = cells.estimate[slot, k]
+        if one.label != NO_LABEL:
+            e.label = one.label
+        if (e.looks > 0 and e.dz > rules.looked_for) or (e.c_looks > 0 and e.c_dz > rules.looked_for):
+            cells.high[slot, k] = 1
+    return observed
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _both(one: float, other: float) -> float:
+    """Variance of the mean of two that know nothing of each other."""
+    return one * other / (one + other)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _told(
+    cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
+) -> tuple[float, float, float]:
+    """Height of a cell in which something stood, its variance and the pose's part of it, by what labels say of that.
+
+    The variance is that at which a normal distribution would tell the two heights apart by the labels' log odds, and
+    that of a cell whose pixels say both. A camera that has seen for an hour that it stands tells by far better odds
+    whether it still does: what it mistakes, it mistook before.
+    """
+    e, c = cells.estimate[slot, k], cells.candidate[slot, k]
+    share = one.gone / (one.gone + one.stays)
+    odds, pose = (one.gone + one.stays) / one.labelled, one.labelled_pose / one.labelled
+    if c.watched & bit:
+        odds = max(odds, np.float32(WATCHED))
+    elif (
+        share < _STANDS
+        and e.looks > 0
+        and e.cameras & bit
+        and e.dz > -_STANDS * one.stood
+        and float(seconds) - float(e.first) >= rules.independent_after
+    ):
+        c.watched |= bit
+    variance = one.stood * one.stood * (np.float32(0.5) / odds + share * (1 - share)) + pose
+    return -share * one.stood, variance, pose
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def update_cell(
+    cells: TileCells,
+    slot: int,
+    k: int,
+    dz: float,
+    variance: float,
+    relative_variance: float,
+    pose: float,
+    bounded: bool,
+    seconds: int,
+    bit: int,
+    wait: float,
+    rules: Rules,
+) -> None:
+    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
+    variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
+    camera's looks that contradict the estimate are independent.
+    """
+    e, c = cells.estimate[slot, k], cells.candidate[slot, k]
+    known = e.looks > 0
+    if known:
+        here = e.dz
+        doubt = mean_variance(e.looks, e.weight, e.pose_variance, e.cameras, rules.repeated_error_share)
+    else:
+        base = e.base
+        here = np.float32(0.0) if math.isnan(base) else base
+        doubt = rules.reference_variance
+    miss = dz - here
+    agrees = abs(miss) <= rules.gate * math.sqrt(doubt + max(variance, relative_variance)) or (bounded and miss > 0)
+    pending = e.c_looks > 0
+    c_miss, c_slack = 0.0, 0.0
+    if pending:
+        c_miss = dz - e.c_dz
+        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeated_error_share)
+        c_slack = rules.gate * math.sqrt(c_doubt + variance)
+    if agrees:
+        if bounded:
+            return
+        if not known:
+            e.first = seconds
+            e.last = seconds
+        share = _share(seconds, e.last, e.cameras, bit, rules.independent_after)
+        kept = _remembered(seconds, e.last, rules.lasting)
+        looks = kept * e.looks + share
+        weight = kept * e.weight + share / variance
+        e.dz = here + share / variance / weight * miss if known else dz
+        e.relative_variance += share / looks * (relative_variance - e.relative_variance)
+        e.pose_variance += share / looks * (pose - e.pose_variance)
+        if looks > rules.memory:
+            weight *= rules.memory / looks
+            looks = rules.memory
+        e.looks = looks
+        e.weight = weight
+        e.first = min(e.first, seconds)
+        e.last = max(e.last, seconds)
+        e.cameras |= bit
+        e.frames = min(e.frames + 1, 65535)
+        if pending and abs(c_miss) > c_slack:
+            e.c_looks = 0
+        return
+    joins = pending and (abs(c_miss) <= c_slack or (bounded and c_miss > 0))
+    if not joins:
+        e.c_dz = dz
+        e.c_looks = 1
+        c.c_weight = 1 / variance
+        # What is off its stand tells of its own cell only.
+        c.c_relative_variance = max(variance, relative_variance)
+        c.c_pose_variance = pose
+        c.c_first = c.c_last = seconds
+        c.c_cameras = bit
+        c.c_frames = 1
+        return
+    if not bounded or c_miss < 0:
+        share = _share(seconds, c.c_last, c.c_cameras, bit, rules.independent_after)
+        looks = e.c_looks + share
+        weight = c.c_weight + share / variance
+        e.c_dz += share / variance / weight * c_miss
+        c.c_relative_variance += share / looks * (max(variance, relative_variance) - c.c_relative_variance)
+        c.c_pose_variance += share / looks * (pose - c.c_pose_variance)
+        e.c_looks, c.c_weight = looks, weight
+    c.c_first = min(c.c_first, seconds)
+    c.c_last = max(c.c_last, seconds)
+    c.c_cameras |= bit
+    c.c_frames = min(c.c_frames + 1, 65535)
+    passing = e.c_dz > TALL and e.c_looks < TALL_LOOKS and _bits(c.c_cameras) < 2
+    if not passing and independent(
+        c.c_cameras,
+        c.c_first,
+        c.c_last,
+        wait,
+        rules.settle,
+    ):
+        e.dz = e.c_dz
+        e.looks = min(e.c_looks, rules.memory)
+        e.weight = c.c_weight * e.looks / e.c_looks
+        e.relative_variance = c.c_relative_variance
+        e.pose_variance = c.c_pose_variance
+        e.first, e.last = c.c_first, c.c_last
+        e.cameras, e.frames = c.c_cameras, c.c_frames
+        e.c_looks = 0

@@ -1,0 +1,118 @@
+"""The cells whose height independent views have confirmed, and a terrain on which they stand.
+
+Only changed cells are held: all else of a terrain stays as it was given, bit for bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.base.errors import RasterError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.raster.dem_seams import BAND
+from ltm_core.raster.dem_stack import DemStack
+from ltm_core.raster.prepared_heights_io import own_copy
+
+_ROWS = 256
+"""Of a raster that are worked on at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedSurface:
+    """Changed cells of the grid `geometry`, (N,) each, in row-major order.
+
+    `surface`: what cameras see there now, metres. `ground`: bare earth where that has changed, NaN where it is as it
+    was given. Raises RasterError where the cells are none of the grid, out of order or without a height.
+    """
+
+    geometry: GridGeometry
+    rows: Int32Array
+    cols: Int32Array
+    surface: Float32Array
+    ground: Float32Array
+
+    def __post_init__(self) -> None:
+        arrays = (self.rows, self.cols, self.surface, self.ground)
+        if any(a.shape != self.rows.shape or a.ndim != 1 for a in arrays):
+            raise RasterError(f"confirmed cells have one value each, got arrays of {[a.shape for a in arrays]}")
+        if not bool(self.geometry.contains(self.rows, self.cols).all()) or (np.diff(self._places()) <= 0).any():
+            raise RasterError(f"confirmed cells outside their grid of {self.geometry.shape}, or not in row-major order")
+        if not np.isfinite(self.surface).all() or np.isinf(self.ground).any():
+            raise RasterError("confirmed cells without a finite height")
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def lowered(self) -> int:
+        """Cells whose bare earth has changed."""
+        return int(np.isfinite(self.ground).sum())
+
+    def differs_from(self, other: ConfirmedSurface, least: float) -> bool:
+        """Whether other cells have changed, or one has moved by more than `least` metres."""
+        if len(self) != len(other) or not np.array_equal(self._places(), other._places()):
+            return True
+        moved = np.abs(self.surface - other.surface) > least
+        sunk = np.abs(self.ground - other.ground) > least
+        return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
+
+    def ground_over(self, given: Dem) -> Dem:
+        """`given`, which is bare earth, with the ground of cells where that has changed; itself where there are none.
+
+        Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
+        """
+        return self._over(given, self.ground)
+
+    def surface_over(self, given: Dem) -> Dem:
+        """`given`, what cameras saw of the terrain, with the surface of changed cells; otherwise as `ground_over`."""
+        return self._over(given, self.surface)
+
+    def _over(self, given: Dem, heights: Float32Array) -> Dem:
+        x, y = self.geometry.to_map(self.rows, self.cols)
+        used = np.isfinite(heights) & _clear_of_seams(given, x, y)
+        if not used.any():
+            return given
+        places, heights = self._places()[used], heights[used]
+        levels = [self._level(level, places, heights) for level in given.levels]
+        return DemStack.of_fitted(levels) if len(levels) > 1 else levels[0]
+
+    def _level(self, level: Dem, places: Int64Array, heights: Float32Array) -> Dem:
+        """One raster, each node of which takes the height of the changed cell in which it lies."""
+        grid, cells = level.geometry, self.geometry
+        rows, cols = np.divmod(places, cells.width)
+        west, north = cells.to_map(rows.min() - 0.5, cols.min() - 0.5)
+        east, south = cells.to_map(rows.max() + 0.5, cols.max() + 0.5)
+        first, last = grid.to_grid(west, north), grid.to_grid(east, south)
+        top, left = (max(0, int(np.ceil(v))) for v in first)
+        bottom, right = (min(n - 1, int(np.floor(v))) for v, n in zip(last, grid.shape, strict=True))
+        elevation = own_copy(level.elevation)
+        col = np.arange(left, right + 1)
+        for start in range(top, bottom + 1, _ROWS):
+            row = np.arange(start, min(start + _ROWS, bottom + 1))
+            x, y = grid.to_map(row[:, None], col[None, :])
+            in_row, in_col = cells.cell_of(*np.broadcast_arrays(x, y))
+            place = np.where(cells.contains(in_row, in_col), in_row * cells.width + in_col, -1)
+            at = np.minimum(np.searchsorted(places, place), len(places) - 1)
+            part = elevation[row[0] : row[-1] + 1, left : right + 1]
+            hit = (places[at] == place) & np.isfinite(part)
+            part[hit] = heights[at[hit]]
+        return Dem(elevation, grid)
+
+    def _places(self) -> Int64Array:
+        return self.rows.astype(np.int64) * self.geometry.width + self.cols
+
+
+def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
+    """(N,): points that no seam of a stack is near. There the finer raster gives way to the coarser one."""
+    clear = np.ones(x.shape, np.bool_)
+    for fine, coarse in zip(dem.levels[:-1], dem.levels[1:], strict=True):
+        g = fine.geometry
+        near = (BAND + 1) * coarse.geometry.resolution
+        inner = np.minimum(np.minimum(x - g.x_min, g.x_max - x), np.minimum(y - g.y_min, g.y_max - y))
+        outer = np.maximum(np.maximum(g.x_min - x, x - g.x_max), np.maximum(g.y_min - y, y - g.y_max))
+        clear &= (inner > near) | (outer > near)
+    return clear

@@ -1,0 +1,133 @@
+"""Expected view of the reference surface: range, cell and slope for each pixel, before any image is seen.
+
+None of it depends on the image, so it is kept, and a camera that stands still pays for it once.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import Float32Array, Float64Array, RecordArray
+from ltm_core.surface.cell_layout import place_of
+from ltm_core.surface.reference_surface import (
+    LEAST_INCIDENCE,
+    ReferenceGrid,
+    cell_at,
+    pose_variance,
+    slopes_at,
+    steepness,
+)
+
+EXPECTED_PIXEL = np.dtype(
+    [("expected", "f4"), ("nearest", "f4"), ("farthest", "f4"), ("spread", "f4"), ("place", "i4"), ("incidence", "f4"),
+     ("steep", "f4"), ("pose_variance", "f4")]
+)  # fmt: skip
+"""Of one pixel: the slant range that the reference predicts, its extremes within the pose's uncertainty, and half of
+what it differs by within one pixel, metres; the place of the cell that is seen (-1: none); the incidence factor there
+on the slope of its block, and the greater of that and the one on its own slope; and the variance of its height that the
+pose is to blame for.
+"""
+
+
+class CameraView(NamedTuple):
+    """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance, and the
+    bend of a ray over its horizontal range.
+    """
+
+    rays: Float64Array
+    rotation: Float64Array
+    position: Float64Array
+    covariance: Float64Array
+    bend: float
+
+
+class Extremes(NamedTuple):
+    """Least and greatest of the expected ranges (H, W), unknown ones counted as infinite: within the pose's
+    uncertainty, and within one pixel.
+    """
+
+    nearest: Float32Array
+    farthest: Float32Array
+    near: Float32Array
+    far: Float32Array
+
+
+class ExpectedViews:
+    """Bounded cache of expected views by key, at most so many bytes but at least one view. The least recently used
+    makes room, and its memory is used again for the next: freed arrays of this size would fragment memory.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most = most_bytes
+        self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
+
+    def get(self, key: Hashable) -> RecordArray | None:
+        """The view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
+        if key in self._kept:
+            self._kept.move_to_end(key)
+        return self._kept.get(key)
+
+    def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
+        """The array of a new view, of arbitrary content: to be filled."""
+        pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
+        while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
+            pixels = self._kept.popitem(last=False)[1]
+        if pixels is None or pixels.shape != shape:
+            pixels = np.frombuffer(mmap.mmap(-1, size), EXPECTED_PIXEL).reshape(shape)
+        self._kept[key] = pixels
+        return pixels
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
+    """Of a pixel's ray in the map frame, a unit vector."""
+    m = view.rotation
+    a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
+    return (
+        m[0, 0] * a + m[0, 1] * b + m[0, 2] * c,
+        m[1, 0] * a + m[1, 1] * b + m[1, 2] * c,
+        m[2, 0] * a + m[2, 1] * b + m[2, 2] * c,
+    )
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def predict_view(
+    ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, pixels: RecordArray
+) -> None:
+    """Fill `pixels` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
+    rows, cols = expected.shape
+    x0, y0 = view.position[0], view.position[1]
+    for v in range(rows):
+        for u in range(cols):
+            one = pixels[v, u]
+            e = float(expected[v, u])
+            one.expected = e
+            one.nearest, one.farthest = extremes.nearest[v, u], extremes.farthest[v, u]
+            one.place = -1
+            one.spread = one.incidence = one.steep = one.pose_variance = 0.0
+            if not e < math.inf:
+                continue
+            # Where neighbouring pixels see other ranges, a pixel's own direction is not exact enough.
+            if not math.isinf(extremes.far[v, u]):
+                one.spread = 0.5 * (extremes.far[v, u] - extremes.near[v, u])
+            elif not math.isinf(extremes.near[v, u]):
+                one.spread = e - extremes.near[v, u]
+            dx, dy, dz = direction(view, v, u)
+            x, y = x0 + dx * e, y0 + dy * e
+            row, col = cell_at(ground, x, y)
+            if row < 0:
+                continue
+            east, north = slopes_at(ground, row, col)
+            incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
+            one.place = place_of(row, col, ground.across)
+            one.incidence = incidence
+            one.steep = max(incidence, steepness(ground, row, col, dx, dy, dz))
+            z = dz * e + view.bend * (dx * dx + dy * dy) * e * e
+            one.pose_variance = pose_variance(view.covariance, east, north, x - x0, y - y0, z)

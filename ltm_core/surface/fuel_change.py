@@ -1,0 +1,116 @@
+"""Rule by which changes of the surface map change fuel cells, so that both maps agree.
+
+A fuel cell takes a change over when enough of what views have seen of it has changed in one way. What stood there and
+is gone leaves ground, or what the camera labels there now; what has grown is what the camera labels there, else by its
+height; ground that has moved carries nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.layers import SurfaceLayers
+from ltm_core.vision.labels import Label
+
+LEAST_SHARE = 0.25
+"""Of the seen part of a fuel cell that must have changed in one way."""
+LEAST_SEEN = 0.1
+"""Of a fuel cell that independent views must have seen."""
+SHRUB_BELOW = 3.0
+"""Metres: what has grown and is lower is shrub, where no label says otherwise."""
+
+
+class FuelChange(StrEnum):
+    """Kind of change that a fuel cell takes over from the surface map."""
+
+    REMOVED = "removed"
+    GROWN = "grown"
+    MOVED_GROUND = "moved ground"
+
+
+_OF = {
+    ChangeKind.REMOVED: FuelChange.REMOVED,
+    ChangeKind.GROWN: FuelChange.GROWN,
+    ChangeKind.LOWERED: FuelChange.MOVED_GROUND,
+}
+
+
+@dataclass(frozen=True)
+class FuelCellChange:
+    """One fuel cell: its row and col, what happened, the share of its seen part that shows it, the median shift of
+    that part in metres, the life form that stands there now (a class id of the label set, None: not known), when the
+    change had been seen first (s), and the mask of the cameras that agreed.
+    """
+
+    row: int
+    col: int
+    change: FuelChange
+    share: float
+    shift: float
+    cover: int | None
+    since: int
+    cameras: int
+
+
+def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChange]:
+    """The cells of the fuel grid (in the map frame) that the surface's changes concern, in row-major order."""
+    rows, cols = np.nonzero(layers.observed | (layers.change > 0))
+    if len(rows) == 0:
+        return []
+    x, y = layers.geometry.to_map(rows, cols)
+    fuel_row, fuel_col = fuel.cell_of(x, y)
+    inside = fuel.contains(fuel_row, fuel_col)
+    rows, cols, cell = rows[inside], cols[inside], (fuel_row * fuel.width + fuel_col)[inside]
+    order = np.argsort(cell, kind="stable")
+    rows, cols, cell = rows[order], cols[order], cell[order]
+    whole = (fuel.resolution / layers.geometry.resolution) ** 2
+    found = []
+    starts = np.flatnonzero(np.r_[True, np.diff(cell) > 0])
+    for start, end in zip(starts, np.r_[starts[1:], len(cell)], strict=True):
+        part = rows[start:end], cols[start:end]
+        kinds = layers.change[part]
+        if end - start < LEAST_SEEN * whole or not kinds.any():
+            continue
+        counts = np.bincount(kinds, minlength=len(ChangeKind))
+        kind = ChangeKind(int(np.argmax(counts[1:])) + 1)
+        share = float(counts[kind]) / float(end - start)
+        if share < LEAST_SHARE:
+            continue
+        of_kind = kinds == kind
+        shift = float(np.median((layers.height[part] - layers.reference[part])[of_kind]))
+        found.append(
+            FuelCellChange(
+                int(cell[start] // fuel.width),
+                int(cell[start] % fuel.width),
+                _OF[kind],
+                share,
+                shift,
+                cover_after(kind, shift, layers.label[part][of_kind]),
+                int(layers.since[part][of_kind].min()),
+                int(np.bitwise_or.reduce(layers.by[part][of_kind])),
+            )
+        )
+    return found
+
+
+def cover_after(kind: ChangeKind, shift: float, labels: UInt8Array) -> int | None:
+    """What stands where a surface has moved by `shift` metres and cameras have labelled it so; None: not known.
+
+    Ground that has moved is bare. What has grown is not bare, and not grass from 1 m on, whatever a label says; what
+    was removed is not what stood there: a tree's label there is an old one.
+    """
+    if kind == ChangeKind.LOWERED:
+        return int(Label.BARE)
+    known = labels[labels != 255]
+    voted = int(np.bincount(known).argmax()) if len(known) else None
+    if kind == ChangeKind.REMOVED:
+        return voted if voted in (Label.GRASS, Label.SHRUB, Label.BARE, Label.BUILT) else None
+    if voted in (Label.SHRUB, Label.TREE, Label.BUILT):
+        return voted
+    return int(Label.SHRUB) if shift < SHRUB_BELOW else int(Label.TREE)

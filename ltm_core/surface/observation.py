@@ -1,0 +1,231 @@
+"""Turns depth images into observations of surface heights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RecordArray, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.surface.cell_layout import TILE
+from ltm_core.surface.expected_view import CameraView, ExpectedViews, Extremes, predict_view
+from ltm_core.surface.frame_sums import FrameSums, add_labels, clear
+from ltm_core.surface.observation_kernel import Limits, Pixels, observe
+from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
+from ltm_core.tracing import TerrainTracer
+
+_WIDEST_WINDOW = 24
+"""Pixels: a pose so uncertain that a silhouette may lie farther off says nothing of silhouettes anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelImage:
+    """`ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
+
+    ids: UInt8Array
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        shape = (self.camera.height, self.camera.width)
+        if self.ids.shape != shape:
+            raise ImageError(f"label image of {self.ids.shape} does not fit a camera of {shape} (rows, columns)")
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrame:
+    """One posed depth image.
+
+    `depth`, `sigma`: (H, W) float32 metres along the optical axis; depth +inf sky, NaN unknown. `measured`: (H, W)
+    bool, where depth is a measurement; False where it was copied from the terrain, which then says nothing of it.
+    `labels`: (H, W) uint8 class ids or None. `covariance`: (6, 6) of the pose over x, y, z (m) and rotations about the
+    map's axes (rad); None: not known. `stable`: (H, W) bool, open ground that does not grow, where the frame itself
+    tells it, or None. `full_labels`: labels at their own size, of which the map asks what still stands, or None. Raises
+    ImageError where shapes differ, PoseError for a covariance that is none.
+    """
+
+    depth: Float32Array
+    sigma: Float32Array
+    measured: BoolArray
+    camera: Camera
+    pose: Pose
+    stamp_ns: int
+    source: str
+    covariance: Float64Array | None = None
+    labels: UInt8Array | None = None
+    stable: BoolArray | None = None
+    full_labels: LabelImage | None = None
+
+    @classmethod
+    def of_photo(
+        cls,
+        depth: Float32Array,
+        sigma: Float32Array,
+        camera: Camera,
+        pose: Pose,
+        stamp_ns: int,
+        source: str,
+        covariance: Float64Array | None = None,
+        labels: UInt8Array | None = None,
+    ) -> DepthFrame:
+        """What was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size, edge
+        to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked then.
+        """
+        height, width = depth.shape
+        measured = ~np.isnan(depth)
+        small = full_labels = None
+        if labels is not None:
+            small = np.asarray(cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
+            if measured.any():
+                full_labels = LabelImage(labels, camera.resized(labels.shape[1], labels.shape[0]))
+        own = camera.resized(width, height)
+        return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, full_labels)
+
+    def __post_init__(self) -> None:
+        shape = (self.camera.height, self.camera.width)
+        for name in ("depth", "sigma", "measured", "labels", "stable"):
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise ImageError(f"{name} image of {array.shape} does not fit a camera of {shape} (rows, columns)")
+        if self.covariance is not None:
+            matrix = np.asarray(self.covariance, np.float64)
+            if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
+                raise PoseError(
+                    f"the pose of {self.source} has a covariance that is none: it must be a finite 6 x 6 matrix "
+                    f"without negative variances, got {matrix.tolist()}"
+                )
+
+
+class Observer:
+    """Turns depth images into observations of a reference surface.
+
+    `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
+    views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
+    None: labels say nothing of it.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        tracer: TerrainTracer,
+        limits: Limits,
+        columns: int,
+        views_mb: float = 0.0,
+        gone: Float32Array | None = None,
+    ) -> None:
+        geometry = reference.geometry
+        tiles = [-(-n // TILE) for n in geometry.shape]
+        self._ground = ReferenceGrid(
+            reference.surface,
+            reference.bare,
+            reference.slopes.east,
+            reference.slopes.north,
+            block_maxima(reference.surface),
+            BLOCK,
+            geometry.x_min,
+            geometry.y_max,
+            geometry.resolution,
+            tiles[1],
+        )
+        self._tracer, self._limits, self._columns = tracer, limits, columns
+        self._gone = np.zeros(256, np.float32) if gone is None else gone
+        self._tiles = tiles[0] * tiles[1]
+        self._sums = FrameSums.empty(0, self._tiles)
+        self._views = ExpectedViews(int(views_mb * 2**20))
+
+    def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
+        """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
+        camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
+        view = self._view(camera, frame, covariance)
+        expected_pixels = self._expected_pixels(camera, frame, view)
+        step = -(-full_labels.camera.width // self._columns) if full_labels is not None else 1
+        ids = np.empty((0, 0), np.uint8)
+        if full_labels is not None:
+            ids = np.ascontiguousarray(full_labels.ids[::step, ::step]).view()
+            ids.flags.writeable = False  # as a message's are: one compiled kernel serves both
+        if len(self._sums.cells) < 2 * expected_pixels.size + ids.size:
+            self._sums = FrameSums.empty(2 * expected_pixels.size + ids.size, self._tiles)
+        clear(self._sums)
+        pixels = self.pixels(frame)
+        beside = _least_around(frame.depth[:: pixels.step, :: pixels.step])
+        observe(self._ground, view, expected_pixels, pixels, beside, self._limits, self._sums)
+        if full_labels is not None:
+            camera = full_labels.camera.scaled(step)
+            expected_pixels = self._expected_pixels(camera, frame, self._view(camera, frame, covariance))
+            add_labels(
+                self._ground, expected_pixels, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums
+            )
+        return self._sums
+
+    def _view(self, camera: Camera, frame: DepthFrame, covariance: Float64Array) -> CameraView:
+        return CameraView(
+            camera.rays(),
+            np.ascontiguousarray(frame.pose.rotation),
+            np.ascontiguousarray(frame.pose.position),
+            np.ascontiguousarray(covariance),
+            self._tracer.bend,
+        )
+
+    def sampled(self, frame: DepthFrame) -> Camera:
+        """The camera of those of a frame's pixels that are used."""
+        return frame.camera.scaled(self._step(frame))
+
+    def _step(self, frame: DepthFrame) -> int:
+        return -(-frame.camera.width // self._columns)
+
+    def pixels(self, frame: DepthFrame) -> Pixels:
+        """A frame as the kernels take it."""
+        labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
+        return Pixels(
+            np.ascontiguousarray(frame.depth, np.float32),
+            np.ascontiguousarray(frame.sigma, np.float32),
+            np.ascontiguousarray(frame.measured).view(np.uint8),
+            np.ascontiguousarray(labels, np.uint8),
+            self._step(frame),
+            self.sampled(frame).cosines(),
+        )
+
+    def _expected_pixels(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
+        """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
+        key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
+        expected_pixels = self._views.get(key)
+        if expected_pixels is None:
+            expected = self._tracer.trace(camera, frame.pose).range
+            turn = math.sqrt(float(np.linalg.eigvalsh(view.covariance[3:, 3:])[-1]))
+            window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
+            known = np.where(np.isnan(expected), np.float32(np.inf), expected)
+            near, far = _extremes(known, 1)
+            widest = (near, far) if window == 1 else _extremes(known, window)
+            expected_pixels = self._views.put(key, expected.shape)
+            predict_view(self._ground, view, expected, Extremes(*widest, near, far), expected_pixels)
+        return expected_pixels
+
+
+def block_maxima(surface: Float32Array) -> Float32Array:
+    """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
+    height, width = surface.shape
+    starts = np.arange(0, width, BLOCK)
+    edges = np.stack([np.maximum(starts - 1, 0), np.minimum(starts + BLOCK, width - 1) + 1], axis=-1).ravel()
+    found = np.empty((-(-height // BLOCK), len(starts)), np.float32)
+    padded = np.empty(width + 1, np.float32)
+    for row in range(len(found)):
+        strip = surface[max(row * BLOCK - 1, 0) : (row + 1) * BLOCK + 1]
+        padded[:-1], padded[-1] = np.fmax.reduce(strip, axis=0), np.nan
+        found[row] = np.fmax.reduceat(padded, edges)[::2]
+    return np.where(np.isnan(found), np.float32(-np.inf), found)
+
+
+def _least_around(depth: Float32Array) -> Float32Array:
+    """Of each pixel and its eight neighbours, as far as they are known."""
+    known = np.where(np.isnan(depth), np.float32(np.inf), depth)
+    return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
+
+
+def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:
+    """Least and greatest range within `radius` pixels."""
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    return np.asarray(cv2.erode(ranges, kernel), np.float32), np.asarray(cv2.dilate(ranges, kernel), np.float32)

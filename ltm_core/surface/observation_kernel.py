@@ -1,0 +1,298 @@
+"""Compares each pixel of a depth image with the reference surface and forms an observation of a cell; compiled.
+
+A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
+
+* **It agrees**: the observation is of the cell that the reference says it sees. The difference along the ray, times the
+  incidence factor, is the difference of the surface's height there.
+* **It is nearer**: something stands where the reference has air. The observation is of the cell that the point lies in.
+* **It is farther**, and so are all around it: the ray went through what the reference has as solid. All cells that it
+  passed below the surface are capped at the ray's height, and the observation is of the cell that the point lies in.
+
+The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
+metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
+On the steep side of a crown a small error along the ray is a large one of height, so the variance takes the slope of
+the cell itself where that is the steeper one. Whether the stand is as it was, such a pixel tells far better than how
+high its cell is: its *relative variance* is that of the slope of the block.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
+from ltm_core.surface.cell_layout import NO_LABEL, place_of
+from ltm_core.surface.expected_view import CameraView, direction
+from ltm_core.surface.frame_sums import FrameSums, sum_of
+from ltm_core.surface.reference_surface import (
+    LEAST_INCIDENCE,
+    ReferenceGrid,
+    cell_at,
+    height_at,
+    pose_variance,
+    slopes_at,
+)
+
+SKY_SEEN_THROUGH = 40.0
+"""Metres behind a vanished skyline that a ray into the sky has certainly passed."""
+_LONGEST_CARVE = 400
+"""Cells."""
+LIKELY_CHANGE = 4.0
+"""Metres: the mean of the exponential prior on how much higher a cell has become."""
+_SEARCH = 1.5
+"""Sigmas of range within which the likeliest place is looked for."""
+
+
+class Ray(NamedTuple):
+    """One ray in the map frame: origin, unit direction, and its bend over slant range."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
+    bend: float
+
+
+class Limits(NamedTuple):
+    min_range: float
+    max_range: float
+    gate: float
+    carve_below: float
+    tallest: float
+    own_sigma: float
+    """Metres of height that no cell is known better than from one frame: the cell is not flat."""
+    stands: float
+    """Metres from which on a cell has something that stands."""
+
+
+class Pixels(NamedTuple):
+    """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
+    sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
+    depth / slant range.
+    """
+
+    depth: Float32Array
+    sigma: Float32Array
+    informs: UInt8Array
+    labels: UInt8Array
+    step: int
+    cosines: Float32Array
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
+    """Height of a ray over the reference surface after `t` metres."""
+    z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+    return z
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
+    """Where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small changes
+    are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the crown's
+    height, and what stood behind a felled stand is seen where it stands.
+    """
+    step = max(ground.resolution, sigma / 8)
+    begin = max(r - _SEARCH * sigma, first)
+    end = min(r + _SEARCH * sigma, last)
+    # From the measured range outwards: when going farther costs more than the least so far, that is the least.
+    middle = int(max(r - begin, 0.0) / step)
+    best, least = r, math.inf
+    for way in (-1, 1):
+        i = middle + (way > 0)
+        while i >= 0:
+            t = begin + i * step
+            unlikely = 0.5 * ((t - r) / sigma) ** 2
+            if t >= end:
+                if way > 0:
+                    break
+            elif unlikely >= least:
+                break
+            else:
+                cost = unlikely + abs(_above(ground, ray, t)) / LIKELY_CHANGE
+                if cost < least:
+                    best, least = t, cost
+            i += way
+    return best
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> bool:
+    """Whether the terrain is not known all along under a ray between two ranges."""
+    steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
+    for i in range(steps + 1):
+        t = begin + (end - begin) * i / steps
+        if math.isnan(height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)):
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _carve(
+    ground: ReferenceGrid, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
+) -> None:
+    """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
+    by cell, but for blocks of cells that it passes above all of. `r`, `sigma`: what the ray has measured, so how surely
+    it passed each of them.
+    """
+    stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
+    t, left = begin + 0.5 * stride, _LONGEST_CARVE
+    while t < end and left > 0:
+        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+        if row < 0:
+            t, left = t + stride, left - 1
+            continue
+        steps = min(_steps_within(ground, ray, t, row, col, stride), left, int((end - t) / stride) + 1)
+        highest = ground.highest[row // ground.block, col // ground.block]
+        if _lowest(ray, t, t + steps * stride) - highest < below:
+            for i in range(steps):
+                at = t + i * stride
+                _cap(ground, ray, at, below, math.inf if math.isinf(r) else (r - at) / sigma, sums)
+        t, left = t + steps * stride, left - steps
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
+    """Steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
+    side = ground.block * ground.resolution
+    left = math.inf
+    if ray.dx != 0:
+        left = (ground.x_min + (col // ground.block + (ray.dx > 0)) * side - ray.x) / ray.dx
+    if ray.dy != 0:
+        left = min(left, (ground.y_max - (row // ground.block + (ray.dy < 0)) * side - ray.y) / ray.dy)
+    return max(int(min((left - t) / stride, 1e6)), 1)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _lowest(ray: Ray, begin: float, end: float) -> float:
+    """A bound on the height of a ray between two ranges."""
+    ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
+    bound: float = ray.z + ends - abs(ray.bend) * (end - begin) ** 2
+    return bound
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
+    above = _above(ground, ray, t)
+    if above < below:
+        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+        number = sum_of(sums, place_of(row, col, ground.across)) if row >= 0 else -1
+        if number >= 0 and above < sums.cells[number].lowest:
+            sums.cells[number].lowest = above
+            sums.cells[number].passed = passed
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def observe(
+    ground: ReferenceGrid,
+    view: CameraView,
+    expected_pixels: RecordArray,
+    pixels: Pixels,
+    beside: Float32Array,
+    limits: Limits,
+    sums: FrameSums,
+) -> None:
+    """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use
+    (H, W), the least depth among each and those around it.
+
+    Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
+    where that ended. So an image carves a cell a few times, and not once for each ray over it.
+    """
+    rows, cols = expected_pixels.shape
+    step = pixels.step
+    labelled = pixels.labels.size > 0
+    reached = np.zeros(cols, np.float64)
+    own = limits.own_sigma**2
+    x0, y0, z0 = view.position[0], view.position[1], view.position[2]
+    for v in range(rows - 1, -1, -1):
+        for u in range(cols - 1, -1, -1):
+            before, reached[u] = reached[u], 0.0
+            pixel = expected_pixels[v, u]
+            expected = float(pixel.expected)
+            # Nothing was measured, or no reference.
+            if math.isnan(expected) or pixels.informs[v * step, u * step] == 0:
+                continue
+            along = pixels.cosines[v, u]
+            r = float(pixels.depth[v * step, u * step] / along)
+            if not r > limits.min_range or (r > limits.max_range and expected > limits.max_range):
+                continue
+            sigma = float(pixels.sigma[v * step, u * step] / along)
+            if not sigma > 0.0:
+                continue
+            nearest, farthest = float(pixel.nearest), float(pixel.farthest)
+            slack = limits.gate * sigma
+            if math.isinf(r):
+                slack = 0.0
+            elif math.isinf(sigma):
+                continue
+            label = pixels.labels[v * step, u * step] if labelled else NO_LABEL
+            if not math.isinf(r) and nearest - slack <= r <= farthest + slack:
+                spread = float(pixel.spread)
+                # What only pixels beside it would see, a silhouette a little off its place, tells nothing.
+                if pixel.place < 0 or not abs(r - expected) <= slack + min(spread, slack):
+                    continue
+                number = sum_of(sums, pixel.place)
+                if number < 0:
+                    continue
+                incidence = float(pixel.incidence)
+                aside = (spread * incidence) ** 2 + own
+                variance = (sigma * pixel.steep) ** 2 + aside
+                w = 1.0 / (variance + pixel.pose_variance)
+                one = sums.cells[number]
+                one.number += 1.0
+                one.weight += w
+                one.moment += w * ((expected - r) * incidence)
+                one.relative_variance += (sigma * incidence) ** 2 + aside
+                one.pose += pixel.pose_variance
+                if one.label == NO_LABEL:
+                    one.label = label
+                continue
+            dx, dy, dz = direction(view, v, u)
+            flat2 = dx * dx + dy * dy
+            ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
+            farther = r > farthest + slack
+            # Leaves let rays through here and there: where a pixel beside it sees the crown, nothing has gone.
+            if farther and not beside[v, u] / along > farthest + min(sigma, slack):
+                continue
+            if farther and not math.isinf(expected):
+                end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
+                reached[u] = max(end, before)
+                _carve(ground, ray, max(expected, before), end, -limits.carve_below, r, sigma, sums)
+            if math.isinf(r) or r > limits.max_range:
+                continue
+            # What is seen where the terrain ends may stand beyond, on ground that nobody has told of.
+            if math.isinf(expected) and _leaves_known(ground, ray, r, r + sigma):
+                continue
+            first, last = (expected, math.inf) if farther else (0.0, expected)
+            r = _likeliest(ground, ray, r, sigma, first, last)
+            x, y = x0 + dx * r, y0 + dy * r
+            row, col = cell_at(ground, x, y)
+            if row < 0:
+                continue
+            above = _above(ground, ray, r)
+            if not abs(above) <= limits.tallest:
+                continue
+            number = sum_of(sums, place_of(row, col, ground.across))
+            if number < 0:
+                continue
+            east, north = slopes_at(ground, row, col)
+            incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
+            # Among crowns, a little nearer or farther is a lot higher or lower.
+            rough = abs(_above(ground, ray, r + 0.5 * sigma) - _above(ground, ray, r - 0.5 * sigma))
+            known = rough if rough < math.inf else 0.0
+            variance = max(sigma * incidence, known) ** 2 + own
+            z = dz * r + view.bend * flat2 * r * r
+            pose = pose_variance(view.covariance, east, north, x - x0, y - y0, z)
+            w = 1.0 / (variance + pose)
+            one = sums.cells[number]
+            one.off_count += 1.0
+            one.off_weight += w
+            one.off_moment += w * above
+            one.off_pose += pose
+            if one.label == NO_LABEL:
+                one.label = label

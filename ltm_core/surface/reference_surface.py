@@ -1,0 +1,224 @@
+"""Hold the reference surface: heights, cells and slopes of the DEM and of what stands on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.surface.cell_layout import CELLS, PLACE_BITS, TILE, TILE_BITS
+
+LEAST_INCIDENCE = 0.1
+"""Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
+
+
+class ReferenceGrid(NamedTuple):
+    """`surface`, `bare`: (H, W) metres, with what stands on the ground and without; `east`, `north`: rise per metre of
+    blocks of `block` cells a side, `highest`: of what is known of each and the cells around it, -inf where nothing is;
+    `across`: tiles.
+    """
+
+    surface: Float32Array
+    bare: Float32Array
+    east: Float32Array
+    north: Float32Array
+    highest: Float32Array
+    block: int
+    x_min: float
+    y_max: float
+    resolution: float
+    across: int
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
+    """Bilinear; NaN outside the outermost cell centres."""
+    col = (x - ground.x_min) / ground.resolution - 0.5
+    row = (ground.y_max - y) / ground.resolution - 0.5
+    height, width = ground.surface.shape
+    if not (row >= 0.0 and col >= 0.0 and row <= height - 1.0 and col <= width - 1.0):
+        return math.nan
+    r = min(int(row), height - 2)
+    c = min(int(col), width - 2)
+    fr, fc = row - r, col - c
+    z = ground.surface
+    north = z[r, c] + fc * (z[r, c + 1] - z[r, c])
+    south = z[r + 1, c] + fc * (z[r + 1, c + 1] - z[r + 1, c])
+    height_here: float = north + fr * (south - north)
+    return height_here
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
+    """Row and column; -1, -1 outside."""
+    col = math.floor((x - ground.x_min) / ground.resolution)
+    row = math.floor((ground.y_max - y) / ground.resolution)
+    height, width = ground.surface.shape
+    if not (row >= 0 and col >= 0 and row < height and col < width):
+        return -1, -1
+    return int(row), int(col)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def stood_at(ground: ReferenceGrid, place: int) -> float:
+    """Metres of what stands in a cell."""
+    tile, k = place >> PLACE_BITS, place & (CELLS - 1)
+    row = ((tile // ground.across) << TILE_BITS) + (k >> TILE_BITS)
+    col = ((tile % ground.across) << TILE_BITS) + (k & (TILE - 1))
+    height: float = ground.surface[row, col] - ground.bare[row, col]
+    return height
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def slopes_at(ground: ReferenceGrid, row: int, col: int) -> tuple[float, float]:
+    r, c = row // ground.block, col // ground.block
+    return np.float64(ground.east[r, c]), np.float64(ground.north[r, c])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: float) -> float:
+    """The incidence factor on the cell's own slope; 0 where that is not known."""
+    height, width = ground.surface.shape
+    z, step = ground.surface, 2 * ground.resolution
+    east = (z[r, min(c + 1, width - 1)] - z[r, max(c - 1, 0)]) / step
+    north = (z[max(r - 1, 0), c] - z[min(r + 1, height - 1), c]) / step
+    steep: float = abs(dz - east * dx - north * dy)
+    return steep if steep < math.inf else 0.0
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def pose_variance(covariance: Float64Array, east: float, north: float, px: float, py: float, pz: float) -> float:
+    """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
+    camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
+    """
+    nx, ny = -east, -north
+    row = (nx, ny, 1.0, py - pz * ny, pz * nx - px, px * ny - py * nx)
+    total = 0.0
+    for i in range(6):
+        part = 0.0
+        for j in range(6):
+            part += covariance[i, j] * row[j]
+        total += row[i] * part
+    return max(total, 0.0)
+
+
+BLOCK = 8
+"""Cells a side over which the slope of the surface is taken: crowns and boulders have slopes, but no incidence."""
+LARGEST = 50_000_000
+"""Cells of a site: heights, slopes and the tracer's pyramid of more would not leave a tower computer room."""
+_ROWS = 256
+
+
+class Elevations(Protocol):
+    """What heights can be asked of: a `Dem` or a stack of them."""
+
+    @property
+    def geometry(self) -> GridGeometry: ...
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array: ...
+
+
+class Slopes(NamedTuple):
+    """Rise per metre to the east and to the north of blocks of BLOCK x BLOCK cells, (h, w) each; 0 where unknown."""
+
+    east: Float32Array
+    north: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Two hypotheses on one grid, in the map frame.
+
+    `bare`: bare earth, (H, W) metres, never changed. `surface`: with canopy and buildings; the same array where no
+    surface raster is known (`canopy_known` False): then the first consistent observations of a cell become its
+    canopy, and only what contradicts those, or lies below bare earth, is change.
+    """
+
+    bare: Float32Array
+    surface: Float32Array
+    geometry: GridGeometry
+    slopes: Slopes
+
+    @property
+    def canopy_known(self) -> bool:
+        return self.surface is not self.bare
+
+    @property
+    def surface_dem(self) -> Dem:
+        """The surface (with what stands on the ground) as a DEM for the tracer."""
+        return Dem(self.surface, self.geometry)
+
+    @classmethod
+    def of(cls, bare: Elevations, surface: Elevations | None = None, resolution: float | None = None) -> Reference:
+        """Both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its own).
+
+        Where the surface raster is unknown or below bare earth, bare earth stands. Raises ConfigError where the grid
+        has too many cells.
+        """
+        whole = bare.geometry
+        cell = resolution or whole.resolution
+        height = max(2, round(whole.height * whole.resolution / cell))
+        width = max(2, round(whole.width * whole.resolution / cell))
+        if height * width > LARGEST:
+            side = (whole.height * whole.width * whole.resolution**2 / LARGEST) ** 0.5
+            raise ConfigError(
+                f"a terrain of {width} x {height} cells of {cell} m is too large (at most {LARGEST:,} cells): set "
+                f"terrain.resolution to {side:.1f} m or more"
+            )
+        geometry = GridGeometry(whole.x_min, whole.y_max, cell, width, height, whole.crs)
+        ground = _sampled(bare, geometry)
+        top = ground
+        if surface is not None:
+            above = _sampled(surface, geometry)
+            top = np.empty_like(ground)
+            for row in range(0, height, _ROWS):
+                part = slice(row, row + _ROWS)
+                np.fmax(above[part], ground[part], out=top[part])
+        return cls(ground, top, geometry, _slopes(top, cell))
+
+
+def _sampled(source: Elevations, geometry: GridGeometry) -> Float32Array:
+    elevation = getattr(source, "elevation", None)
+    if isinstance(elevation, np.ndarray) and source.geometry == geometry:
+        return np.asarray(elevation, np.float32)
+    heights = np.empty(geometry.shape, np.float32)
+    cols = np.arange(geometry.width)
+    for row in range(0, geometry.height, _ROWS):
+        rows = np.arange(row, min(row + _ROWS, geometry.height))
+        x, y = geometry.to_map(rows[:, None], cols[None, :])
+        x, y = np.broadcast_arrays(x, y)
+        # The outermost half cell has no bilinear height: it takes that of the outermost cell centres.
+        inner = source.geometry
+        half = inner.resolution / 2 + 1e-6
+        heights[rows] = source.elevation_at(
+            np.clip(x, inner.x_min + half, inner.x_max - half), np.clip(y, inner.y_min + half, inner.y_max - half)
+        )
+    return heights
+
+
+def _slopes(surface: Float32Array, resolution: float) -> Slopes:
+    """Differences between the means of neighbouring blocks."""
+    height, width = (max(1, -(-n // BLOCK)) for n in surface.shape)
+    means = np.full((height, width), np.nan, np.float32)
+    for row in range(height):
+        strip = surface[row * BLOCK : (row + 1) * BLOCK]
+        known = np.isfinite(strip)
+        edges = np.arange(0, surface.shape[1], BLOCK)
+        sums = np.add.reduceat(np.where(known, strip, 0).sum(axis=0, dtype=np.float64), edges)
+        counts = np.add.reduceat(known.sum(axis=0), edges)
+        means[row] = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    step = BLOCK * resolution
+    east, north = np.zeros_like(means), np.zeros_like(means)
+    if width > 1:
+        east = np.gradient(means, step, axis=1).astype(np.float32)
+    if height > 1:
+        north = -np.gradient(means, step, axis=0).astype(np.float32)
+    return Slopes(np.nan_to_num(east), np.nan_to_num(north))

@@ -1,0 +1,295 @@
+"""The surface map of a site, updated by posed depth images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import Float32Array, Float64Array, Int32Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.site.sections import PoseErrorConfig, TerrainConfig
+from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, TileStore
+from ltm_core.surface.cell_layout import TILE
+from ltm_core.surface.cell_update import Rules, merge
+from ltm_core.surface.change import Changed, decide, margin_of, mosaic
+from ltm_core.surface.free_space import INSIDE, see_through
+from ltm_core.surface.layers import SurfaceLayers, layers_of
+from ltm_core.surface.observation import DepthFrame, Observer
+from ltm_core.surface.observation_kernel import Limits
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.registration import Registration, register
+from ltm_core.surface.tile_pool import TilePool, schema_of
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.holes import NOTHING_BEYOND
+
+CAMERAS = 32
+"""A site's cameras at most: a bit each in every cell."""
+_OWN_SIGMA = 0.25
+"""Metres: what the height of a cell can mean when a crown or boulder stands in it."""
+_CARVE_SIGMA = 0.5
+"""Metres: of the height of a ray that passed over a cell."""
+DECIDED_TILES = 8
+"""Tiles a side that are decided at once: the rasters of more would be the largest part of the map's memory."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """What a frame did: cells that it saw, tiles that it touched and those that found no room in memory, and how it
+    was turned (None: it was not).
+    """
+
+    cells: int
+    tiles: int
+    left_out: int
+    registration: Registration | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """How the frame of a camera of `stamp_ns` with this pose was turned; None: it was not."""
+
+    pose: Pose
+    covariance: Float64Array
+    stamp_ns: int
+    turn: Registration | None
+
+
+class SurfaceMap:
+    """The estimate of every cell, and the changes that views agree on. Bare earth is never edited.
+
+    Args:
+        reference: bare earth and, where known, the surface, in the map frame.
+        config: the rules.
+        cameras: all names, at most 32.
+        store: of `tile_pool.schema_of` the grid in the site's CRS; None: what no longer fits the memory for cells is
+            kept compressed.
+        curvature: of rays, as the tracer takes it.
+        refraction: likewise.
+        gone: (256,) log odds by label id that what stood in a cell is gone; None: labels say nothing of it.
+        assumed_pose_error: of frames without a covariance; None: the default.
+
+    Raises ConfigError for more cameras than a cell can tell apart.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        config: TerrainConfig,
+        cameras: Sequence[str],
+        store: TileStore | None = None,
+        curvature: bool = True,
+        refraction: float = 0.13,
+        gone: Float32Array | None = None,
+        assumed_pose_error: PoseErrorConfig | None = None,
+    ) -> None:
+        if len(cameras) > CAMERAS:
+            raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
+        self.reference, self.config, self.cameras = reference, config, tuple(cameras)
+        self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
+        # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
+        self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction, NOTHING_BEYOND)
+        self._limits = Limits(
+            config.min_range,
+            config.max_range,
+            config.confidence,
+            config.threshold / 2,
+            config.tallest,
+            _OWN_SIGMA,
+            config.threshold,
+        )
+        self._observer = Observer(reference, self._tracer, self._limits, config.columns, config.views_mb, gone)
+        self._rules = Rules(
+            config.confidence,
+            config.reference_sigma**2,
+            config.independent_after,
+            config.settle,
+            config.memory,
+            config.lasting,
+            config.threshold,
+            _CARVE_SIGMA**2,
+            config.threshold / INSIDE,
+            config.repeated_error_share,
+        )
+        self._pool = TilePool(
+            store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),
+            TilePool.capacity_of(config.cache_mb),
+            reference.canopy_known,
+        )
+        self._turns: dict[str, _Turn] = {}
+        self._undecided: set[Key] = set(self._pool.known_keys)
+        self.newest_ns = self._pool.store.newest_ns() or 0
+
+    @property
+    def uncommitted(self) -> int:
+        """Frames whose effect is not in the store yet."""
+        return self._pool.uncommitted
+
+    @property
+    def tiles_in_memory(self) -> int:
+        return self._pool.in_memory
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame has been counted already."""
+        return self._pool.counted(source, stamp_ns)
+
+    def add(self, frame: DepthFrame) -> Added:
+        """Take a frame in. Raises ConfigError for an unknown camera, PoseError as the tracer does, StoreError."""
+        if frame.source not in self.cameras:
+            raise ConfigError(f"no camera {frame.source!r}; there are {', '.join(self.cameras)}")
+        config = self.config
+        covariance = frame.covariance
+        if covariance is None:
+            covariance = self._assumed_covariance
+        turned = None
+        if config.register_frames:
+            turned = self._registered(frame, covariance)
+            if turned is not None:
+                frame, covariance = turned.frame(frame), turned.covariance
+        sums = self._observer.observe(frame, covariance)
+        keys, left_out = self._nearest(sums.seen_tiles, frame)
+        self._pool.require(keys)
+        bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
+        cells = merge(self._pool.cells, sums, self._pool.slots.ravel(), seconds, bit, self._rules)
+        self._see_through(frame, seconds, bit)
+        self._pool.touched(keys)
+        self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
+        self._undecided.update(keys)
+        self.newest_ns = max(self.newest_ns, frame.stamp_ns)
+        return Added(int(cells), len(keys), left_out, turned)
+
+    def decide(self) -> Changed:
+        """Bring the changes up to date where frames have touched the map since the last call; what is new."""
+        found = Changed.none()
+        while self._undecided:
+            first = min(self._undecided)
+            core = {
+                key
+                for key in self._undecided
+                if key[0] < first[0] + DECIDED_TILES and first[1] - DECIDED_TILES < key[1] < first[1] + DECIDED_TILES
+            }
+            left = min(key[1] for key in core)
+            core = {key for key in core if key[1] < left + DECIDED_TILES}
+            found = found.joined(self._decide(core))
+            self._undecided -= core
+        return found
+
+    def commit(self, last: bool = False) -> int:
+        """Write what has changed to the store; how many tiles. Raises StoreError. `last`: before it is closed."""
+        self.decide()
+        return self._pool.commit(last)
+
+    def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
+        """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""
+        return layers_of(self._pool, self.reference, window, self._rules)
+
+    def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
+        """(H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
+        parts = mosaic(self._pool.peek, window, ("shift",))
+        return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
+
+    def close(self) -> None:
+        """Its store; the map is of no use then. Idempotent."""
+        self._pool.store.close()
+
+    def seen_window(self) -> tuple[int, int, int, int] | None:
+        """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""
+        keys = self._pool.known_keys
+        if not keys:
+            return None
+        height, width = self.reference.geometry.shape
+        row, col = min(k[0] for k in keys) * TILE, min(k[1] for k in keys) * TILE
+        bottom, right = (max(k[0] for k in keys) + 1) * TILE, (max(k[1] for k in keys) + 1) * TILE
+        return row, col, min(bottom, height) - row, min(right, width) - col
+
+    def heights_at(self, changed: Changed) -> Float32Array:
+        """The updated surface at changed cells, (N,) metres."""
+        surface = self.reference.surface[changed.rows, changed.cols]
+        if self.reference.canopy_known:
+            return np.asarray(surface + changed.shift, np.float32)
+        base = np.zeros(len(changed.rows), np.float32)
+        keys = np.stack([changed.rows // TILE, changed.cols // TILE], axis=-1)
+        for key in {(int(r), int(c)) for r, c in keys}:
+            tile = self._pool.peek(key)
+            inside = (keys == key).all(axis=1)
+            if tile is not None:
+                base[inside] = tile["base"][changed.rows[inside] % TILE, changed.cols[inside] % TILE]
+        return np.asarray(surface + np.nan_to_num(base) + changed.shift, np.float32)
+
+    def _see_through(self, frame: DepthFrame, seconds: int, bit: int) -> None:
+        see_through(
+            self._pool.cells,
+            self._pool.places(),
+            self.reference.surface,
+            self.reference.geometry,
+            self._observer.sampled(frame),
+            frame.pose,
+            self._observer.pixels(frame),
+            seconds,
+            bit,
+            self._rules,
+            (self.config.min_range, self.config.max_range),
+        )
+
+    def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
+        """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is
+        traced already.
+        """
+        kept = self._turns.get(frame.source)
+        period = int(self.config.independent_after * 1e9)
+        if (
+            kept is not None
+            and kept.pose == frame.pose
+            and 0 <= frame.stamp_ns - kept.stamp_ns < period
+            and np.array_equal(kept.covariance, covariance)
+        ):
+            return kept.turn
+        turn = register(frame, covariance, self.reference, self._tracer, self._limits)
+        self._turns[frame.source] = _Turn(frame.pose, covariance, frame.stamp_ns, turn)
+        return turn
+
+    def _nearest(self, tiles: Int32Array, frame: DepthFrame) -> tuple[list[Key], int]:
+        """These tiles, the nearest of them where there are more than fit into memory."""
+        rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
+        most = self._pool.capacity
+        if len(rows) > most:
+            row, col = self.reference.geometry.to_grid(frame.pose.position[0], frame.pose.position[1])
+            order = np.argsort(np.hypot(rows - row / TILE, cols - col / TILE), kind="stable")[:most]
+            keys = sorted((int(rows[i]), int(cols[i])) for i in order)
+            return keys, len(rows) - most
+        return [(int(r), int(c)) for r, c in zip(rows, cols, strict=True)], 0
+
+    def _decide(self, core: set[Key]) -> Changed:
+        margin = margin_of(self.reference.geometry.resolution)
+        assert margin <= TILE  # nosec B101 # of constants
+        tile_rows, tile_cols = self._pool.slots.shape
+        top, left = max(min(k[0] for k in core) - 1, 0), max(min(k[1] for k in core) - 1, 0)
+        bottom = min(max(k[0] for k in core) + 2, tile_rows)
+        right = min(max(k[1] for k in core) + 2, tile_cols)
+        height, width = self.reference.geometry.shape
+        window = (
+            top * TILE,
+            left * TILE,
+            min(bottom * TILE, height) - top * TILE,
+            min(right * TILE, width) - left * TILE,
+        )
+        changed, fields = decide(lambda key: self._pool.peek(key), self.reference, window, self.config, self._rules)
+        keys = sorted(core)
+        slots = self._pool.require(keys)
+        inside = np.zeros(window[2:], np.bool_)
+        for key, slot in zip(keys, slots, strict=True):
+            r, c = key[0] * TILE - window[0], key[1] * TILE - window[1]
+            part = slice(r, r + TILE), slice(c, c + TILE)
+            inside[part] = True
+            h, w = inside[part].shape
+            for name, values in fields.items():
+                self._pool.cells.field(name)[slot].reshape(TILE, TILE)[:h, :w] = values[part]
+        self._pool.touched(keys)
+        changed = changed.within(inside, window)
+        if len(changed.rows):
+            self._pool.journal(
+                CellChanges("change", self.newest_ns, changed.rows, changed.cols, changed.before, changed.kind)
+            )
+        return changed

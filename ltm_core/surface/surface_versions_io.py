@@ -1,0 +1,236 @@
+"""Versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
+
+A version's file is whole or not there, and is never written again; the manifest, which names the version that counts,
+is replaced in one step after the file is on the disk. Whoever reads finds the version before or the new one, whatever
+kills the writer. Only the node `terrain` writes; others read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import itertools
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from ltm_core.base.errors import RasterError, StoreError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.surface_manifest import (
+    AS_GIVEN,
+    KEPT,
+    VERSION,
+    Counted,
+    SurfaceManifest,
+    SurfaceVersion,
+    of_later_release,
+)
+
+__all__ = [
+    "AS_GIVEN",
+    "FOLDER",
+    "KEPT",
+    "MANIFEST",
+    "VERSION",
+    "Counted",
+    "SurfaceManifest",
+    "SurfaceVersion",
+    "SurfaceVersions",
+]
+
+FOLDER = "surfaces"
+"""Beside the store of the terrain."""
+MANIFEST = "surfaces.json"
+_MOST_MANIFEST = 1 << 20
+_MOST_FILE = 1 << 30
+_ARRAYS = ("rows", "cols", "surface", "ground")
+
+
+class BrokenManifestError(StoreError):
+    """What stands in its place is no manifest, and will not become one by itself."""
+
+
+@dataclass(frozen=True)
+class SurfaceVersions:
+    """The versions of a site in a folder, which need not be there before the first is written.
+
+    `geometry`: of the terrain's grid, in the map frame; a version of another grid is refused.
+    """
+
+    folder: Path
+    site: str
+    geometry: GridGeometry
+
+    def manifest(self) -> SurfaceManifest:
+        """Of no version where there is none yet. Raises StoreError where it cannot be read, a later release wrote it or
+        it is of another site."""
+        path = self.folder / MANIFEST
+        try:
+            content = _read(path, _MOST_MANIFEST)
+        except FileNotFoundError:
+            return SurfaceManifest(site=self.site)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read as a list of surfaces ({error}); move the folder away") from error
+        try:
+            found = SurfaceManifest.model_validate_json(content)
+        except ValidationError as error:
+            if later := of_later_release(content, error):
+                raise StoreError(
+                    f"{path}: a later release wrote this list of surfaces ({later}), and it stays as it is; start that "
+                    "release again, or move the folder away to begin anew"
+                ) from error
+            problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
+            raise BrokenManifestError(problem) from error
+        if found.site != self.site:
+            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
+        return found
+
+    def manifest_of_writer(self) -> tuple[SurfaceManifest, str]:
+        """For whoever writes: a folder whose manifest cannot be read as one is put aside, and begun anew; and what is
+        to be told of that, empty: nothing. Raises StoreError as `manifest` does for anything else.
+        """
+        try:
+            return self.manifest(), ""
+        except BrokenManifestError as error:
+            places = (self.folder.with_name(f"{self.folder.name}.{number}") for number in itertools.count(1))
+            aside = next(place for place in places if not place.exists())
+            try:
+                self.folder.rename(aside)
+            except OSError as broken:
+                raise StoreError(f"{error}; it could not be put aside ({broken.strerror or broken})") from broken
+            return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
+
+    def file(self, version: str) -> Path:
+        """Where the file of a version of the manifest stands."""
+        return self.folder / f"surface-{version}.npz"
+
+    def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
+        """A version's cells. Raises StoreError where its file is missing, not what was written, or of another grid."""
+        path = self.file(entry.version)
+        try:
+            content = _read(path, _MOST_FILE)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
+        if hashlib.sha256(content).hexdigest() != entry.digest:
+            raise StoreError(f"{path}: is not the file that was written as this version; take the version back")
+        try:
+            surface = _of_bytes(content)
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, RasterError) as error:
+            raise StoreError(f"{path}: holds no confirmed surface ({error}); take the version back") from error
+        if surface.geometry != self.geometry:
+            raise StoreError(
+                f"{path}: of a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
+                f"has {self.geometry.shape} of {self.geometry.resolution} m: the site's DEM or terrain.resolution has "
+                "changed; move the folder away"
+            )
+        return surface
+
+    def add(self, surface: ConfirmedSurface, as_of_ns: int, seen: int) -> SurfaceVersion:
+        """Write a version and make it the current one; it ends that one was taken back. Raises StoreError."""
+        before, content = self.manifest(), _to_bytes(surface)
+        digest = hashlib.sha256(content).hexdigest()
+        version, cells = digest[:16], self.geometry.width * self.geometry.height
+        entry = SurfaceVersion(
+            version=version,
+            digest=digest,
+            parent=before.current,
+            as_of_ns=as_of_ns,
+            cells=cells,
+            seen=seen,
+            changed=len(surface),
+            lowered=surface.lowered,
+        )
+        others = tuple(one for one in before.versions if one.version != version)
+        versions = (*others, entry)[-KEPT:]
+        kept = {one.version for one in versions}
+        counted = (*before.history, Counted(version=version, as_of_ns=as_of_ns))
+        # From the last on backwards, as far as all of it is kept.
+        gone = max((n for n, one in enumerate(counted) if one.version not in kept), default=-1)
+        first = max(gone + 1, len(counted) - KEPT)
+        self._write(self.file(version), content)
+        self._replace(
+            before.model_copy(
+                update={
+                    "current": version,
+                    "held": False,
+                    "versions": versions,
+                    "history": counted[first:],
+                    "forgotten": before.forgotten or first > 0,
+                }
+            )
+        )
+        self._remove_all_but({self.file(one.version) for one in versions})
+        return entry
+
+    def _remove_all_but(self, kept: set[Path]) -> None:
+        """Of the versions' files; a writer that was killed may have left some that no manifest names."""
+        for path in self.folder.glob(f"surface-{'[0-9a-f]' * 16}.npz"):
+            if path not in kept:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+    def take_back(self) -> SurfaceManifest:
+        """Make the version before the current one count, and hold it. Raises StoreError where none is current."""
+        before = self.manifest()
+        entry = before.entry(before.current)
+        if entry is None:
+            raise StoreError(f"{self.folder}: no confirmed surface counts; there is nothing to take back")
+        history = before.history[:-1]
+        current = history[-1].version if history else AS_GIVEN
+        after = before.model_copy(update={"current": current, "held": True, "history": history})
+        self._replace(after)
+        return after
+
+    def _replace(self, manifest: SurfaceManifest) -> None:
+        self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """Whole or not at all, also where the power fails."""
+        partial = path.with_name(f".{path.name}.partial")
+        try:
+            self.folder.mkdir(exist_ok=True)
+            with partial.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+            folder = os.open(self.folder, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _read(path: Path, most: int) -> bytes:
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(f"larger than {most} bytes")
+    return content
+
+
+def _to_bytes(surface: ConfirmedSurface) -> bytes:
+    """The same bytes for the same cells."""
+    g, sink = surface.geometry, io.BytesIO()
+    grid = np.array([g.x_min, g.y_max, g.resolution, g.width, g.height], np.float64)
+    np.savez_compressed(sink, grid=grid, **{name: getattr(surface, name) for name in _ARRAYS})
+    return sink.getvalue()
+
+
+def _of_bytes(content: bytes) -> ConfirmedSurface:
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        x_min, y_max, resolution, width, height = (float(v) for v in file["grid"])
+        arrays = {name: file[name] for name in _ARRAYS}
+    for name, array in arrays.items():
+        wanted = np.int32 if name in ("rows", "cols") else np.float32
+        if array.dtype != wanted:
+            raise ValueError(f"{name} is {array.dtype}, wanted {np.dtype(wanted)}")
+    return ConfirmedSurface(GridGeometry(x_min, y_max, resolution, int(width), int(height)), **arrays)

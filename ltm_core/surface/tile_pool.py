@@ -1,0 +1,135 @@
+"""Bounded pool of the surface map's tiles in memory; the other tiles wait in the tile store."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ltm_core.base.types import Int32Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.surface.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, TileCells
+
+KIND, VERSION = "terrain", 4
+
+
+def schema_of(geometry: GridGeometry) -> StoreSchema:
+    """Of a terrain's store; `geometry`: in the site's CRS."""
+    return StoreSchema(KIND, VERSION, geometry, TILE, FIELDS)
+
+
+class TilePool:
+    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room.
+
+    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is claimed as it is used.
+    """
+
+    def __init__(self, store: TileStore, capacity: int, canopy_known: bool) -> None:
+        self.store = store
+        self.capacity = capacity
+        rows, cols = store.schema.tiles
+        self.slots = np.full((rows, cols), -1, np.int32)
+        self.cells = TileCells.empty(capacity)
+        self._fresh_base = np.float32(0.0 if canopy_known else np.nan)
+        self._used: OrderedDict[Key, int] = OrderedDict()
+        self._free = list(range(capacity - 1, -1, -1))
+        self._stored = set(store.keys())
+        self._dirty: set[Key] = set()
+        self._frames: list[FrameRecord] = []
+        self._changes: list[CellChanges] = []
+
+    @staticmethod
+    def capacity_of(megabytes: float) -> int:
+        """Tiles that fit; at least those of which changes are decided at once."""
+        return max(64, int(megabytes * 2**20 / (CELL_BYTES * TILE * TILE)))
+
+    @property
+    def known_keys(self) -> list[Key]:
+        """Tiles that hold anything, in row-major order."""
+        return sorted(self._stored | self._used.keys())
+
+    @property
+    def in_memory(self) -> int:
+        return len(self._used)
+
+    def places(self) -> Int32Array:
+        """Slot, tile row and tile column of the tiles in memory, (N, 3) by slot."""
+        found = sorted((slot, *key) for key, slot in self._used.items())
+        return np.array(found, np.int32).reshape(-1, 3)
+
+    @property
+    def uncommitted(self) -> int:
+        return len(self._frames)
+
+    def require(self, keys: Sequence[Key]) -> Int32Array:
+        """Slots of tiles, which are brought into memory; no more than `capacity` at a time. Raises StoreError."""
+        wanted = set(keys)
+        for key in keys:
+            if key in self._used:
+                self._used.move_to_end(key)
+                continue
+            if not self._free:
+                self._make_room(wanted)
+            slot = self._free.pop()
+            try:
+                self._fill(key, slot)
+            except BaseException:
+                self._free.append(slot)
+                raise
+            self._used[key] = slot
+            self.slots[key] = slot
+        return np.array([self._used[key] for key in keys], np.int32)
+
+    def peek(self, key: Key) -> Tile | None:
+        """A tile's arrays (TILE, TILE), wherever it is; None for one that nobody has seen. Not to be written to."""
+        slot = self._used.get(key)
+        if slot is not None:
+            return {name: self.cells.field(name)[slot].reshape(TILE, TILE) for name in FIELDS}
+        return self.store.read(key) if key in self._stored else None
+
+    def touched(self, keys: Iterable[Key]) -> None:
+        """These tiles, which are in memory, have changed."""
+        self._dirty.update(keys)
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame has been counted, also where that is not written yet."""
+        waiting = any(f.source == source and f.stamp_ns == stamp_ns for f in self._frames)
+        return waiting or self.store.counted(source, stamp_ns)
+
+    def record(self, frame: FrameRecord) -> None:
+        self._frames.append(frame)
+
+    def journal(self, changes: CellChanges) -> None:
+        self._changes.append(changes)
+
+    def commit(self, last: bool = False) -> int:
+        """Write all that has changed, with the frames that did it, in one transaction; how many tiles. Raises
+        StoreError, and then nothing is lost: call it again. `last`: before the store is closed.
+        """
+        if not self._dirty and not self._frames:
+            return 0
+        tiles = {key: tile for key in self._dirty if (tile := self.peek(key)) is not None}
+        self.store.commit(tiles, self._frames, self._changes, last)
+        self._stored |= tiles.keys()
+        self._dirty.clear()
+        self._frames, self._changes = [], []
+        return len(tiles)
+
+    def _make_room(self, wanted: set[Key]) -> None:
+        oldest = next(key for key in self._used if key not in wanted)
+        if oldest in self._dirty:
+            self.commit()
+        slot = self._used.pop(oldest)
+        self.slots[oldest] = -1
+        self._free.append(slot)
+
+    def _fill(self, key: Key, slot: int) -> None:
+        stored = self.store.read(key) if key in self._stored else None
+        for name in FIELDS:
+            self.cells.field(name)[slot] = stored[name].reshape(-1) if stored is not None else 0
+        self.cells.high[slot] = stored is not None
+        if stored is None:
+            self.cells.field("base")[slot] = self._fresh_base
+            self.cells.field("label")[slot] = NO_LABEL

@@ -1,0 +1,230 @@
+"""Mask the pixels of a camera that never show the landscape, for each of its views.
+
+The masks of a turning camera's views: which one belongs to a picture, by where the camera looked.
+
+What stands still before the lens of a turning camera, its own mast or a roof, lies elsewhere in each view. A mask drawn
+in one view holds where the camera looks there again, with the lens as wide; anywhere else it would hide what is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Self
+
+import cv2
+import numpy as np
+from PIL import Image
+from pydantic import ConfigDict, Discriminator, Field, Tag
+
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.storage.photo_io import open_picture
+
+MOST_POLYGONS = 200
+MOST_VIEW_MASKS = 64
+"""Of one camera."""
+MOST_POINTS = 2000
+"""Of one polygon."""
+
+Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
+
+
+class MaskPolygon(StrictModel):
+    """One area that hides the landscape."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
+    )
+
+    kind: str = Field("", alias="class", max_length=80)
+    """What it is: mast, lens, caption, roof."""
+    reason: str = Field("", max_length=400)
+    """Why it is masked, in words."""
+    polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
+    """Corners (u, v) in pixels, (0, 0) the centre of the top left pixel."""
+
+
+def _written_as(value: object) -> str:
+    return "polygons" if isinstance(value, list | tuple) else "png"
+
+
+MaskConfig = Annotated[
+    Annotated[Path, Tag("png")]
+    | Annotated[tuple[MaskPolygon, ...], Field(min_length=1, max_length=MOST_POLYGONS), Tag("polygons")],
+    Discriminator(_written_as),
+]
+"""A PNG of one channel and of the picture's size beside the site file, in which all but 0 is masked; or polygons."""
+
+
+class ViewMask(StrictModel):
+    """What hides the landscape where a turning camera looks one way: a preset of its patrol, say."""
+
+    name: str = Field(min_length=1, max_length=80)
+    azimuth_deg: AzimuthDeg
+    """Of the optical axis, as the pose has it: clockwise from grid north."""
+    pitch_deg: PitchDeg
+    hfov_deg: float | None = Field(None, gt=0, lt=180)
+    """How wide the lens is in this view, to 3 %; None: it does not zoom."""
+    within_deg: float = Field(0.5, gt=0, le=10)
+    """By which the axis of a picture may be off for the mask to be that picture's."""
+    mask: MaskConfig
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMask:
+    """`hidden`: (H, W) bool, True where the landscape is never seen. `place`: what errors call it.
+
+    Raises ConfigError for a mask that hides nothing, or everything.
+    """
+
+    hidden: BoolArray
+    place: str
+
+    def __post_init__(self) -> None:
+        if not self.hidden.any():
+            raise ConfigError(f"{self.place}: the mask hides nothing; draw what it shall hide, or leave the key out")
+        if self.hidden.all():
+            raise ConfigError(
+                f"{self.place}: the mask hides the whole picture, nothing is left to see; masked is what is not 0 in "
+                "the PNG: is it inverted?"
+            )
+
+    @classmethod
+    def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
+        """Raises ConfigError, too, where a polygon lies beside a picture of this size."""
+        drawn = np.zeros((height, width), np.uint8)
+        for number, polygon in enumerate(polygons):
+            points = np.array(polygon.polygon, np.float64)
+            if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
+                raise ConfigError(
+                    f"{place}.{number}: the polygon lies beside the picture of {width} x {height} pixels (it spans "
+                    f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()})"
+                )
+            fill(drawn, points.tolist())
+        return cls(drawn > 0, place)
+
+    @cached_property
+    def share(self) -> float:
+        """Of the picture."""
+        return float(self.hidden.mean())
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.hidden.shape[1], self.hidden.shape[0]
+
+    def check_size(self, width: int, height: int) -> None:
+        """Raises ConfigError where the camera's pictures have another size."""
+        if self.size != (width, height):
+            raise ConfigError(
+                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, the camera's pictures have "
+                f"{width} x {height}; draw it anew in that size (`ltm mask`)"
+            )
+
+
+def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) -> None:
+    """Set the pixels (H, W) whose centres a polygon of (u, v) covers, its edge included."""
+    points = np.rint(np.array(polygon, np.float64)).astype(np.int32)
+    cv2.fillPoly(drawn, [points.reshape(-1, 1, 2)], [value])
+
+
+def read_mask(path: Path, place: str) -> CameraMask:
+    """A PNG of one channel in which all but 0 is masked. `place`: the key that names it, for errors.
+
+    Raises ConfigError: no such picture, another format, colours or an alpha channel, nothing or everything masked.
+    """
+    try:
+        with open_picture(path) as (source, _):
+            if source.format != "PNG":
+                raise ConfigError(f"{place}: {path} is a {source.format}, whose edges are not sharp; save it as PNG")
+            if source.mode not in ("1", "L", "P", "I", "I;16"):
+                raise ConfigError(
+                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a PNG of one channel, "
+                    "0 where the landscape is seen"
+                )
+            hidden = np.asarray(source) != 0
+    except ImageError as error:
+        raise ConfigError(f"{place}: {error}") from error
+    return CameraMask(hidden, f"{place}: {path}")
+
+
+def write_mask(path: Path, hidden: BoolArray) -> None:
+    """Write (H, W) bool as a PNG that `read_mask` takes: 255 where masked."""
+    Image.fromarray(np.where(hidden, 255, 0).astype(np.uint8)).save(path, "PNG", optimize=True)
+
+
+MakeMask = Callable[[int, int], CameraMask]
+"""The mask for pictures of a size (width, height). Raises ConfigError where it cannot be."""
+
+_ZOOM = 0.03
+"""By which the lens may be wider or narrower than the view's: at the edge of the picture, 1.5 % of its width."""
+
+
+@dataclass(frozen=True)
+class Looking:
+    """Where a picture was taken to: azimuth and pitch of the optical axis, and how wide the lens was, degrees."""
+
+    azimuth_deg: float
+    pitch_deg: float
+    hfov_deg: float
+
+    @classmethod
+    def of(cls, camera: Camera, pose: Pose) -> Self:
+        azimuth, pitch, _ = pose.angles_deg
+        return cls(azimuth, pitch, camera.hfov_deg)
+
+    def __str__(self) -> str:
+        return f"azimuth {self.azimuth_deg:.1f}, pitch {self.pitch_deg:.1f}, {self.hfov_deg:.1f} deg wide"
+
+    def off_deg(self, view: ViewMask) -> float:
+        """Angle between the optical axes; infinite where the lens is not as wide as the view's."""
+        if view.hfov_deg is not None and abs(self.hfov_deg / view.hfov_deg - 1) > _ZOOM:
+            return math.inf
+        turned = math.radians(self.azimuth_deg - view.azimuth_deg)
+        own, other = math.radians(self.pitch_deg), math.radians(view.pitch_deg)
+        # The haversine, which unlike the cosine holds for small angles.
+        half = math.sin((own - other) / 2) ** 2 + math.cos(own) * math.cos(other) * math.sin(turned / 2) ** 2
+        return math.degrees(2 * math.asin(math.sqrt(min(half, 1.0))))
+
+
+class ViewMasks:
+    """`views`: as the site file has them, each with what makes its mask. Raises what these do where they are of a known
+    `size` (width, height)."""
+
+    def __init__(self, views: Mapping[ViewMask, MakeMask], size: tuple[int, int] | None = None) -> None:
+        self._views = dict(views)
+        if size is not None:
+            for make in self._views.values():
+                make(*size)
+
+    def at(self, looking: Looking) -> ViewMask | None:
+        """The nearest of those views that look there; None: none does."""
+        off = {view: looking.off_deg(view) for view in self._views}
+        near = [view for view, angle in off.items() if angle <= view.within_deg]
+        return min(near, key=off.__getitem__, default=None)
+
+    def mask(self, view: ViewMask, width: int, height: int) -> CameraMask:
+        """Raises ConfigError where it cannot be of this size."""
+        return self._views[view](width, height)
+
+
+def packed(mask: CameraMask) -> MakeMask:
+    """What makes a mask that was read: for its own size alone. Kept as bits, for a patrol has many views."""
+    size, place = mask.size, mask.place
+    bits: UInt8Array = np.packbits(mask.hidden)
+
+    def make(width: int, height: int) -> CameraMask:
+        # A size that does not fit is told by the mask itself.
+        whole = CameraMask(np.unpackbits(bits, count=size[0] * size[1]).reshape(size[::-1]).astype(np.bool_), place)
+        whole.check_size(width, height)
+        return whole
+
+    return make

@@ -1,0 +1,181 @@
+"""Measures the memory of whole commands on a large DEM, each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess  # nosec B404 # argument lists, no shell
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from ltm_core.base.errors import LtmError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL
+from ltm_lab.bench.mountains import ridged_terrain
+
+CORNER = (300_000.0, 3_800_000.0)
+"""Lower left of the terrain, in CRS."""
+CRS = "EPSG:32611"
+CAMERA = Camera.from_fov(1920, 1080, 60.0)
+AZIMUTHS_DEG = {"west": 300.0, "east": 60.0}
+PITCH_DEG = -5.0
+MAST = 25.0
+LONGEST_S = 1800.0
+
+_CHILD = """
+import sys
+from ltm_lab.bench.measure import peak_mb
+from ltm_ros.cli.main import app
+sys.argv[0] = "ltm"
+try:
+    app()
+finally:
+    print("peak", peak_mb(), file=sys.stderr)
+"""
+
+
+class BenchError(LtmError):
+    """A command that did not end well."""
+
+
+@dataclass(frozen=True)
+class MemoryUse:
+    """Most memory that a process held while it ran `command`, MB."""
+
+    name: str
+    command: tuple[str, ...]
+    peak_mb: float
+
+
+def commands(folder: Path) -> dict[str, tuple[str, ...]]:
+    """Name -> arguments of `ltm`, in an order in which each finds what it needs; `folder` as of `make_site`."""
+    site, bag = str(folder / "site.yaml"), str(folder / "bag")
+    one = ("--dem", str(folder / "dem.tif"), "--pose", str(folder / "pose.yaml"))
+    photos = ("--images", str(folder / "photos"), "--poses", str(folder / "poses.csv"))
+    points = ("--gcps", str(folder / "points.csv"), "--pose-guess", str(folder / "pose.yaml"))
+    store = str(folder / "state/fuel_map.ltm")
+    return {
+        "check, with a picture": ("check", site, "--out", str(folder / "check.png")),
+        "trace": ("trace", *one, "--out", str(folder / "trace")),
+        "trace, over a photo": (
+            "trace",
+            *one,
+            "--out",
+            str(folder / "over"),
+            "--image",
+            str(folder / "photos/east.jpg"),
+        ),
+        "viewshed": ("viewshed", "--site", site, "--out", str(folder / "viewshed.tif")),
+        "pose": ("pose", *points, "--dem", str(folder / "dem.tif"), "--out", str(folder / "fitted.yaml")),
+        "import": ("import", *photos, "--site", site, "--out", bag),
+        "replay --offline": ("replay", bag, "--site", site, "--offline", "--out", str(folder / "replay")),
+        "export of a landscape": ("export", store, "--site", site, "--out", str(folder / "landscape.tif")),
+        "export of a picture": ("export", store, "--site", site, "--out", str(folder / "map.png")),
+    }
+
+
+def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
+    """Write a DEM of `size` x `size` cells of 1 m, a site with two cameras on its middle, a photo of each, and control
+    points, into `folder`.
+    """
+    dem = ridged_terrain(size)
+    named = Dem(dem.elevation, GridGeometry(CORNER[0], CORNER[1] + size, 1.0, size, size, CRS))
+    named.save(folder / "dem.tif")
+    x, y = CORNER[0] + size / 2, CORNER[1] + size / 2
+    ground = float(named.elevation_at(x, y))
+    place = {"x": x, "y": y, "height_above_ground": MAST}
+    calibration = {"width": camera.width, "height": camera.height, "fx": camera.fx}
+    cameras = {
+        name: {"calibration": calibration, "pose": {**place, "azimuth_deg": azimuth, "pitch_deg": PITCH_DEG}}
+        for name, azimuth in AZIMUTHS_DEG.items()
+    }
+    _write(
+        folder / "site.yaml",
+        {
+            "name": "large",
+            "crs": CRS,
+            "origin": list(CORNER),
+            "dem": {"path": "dem.tif"},
+            "depth_model": DEFAULT_DEPTH_MODEL,
+            "cameras": cameras,
+            "nodes": {"fuel_map": {"folder": str(folder / "state")}},
+        },
+    )
+    east = AZIMUTHS_DEG["east"]
+    _write(
+        folder / "pose.yaml",
+        {
+            "position": [x, y],
+            "height_above_ground": MAST,
+            "azimuth_deg": east,
+            "pitch_deg": PITCH_DEG,
+            "camera": calibration,
+        },
+    )
+    (folder / "photos").mkdir()
+    rows = ["name,camera,x,y,height_above_ground,azimuth_deg,pitch_deg,fx,stamp"]
+    for number, (name, azimuth) in enumerate(AZIMUTHS_DEG.items()):
+        cv2.imwrite(str(folder / f"photos/{name}.jpg"), _photo(camera, number))
+        rows.append(
+            f"{name}.jpg,{name},{x},{y},{MAST},{azimuth},{PITCH_DEG},{camera.fx},2026-07-01T12:00:{number:02d}Z"
+        )
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    _write_points(folder / "points.csv", named, camera, Pose.from_angles((x, y, ground + MAST), east, PITCH_DEG))
+
+
+def measure(folder: Path, begin: Callable[[str], None] = lambda name: None) -> Iterator[MemoryUse]:
+    """Run the commands one after another on the site in `folder`. Raises BenchError with the last words of one that
+    fails.
+    """
+    for name, arguments in commands(folder).items():
+        begin(name)
+        yield MemoryUse(name, arguments, run_command(arguments))
+
+
+def run_command(arguments: tuple[str, ...]) -> float:
+    """Most MB that `ltm` with these arguments held. Raises BenchError with its last words where it fails."""
+    ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
+        [sys.executable, "-c", _CHILD, *arguments], capture_output=True, text=True, timeout=LONGEST_S, env=os.environ
+    )
+    *_, last = ran.stderr.strip().splitlines() or [""]
+    word, _, peak = last.partition(" ")
+    if ran.returncode or word != "peak":
+        raise BenchError(f"ltm {' '.join(arguments)} ended with {ran.returncode}: {ran.stderr.strip()[-1000:]}")
+    return float(peak)
+
+
+def _photo(camera: Camera, seed: int) -> np.ndarray:
+    """Something that a network takes for a landscape: sky above mottled green."""
+    rng = np.random.default_rng(seed)
+    photo = np.full((camera.height, camera.width, 3), (235, 206, 165), np.uint8)
+    half = camera.height // 2
+    mottles = cv2.resize(rng.integers(40, 130, (half // 4, camera.width // 4)).astype(np.uint8), (camera.width, half))
+    photo[-half:] = mottles[..., None] * np.array([0.5, 1.0, 0.7])
+    return photo
+
+
+def _write_points(path: Path, dem: Dem, camera: Camera, pose: Pose) -> None:
+    """Points of the ground that lie in the picture, hidden or not, where a camera over it would have them."""
+    rng = np.random.default_rng(0)
+    distance = rng.uniform(200.0, 0.4 * dem.geometry.width * dem.geometry.resolution, 1000)
+    turn = np.deg2rad(AZIMUTHS_DEG["east"] + rng.uniform(-25.0, 25.0, 1000))
+    x, y = pose.position[0] + distance * np.sin(turn), pose.position[1] + distance * np.cos(turn)
+    places = np.stack([x, y, dem.elevation_at(x, y)], axis=-1)
+    pixels = camera.project((places - pose.position) @ pose.rotation)
+    inside = ((pixels > 20) & (pixels < np.array([camera.width, camera.height]) - 20)).all(axis=1)
+    rows = ["id,x,y,z,u,v"]
+    for number in np.flatnonzero(inside)[:10]:
+        rows.append(",".join([f"p{number}", *(f"{value:.3f}" for value in (*places[number], *pixels[number]))]))
+    path.write_text("\n".join(rows) + "\n")
+
+
+def _write(path: Path, content: object) -> None:
+    path.write_text(yaml.safe_dump(content, sort_keys=False))

@@ -1,0 +1,1 @@
+"""The command `ltm-lab`, one module a command."""

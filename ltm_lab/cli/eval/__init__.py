@@ -1,0 +1,68 @@
+"""`ltm eval`: scores against truth. `ltm eval BAG` scores a recorded run; the other commands score one part each.
+
+A part is one module `ltm_lab/cli/eval/<part>.py` with a function of the same name, which imports what it needs when it
+runs.
+"""
+
+from __future__ import annotations
+
+import typer
+from typer.core import TyperGroup
+
+from ltm_lab.cli.eval.bag import bag
+from ltm_lab.cli.eval.canopy import canopy
+from ltm_lab.cli.eval.crosswalk import crosswalk
+from ltm_lab.cli.eval.depth import depth
+from ltm_lab.cli.eval.dirty_lens import dirty_lens
+from ltm_lab.cli.eval.fuel import fuel
+from ltm_lab.cli.eval.gallery import gallery
+from ltm_lab.cli.eval.heads import heads
+from ltm_lab.cli.eval.locate import locate
+from ltm_lab.cli.eval.mask import mask
+from ltm_lab.cli.eval.mount import mount
+from ltm_lab.cli.eval.pose import pose
+from ltm_lab.cli.eval.pose_watch import pose_watch
+from ltm_lab.cli.eval.recorded_poses import recorded_poses
+from ltm_lab.cli.eval.relative_depth import relative_depth
+from ltm_lab.cli.eval.segmentation import segmentation
+from ltm_lab.cli.eval.sim2real import sim2real
+from ltm_lab.cli.eval.smoke import smoke
+from ltm_lab.cli.eval.terrain import terrain
+from ltm_lab.cli.eval.update import update
+from ltm_lab.cli.eval.usable import usable
+
+WHOLE = "bag"
+"""The command that runs where the first argument is no command: a recorded run as a whole."""
+
+
+class EvalGroup(TyperGroup):
+    """A group whose default command is `bag`: `ltm eval out/demo/recording`."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        if args and args[0] not in self.commands and not {"--help", "-h"} & set(args[:1]):
+            args = [WHOLE, *args]
+        return super().parse_args(ctx, args)
+
+
+evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
+evaluate.command(WHOLE)(bag)
+evaluate.command()(canopy)
+evaluate.command()(crosswalk)
+evaluate.command()(depth)
+evaluate.command()(dirty_lens)
+evaluate.command()(fuel)
+evaluate.command()(gallery)
+evaluate.command()(heads)
+evaluate.command()(mask)
+evaluate.command()(pose)
+evaluate.command()(pose_watch)
+evaluate.command()(mount)
+evaluate.command()(recorded_poses)
+evaluate.command()(locate)
+evaluate.command()(relative_depth)
+evaluate.command()(segmentation)
+evaluate.command()(smoke)
+evaluate.command()(sim2real)
+evaluate.command()(terrain)
+evaluate.command()(update)
+evaluate.command()(usable)

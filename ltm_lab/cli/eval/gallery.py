@@ -1,0 +1,69 @@
+"""`ltm eval gallery`: real photos with what the system makes of them, as a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
+from ltm_lab.evaluation.gallery.parts import Part
+from ltm_ros.cli.output import JsonFile, writable_folder
+
+
+def gallery(
+    data: Annotated[Path, typer.Option(help="Folder of the real data, which is not part of the repository.")] = Path(
+        "../shared/data"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for the page and its pictures.", callback=writable_folder)] = Path(
+        "out/gallery"
+    ),
+    part: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
+    model: Annotated[str, typer.Option(help="Label network, by name or manifest.")] = DEFAULT_MODEL,
+    depth_model: Annotated[str, typer.Option(help="Depth network, by name or manifest.")] = DEFAULT_DEPTH_MODEL,
+    json_path: JsonFile = None,
+) -> None:
+    """A page of real photos, chosen by rule: traced and fused depth, labels, terrain change, and what is wrong.
+
+    Nothing of the data is copied into the repository: the pictures lie in --out alone.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_lab.evaluation.figures_io import write_figures
+    from ltm_lab.evaluation.gallery.exhibit import Section
+    from ltm_lab.evaluation.gallery.posed import Networks, canyon_section, engabreen_section
+    from ltm_lab.evaluation.gallery.real_photos_io import require_photos
+    from ltm_lab.evaluation.gallery.unposed import mountain_section, tower_section
+    from ltm_lab.evaluation.gallery_report import figures_of, write_gallery
+
+    parts = tuple(dict.fromkeys(part or Part))
+    require_photos(data, parts)
+    networks, console = Networks.open(model, depth_model), Console()
+    sections: list[Section] = []
+    with console.status("reading") as status:
+        for each in parts:
+            match each:
+                case Part.ENGABREEN:
+                    sections.append(engabreen_section(data, networks, status.update))
+                case Part.CANYON:
+                    sections.append(canyon_section(data, networks, status.update))
+                case Part.TOWERS:
+                    sections.append(tower_section(data, networks.segmenter, status.update))
+                case Part.MOUNTAINS:
+                    sections.append(mountain_section(data, networks.segmenter, status.update))
+    page = write_gallery(out, data, sections, (model, depth_model))
+    for section in sections:
+        table = Table(title=f"{section.title}: {section.fault}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+        for column in ("photo", "wrong", "verdict of the fusion"):
+            table.add_column(column, justify="right" if column == "wrong" else "left")
+        for shown in section.worst_first():
+            fault = f"{shown.fault:.1%}" if shown.fault == shown.fault else "-"
+            table.add_row(shown.name, fault, str(shown.fused.verdict) if shown.fused is not None else "")
+        console.print(table)
+        for fact in section.facts:
+            console.print(f"  {fact.name}: {fact.shown()}", highlight=False)
+    if json_path is not None:
+        write_figures(json_path, figures_of(sections))
+    console.print(f"page: {page}", highlight=False, soft_wrap=True)

@@ -1,0 +1,131 @@
+"""`ltm eval segmentation`: compares label networks on labelled frames, rendered ones and photos."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
+
+
+def segmentation(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of pictures NAME.png or .jpg with NAME_labels.png or polygons.json, or of such folders."
+        ),
+    ],
+    model: Annotated[
+        list[str] | None,
+        typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
+    ] = None,
+    head: Annotated[
+        list[str] | None,
+        typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
+    ] = None,
+    json_path: JsonFile = None,
+    threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
+    zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many frames of a folder, evenly chosen.")] = None,
+    macro: Annotated[
+        str, typer.Option(help="Classes of the macro F1, with commas.", metavar="CLASSES")
+    ] = "sky,grass,shrub,tree,bare",
+    ignore: Annotated[
+        str, typer.Option(help="True classes that are not counted, with commas.", metavar="CLASSES")
+    ] = "",
+    confidence: Annotated[
+        float | None,
+        typer.Option(min=0, max=0.99, help="Withdraw labels of lower probability. Default: the network's."),
+    ] = None,
+    tree_contrast: Annotated[
+        float | None, typer.Option(min=0, help="Withdraw tree of lower contrast, 8-bit steps, among more shrub.")
+    ] = None,
+    diagram: Annotated[
+        Path | None,
+        typer.Option(help="Draw reliability and risk by coverage on land, .png or .svg.", callback=writable_file),
+    ] = None,
+    overlays: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw each frame's answer beside its truth, PNG, into this folder.", callback=writable_folder
+        ),
+    ] = None,
+) -> None:
+    """Score networks on frames with true labels: F1 by class, confusion, sky, skyline, calibration, time.
+
+    One table a folder. Labels of 255 are not counted. Skylines are compared at a width of 512 pixels. Risk is the share
+    of labelled pixels that are wrong; at 80 % coverage, of those with the highest confidence.
+    """
+    import os
+    import platform
+    from functools import partial
+
+    from rich.console import Console
+
+    from ltm_core.base.errors import RecordingError
+    from ltm_core.base.evenly import evenly
+    from ltm_core.vision.areas import POLYGONS_FILE
+    from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_HEAD
+    from ltm_core.vision.segmenter import Segmenter
+    from ltm_lab.cli.eval.segmentation_tables import confusion_table, score_table
+    from ltm_lab.evaluation.figures_io import write_figures
+    from ltm_lab.evaluation.segmentation.diagram_io import write_diagram
+    from ltm_lab.evaluation.segmentation.ignored_classes import without_classes
+    from ltm_lab.evaluation.segmentation.network_score import LabelScore, score_frames
+    from ltm_lab.evaluation.segmentation.overlays_io import write_overlay
+    from ltm_lab.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
+
+    inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
+    sets = [folder] if folder.is_dir() and holds_frames(folder) else inside
+    if not sets:
+        raise RecordingError(
+            f"{folder}: no frames; expected pictures NAME.png or .jpg with NAME{LABELS_SUFFIX} or {POLYGONS_FILE}, or "
+            "folders of them"
+        )
+    console = Console()
+    heads = [SHIPPED_HEAD, *(head or [])]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
+    chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
+    for s in segmenters:
+        s.withdraw_otherwise = {k: v for k, v in chosen.items() if v is not None}
+    labels = segmenters[0].labels
+    counted = tuple(labels.id_of(name) for name in _names(macro))
+    left_out = [labels.id_of(name) for name in _names(ignore)]
+    conditions = {
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": threads,
+        "zoom": zoom,
+        "skyline_width": 512,
+        "not_counted": ignore or "nothing",
+        "withdrawn": "; ".join(dict.fromkeys(str(s.withdrawal) for s in segmenters)),
+        "networks": ", ".join(s.described for s in segmenters),
+    }
+    result: dict[str, object] = {"conditions": conditions}
+    console.print(", ".join(f"{key} {value}" for key, value in conditions.items()), highlight=False)
+    drawn: dict[str, LabelScore] = {}
+    for path in sets:
+        frames = read_frames(path, len(labels), sampled=True)
+        if limit is not None:
+            frames = evenly(frames, limit)
+        frames = without_classes(frames, left_out)
+        scores = {}
+        for s in segmenters:
+            look = partial(write_overlay, overlays, s.name, labels) if overlays is not None else lambda *_: None
+            scores[s.name] = score_frames(s, frames, zoom, counted, look)
+        title = f"{path}: {len(frames)} frames, {next(iter(scores.values())).labels.pixels} labelled pixels"
+        console.print(score_table(labels.names, scores, title))
+        drawn |= {f"{name}, {path.resolve().name}": score for name, score in scores.items()}
+        for name, score in scores.items():
+            console.print(confusion_table(labels.names, score.labels, name))
+        result[path.resolve().name] = {name: score.summary(labels.names) for name, score in scores.items()}
+    if diagram is not None:
+        write_diagram(diagram, drawn)
+    if json_path is not None:
+        write_figures(json_path, result)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,103 @@
+"""`ltm train`: trains the default network, adapts it to a site's own cameras, and fits constants of fuel and fusion.
+
+It also labels photos to train on. `ltm train CONFIG` is short for `ltm train run CONFIG`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer.core import TyperGroup
+
+from ltm_lab.cli.train.adapt import adapt
+from ltm_lab.cli.train.appearance import appearance
+from ltm_lab.cli.train.blend import blend
+from ltm_lab.cli.train.built import built
+from ltm_lab.cli.train.depth import depth
+from ltm_lab.cli.train.domains import domains
+from ltm_lab.cli.train.fusion import fusion
+from ltm_lab.cli.train.head import head
+from ltm_lab.cli.train.photos import photos
+from ltm_ros.cli.output import writable_folder
+
+if TYPE_CHECKING:
+    from ltm_lab.training.config import TrainingConfig
+
+WHOLE = "run"
+"""The command that runs where the first argument is no command: one training run."""
+
+
+class TrainGroup(TyperGroup):
+    """A group whose default command is `run`: `ltm train config/training/landscape_lite0.yaml`."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        if args and args[0] not in self.commands and args[0] not in ("--help", "-h"):
+            args = [WHOLE, *args]
+        return super().parse_args(ctx, args)
+
+
+def run(
+    config: Annotated[
+        Path | None, typer.Argument(help="Training configuration, such as config/training/landscape_lite0.yaml.")
+    ] = None,
+    config_option: Annotated[Path | None, typer.Option("--config", help="The same, as an option.")] = None,
+    frames: Annotated[
+        Path | None, typer.Option(help="Folder of <set>/NAME.png with NAME_labels.png; overrides the config's.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the model (default out/train/<name>).", callback=writable_folder)
+    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Training steps, instead of the configuration's.")] = None,
+    threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
+    start: Annotated[
+        str | None,
+        typer.Option(help="Weights to start from: another run's checkpoint .pt, a manifest or model's name."),
+    ] = None,
+    until: Annotated[int | None, typer.Option(min=1, help="End after this step; --resume goes on from there.")] = None,
+) -> None:
+    """Train the network of CONFIG: checkpoints, a picture of the course, ONNX file, manifests, calibration, scores."""
+    from rich.console import Console
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.config_io import load_yaml
+    from ltm_core.vision.labels import LabelSet
+    from ltm_lab.cli.train.training_run import need_torch, report_scores, trained
+    from ltm_lab.training.config import TrainingConfig
+    from ltm_lab.training.labelled_frames import read_split
+
+    need_torch()
+    chosen = config or config_option
+    if chosen is None:
+        raise ConfigError("name a training configuration: ltm train config/training/landscape_lite0.yaml")
+    settings = load_yaml(chosen, TrainingConfig)
+    if steps is not None:
+        settings = _with_steps(settings, steps)
+    folder = frames or settings.frames
+    if folder is None:
+        raise ConfigError(f"{chosen}: no frames; name their folder with --frames or as `frames` in the configuration")
+    out = out or Path("out/train") / settings.name
+    writable_folder(out)
+    labels, console = LabelSet.load(), Console()
+    split = read_split(folder, settings.split, len(labels))
+    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start, until=until)
+    report_scores(settings, manifest, split, labels, threads, console)
+
+
+def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
+    return settings.model_copy(update={"optimiser": settings.optimiser.model_copy(update={"steps": steps})})
+
+
+train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network, or adapt it to a site's cameras.")
+train.command(WHOLE)(run)
+train.command()(adapt)
+train.command()(fusion)
+train.command()(domains)
+train.command()(head)
+train.command()(photos)
+train.command()(appearance)
+train.command()(blend)
+train.command()(depth)
+train.command()(built)

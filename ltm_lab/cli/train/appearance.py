@@ -1,0 +1,55 @@
+"""`ltm train appearance`: fits what a fuel cell of each life form looks like to a network, for the fuel map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltm_core.vision.manifest import DEFAULT_MODEL
+from ltm_ros.cli.output import writable_file
+
+
+def appearance(
+    frames: Annotated[list[Path], typer.Argument(help="Folders of `ltm simulate`: two sites or more, of one date.")],
+    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Default: config/fuel/label_errors/MODEL.yaml.", callback=writable_file),
+    ] = None,
+    threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
+) -> None:
+    """Learn from FRAMES what cells of known life form look like to a network, and how much its errors hang together."""
+    from rich.console import Console
+
+    from ltm_core.base.resources import config_path
+    from ltm_core.fuel.life_form import LifeForm
+    from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.segmenter import Segmenter
+    from ltm_lab.evaluation.fuel.simulated_votes import simulated_votes
+    from ltm_lab.training.cell_appearance_io import learn_cell_appearance, write_cell_appearance
+
+    console = Console()
+    segmenter, labels = Segmenter.open(model, threads=threads), LabelSet.load()
+    name = segmenter.manifest.name
+    with console.status("") as status:
+        sites = []
+        for folder in frames:
+            status.update(f"{folder}: labels and votes")
+            sites.append(simulated_votes(folder, segmenter, labels))
+        status.update("learning")
+        learnt = learn_cell_appearance(sites, labels)
+    count = sum(len(site.votes) for site in sites)
+    places = ", ".join(site.scenario for site in sites)
+    source = f"ltm train appearance on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
+    file = out or config_path("fuel/label_errors") / f"{name}.yaml"
+    write_cell_appearance(file, learnt, source)
+    for form, right, voted in learnt.right:
+        console.print(
+            f"cells of {LifeForm(form).name.lower()} on a site that taught nothing: told rightly {right:.0%}, "
+            f"by most of their labels {voted:.0%}",
+            highlight=False,
+        )
+    text = ", ".join(f"{key}: {value:.2f}" for key, value in learnt.correlation.model_dump().items())
+    console.print(f"correlation of what is wrong: {{{text}}}\n{file}", highlight=False)

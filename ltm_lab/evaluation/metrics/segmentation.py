@@ -1,0 +1,110 @@
+"""Confusion matrix of label images against truth, and the scores derived from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import Float64Array, Int64Array, UInt8Array
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentationScore:
+    """Pixels by [true class, predicted class]; the last column counts pixels that were left unlabelled.
+
+    `confusion`: (K, K + 1) int64. Pixels whose truth is unknown are not in it. Scores of a class that does not
+    occur in the truth (for F1 and IoU: nor in the prediction) are NaN.
+    """
+
+    confusion: Int64Array
+
+    @classmethod
+    def empty(cls, classes: int) -> SegmentationScore:
+        return cls(np.zeros((classes, classes + 1), np.int64))
+
+    def plus(self, truth: UInt8Array, predicted: UInt8Array) -> SegmentationScore:
+        """With one more pair of label images (H, W). Raises ImageError where their shapes differ."""
+        if truth.shape != predicted.shape:
+            raise ImageError(f"labels of shape {predicted.shape} cannot be scored against truth of {truth.shape}")
+        classes = len(self.confusion)
+        known = truth < classes
+        ids = np.where(predicted[known] < classes, predicted[known], classes).astype(np.int64)
+        pairs = truth[known].astype(np.int64) * (classes + 1) + ids
+        counts = np.bincount(pairs, minlength=classes * (classes + 1)).reshape(classes, classes + 1)
+        return SegmentationScore(self.confusion + counts)
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of known truth."""
+        return int(self.confusion.sum())
+
+    @property
+    def right(self) -> Int64Array:
+        return np.diagonal(self.confusion)
+
+    @property
+    def true(self) -> Int64Array:
+        """(K,) pixels of each class in the truth."""
+        return np.asarray(self.confusion.sum(axis=1))
+
+    @property
+    def predicted(self) -> Int64Array:
+        """(K,) pixels given to each class."""
+        return np.asarray(self.confusion[:, :-1].sum(axis=0))
+
+    @property
+    def iou(self) -> Float64Array:
+        """(K,) intersection over union."""
+        return _ratio(self.right, self.true + self.predicted - self.right)
+
+    @property
+    def f1(self) -> Float64Array:
+        """(K,) harmonic mean of precision and recall."""
+        return _ratio(2 * self.right, self.true + self.predicted)
+
+    @property
+    def precision(self) -> Float64Array:
+        return _ratio(self.right, self.predicted)
+
+    @property
+    def recall(self) -> Float64Array:
+        return _ratio(self.right, self.true)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of pixels of known truth that are right."""
+        return float(_ratio(self.right.sum(), self.confusion.sum()))
+
+    @property
+    def unlabelled(self) -> float:
+        """Share of pixels of known truth that were left unlabelled."""
+        return float(_ratio(self.confusion[:, -1].sum(), self.confusion.sum()))
+
+    @property
+    def mean_iou(self) -> float:
+        """Mean IoU over the classes that occur in the truth; NaN where none does."""
+        present = self.iou[self.true > 0]
+        return float(present.mean()) if present.size else float("nan")
+
+    @property
+    def mean_f1(self) -> float:
+        """Macro F1: mean over the classes that occur in the truth; NaN where none does."""
+        return self.macro_f1(range(len(self.confusion)))
+
+    def macro_f1(self, classes: Iterable[int]) -> float:
+        """Mean F1 over those of `classes` that occur in the truth; NaN where none does."""
+        present = [self.f1[k] for k in classes if self.true[k] > 0]
+        return float(np.mean(present)) if present else float("nan")
+
+
+def score_labels(truth: UInt8Array, predicted: UInt8Array, classes: int) -> SegmentationScore:
+    """Score of one label image (H, W) uint8; truth of 255 is not counted."""
+    return SegmentationScore.empty(classes).plus(truth, predicted)
+
+
+def _ratio(part: object, whole: object) -> Float64Array:
+    part, whole = np.asarray(part, np.float64), np.asarray(whole, np.float64)
+    return np.asarray(np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole > 0), np.float64)

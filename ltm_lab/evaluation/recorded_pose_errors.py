@@ -1,0 +1,67 @@
+"""By how much the poses of a recording are off those of another of the same frames, such as one with true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_sigmas
+from ltm_core.site.site import Site
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.topics import POSE, camera_topic
+
+PARTS = ("east, m", "north, m", "up, m", "azimuth, deg", "pitch, deg", "roll, deg")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPoseErrors:
+    """`errors`: (N, 6) told minus true, metres and degrees in the order of PARTS. `sigmas`: (N, 6) that the recording
+    states, NaN where it states none; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a
+    true pose of their stamp."""
+
+    errors: Float64Array
+    sigmas: Float64Array
+    unmatched: int
+
+    @property
+    def azimuth_deg(self) -> tuple[float, float]:
+        """Median and largest of the absolute errors."""
+        off = np.abs(self.errors[:, 3])
+        return float(np.median(off)), float(off.max())
+
+
+def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseErrors:
+    """Of all cameras, joined by camera and stamp. Raises RecordingError where no frame has a true pose."""
+    told, truth = recorded_poses(bag, site), recorded_poses(true, site)
+    errors, sigmas = [], []
+    for key in sorted(told.keys() & truth.keys()):
+        pose, covariance = told[key]
+        other, _ = truth[key]
+        turns = (np.subtract(pose.angles_deg, other.angles_deg) + 180) % 360 - 180
+        errors.append([*(pose.position - other.position), *turns])
+        sigmas.append(np.full(6, np.nan) if covariance is None else pose_sigmas(pose, covariance))
+    if not errors:
+        raise RecordingError(
+            f"{bag} and {true} have no frame of one stamp in common ({len(told)} and {len(truth)} poses of the cameras "
+            f"{', '.join(site.cameras)}): import both from the same photos"
+        )
+    return RecordedPoseErrors(np.array(errors), np.array(sigmas), len(told) - len(errors))
+
+
+def recorded_poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
+    """Of all cameras by camera and stamp: the pose in the map frame, and the covariance (6, 6) that it states."""
+    reader = BagReader(bag)
+    names = {camera_topic(site.name, camera, POSE): camera for camera in site.cameras}
+    found = {}
+    for message in reader.messages([name for name in names if name in reader.topics()]):
+        decoded = reader.decode(message)
+        key = names[message.topic], stamp_of(decoded)
+        found[key] = msg_to_pose(decoded, "map"), msg_to_covariance(decoded)
+    return found

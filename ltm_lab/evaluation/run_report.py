@@ -1,0 +1,185 @@
+"""Report of a run: one HTML file that holds its pictures and needs nothing from the network."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
+from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
+from ltm_core.pictures.legend import ClassPalette
+from ltm_lab.evaluation.metrics.depth import DepthScore
+from ltm_lab.evaluation.metrics.fuel import FuelScore
+from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
+from ltm_lab.evaluation.page import render_page
+from ltm_ros.runtime.diagnostics import NodeRow
+
+MAX_WIDTH = 1280
+"""Pixels; wider pictures are embedded smaller."""
+NOTHING = "\N{EN DASH}"
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPictures:
+    """One frame of one camera, drawn: photo, depth, labels, (H, W, 3) each."""
+
+    camera: str
+    photo: RgbImage
+    depth: RgbImage
+    labels: RgbImage
+    caption: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        camera: str,
+        photo: RgbImage,
+        ranges: Float32Array,
+        labels: UInt8Array,
+        label_set: ClassPalette,
+        caption: str = "",
+        scale: RangeScale | None = None,
+    ) -> CameraPictures:
+        """Draw depth or range (H, W), metres, and class ids (H, W) over the photo; the report has the legends once."""
+        depth = overlay_depth(photo, ranges, scale)
+        return cls(camera, photo, depth, overlay_labels(photo, labels, label_set), caption)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of its own section, such as control points: numbers are set to the right."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A picture under a heading of its own."""
+
+    title: str
+    picture: RgbImage
+    caption: str
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """Everything the report shows; sections without data are left out.
+
+    `conditions`: what ran, as (name, value). `depth`: as `DepthTally.scores` gives it, the last over all ranges.
+    `label_set`, `scale`: what the pictures were drawn with, for their legends; the confusions are of these classes.
+    `recording`: the .rrd file's name, `files`: (name, what it is).
+    """
+
+    title: str
+    summary: str
+    conditions: Sequence[tuple[str, str]]
+    nodes: Sequence[NodeRow]
+    cameras: Sequence[CameraPictures] = ()
+    fuel_map: RgbImage | None = None
+    sheets: Sequence[Sheet] = ()
+    depth: Sequence[DepthScore] = ()
+    labels: SegmentationScore | None = None
+    fuel: FuelScore | None = None
+    label_set: ClassPalette | None = None
+    scale: RangeScale | None = None
+    tables: Sequence[Table] = ()
+    recording: str | None = None
+    files: Sequence[tuple[str, str]] = field(default_factory=tuple)
+
+
+def write_report(path: Path | str, data: ReportData) -> Path:
+    """Write the report as one HTML file, its folder too if need be, and return its path."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render_report(data), encoding="utf-8")
+    return path
+
+
+def render_report(data: ReportData) -> str:
+    """The report's HTML."""
+    names = [str(name) for name in data.label_set.names] if data.label_set is not None else []
+    colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
+    return render_page(
+        "run_report.html",
+        {"picture": _picture, "number": _number, "count": _count, "percent": _percent},
+        data=data,
+        classes=list(zip(names, colors, strict=True)),
+        range_legend=range_legend(900, data.scale),
+        tiles=_tiles(data),
+        worst=max((score.median for score in data.depth if score.pixels), default=1.0) or 1.0,
+        bins=[(_bin_name(score), score) for score in data.depth],
+        fuel=_confusion(data.fuel.confusion, names) if data.fuel is not None else None,
+        labels=_confusion(data.labels.confusion, names) if data.labels is not None else None,
+    )
+
+
+def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
+    """The figures that stand first: (name, value, remark)."""
+    dropped = sum(node.dropped for node in data.nodes)
+    lost = "nothing lost" if dropped == 0 else "see the table"
+    tiles = [("Messages dropped", _count(dropped), lost)] if data.nodes else []
+    latencies = [node for node in data.nodes if math.isfinite(node.latency_p95_ms)]
+    if latencies:
+        slowest = max(latencies, key=lambda node: node.latency_p95_ms)
+        node = "/".join(slowest.node.split("/")[-2:])
+        tiles.append(("Slowest p95", f"{_number(slowest.latency_p95_ms, 0)} ms", node))
+    if data.depth and data.depth[-1].pixels:
+        overall = data.depth[-1]
+        tiles.append(("Depth error", f"{_number(overall.median)} m", f"median of {_count(overall.pixels)} pixels"))
+    if data.labels is not None and data.labels.pixels:
+        tiles.append(("Labels right", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
+    if data.fuel is not None:
+        share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
+        tiles.append(
+            ("Fuel cells right", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
+        )
+    return tiles
+
+
+def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
+    """The classes that occur, as rows of (count, share of its row, is right); more columns than rows: unlabelled."""
+    classes, predicted = counts.shape
+    names = [*names, *map(str, range(len(names), classes))]
+    heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]
+    true = [i for i in range(classes) if counts[i].sum() or counts[:, i].sum()]
+    shown = [*true, *[i for i in range(classes, predicted) if counts[:, i].sum()]]
+    rows = []
+    for i in true:
+        total = int(counts[i].sum())
+        cells = [(int(counts[i, j]), counts[i, j] / total if total else 0.0, i == j) for j in shown]
+        rows.append((heads[i], cells, counts[i, i] / total if total else math.nan))
+    return {"heads": [heads[i] for i in shown], "rows": rows}
+
+
+def _bin_name(score: DepthScore) -> str:
+    if score.near == 0 and math.isinf(score.far):
+        return "all"
+    return f"over {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f} to {score.far:,.0f} m"
+
+
+def _picture(picture: RgbImage) -> str:
+    shown = fit(picture, MAX_WIDTH) if picture.shape[1] > MAX_WIDTH else picture
+    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(shown, 88)).decode("ascii")
+
+
+def _number(value: object, digits: int = 2) -> str:
+    if not isinstance(value, int | float | np.number):
+        return str(value)
+    return f"{value:,.{0 if isinstance(value, int) else digits}f}" if math.isfinite(value) else NOTHING
+
+
+def _count(value: int) -> str:
+    return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %" if math.isfinite(value) else NOTHING

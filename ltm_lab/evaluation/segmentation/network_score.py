@@ -1,0 +1,165 @@
+"""Scores a segmenter on labelled frames, and times it on photos."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
+from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
+from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline
+from ltm_lab.training.labelled_frames import Frame
+
+_LAND_AND_SKY = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
+_SKYLINE_WIDTH = 512  # pixels, to which skyline errors are brought
+
+
+@dataclass(frozen=True)
+class LabelScore:
+    """Scores of one segmenter on one set of frames. Skyline errors are in pixels of a photo 512 wide. Calibration and
+    risk are of all pixels, and of those that are not sky in truth: sky is most of a tower's photo, and easy."""
+
+    labels: SegmentationScore
+    calibration: CalibrationScore
+    risk: RiskCoverage
+    land_calibration: CalibrationScore
+    land_risk: RiskCoverage
+    skyline: SkylineScore
+    milliseconds: float
+    macro: tuple[int, ...] = _LAND_AND_SKY
+
+    @property
+    def macro_f1(self) -> float:
+        """Mean F1 of the classes `macro`, of those that occur."""
+        return self.labels.macro_f1(self.macro)
+
+    @property
+    def shrub_as_tree(self) -> float:
+        """Share of true shrub that is called tree; NaN where no shrub is."""
+        shrub = self.labels.confusion[Label.SHRUB]
+        return float(shrub[Label.TREE] / shrub.sum()) if shrub.sum() else float("nan")
+
+    @property
+    def sky_iou(self) -> float:
+        return float(self.labels.iou[Label.SKY])
+
+    def summary(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """All figures, JSON-ready; None for what does not occur."""
+        score = self.labels
+
+        def by_class(values: Float64Array) -> dict[str, float | None]:
+            return {name: _known(float(values[k])) for k, name in enumerate(names)}
+
+        return {
+            "pixels": score.pixels,
+            "f1": by_class(score.f1),
+            "iou": by_class(score.iou),
+            "macro_f1": _known(self.macro_f1),
+            "macro_f1_of": [names[k] for k in self.macro],
+            "shrub_called_tree": _known(self.shrub_as_tree),
+            "sky_iou": _known(self.sky_iou),
+            "skyline_median_px": _known(self.skyline.median),
+            "skyline_p95_px": _known(self.skyline.p95),
+            "skyline_columns": self.skyline.columns,
+            "skyline_missed": self.skyline.missed,
+            "accuracy": _known(score.accuracy),
+            "unlabelled": _known(score.unlabelled),
+            "ece": _known(self.calibration.ece),
+            "risk": _known(self.risk.risk()),
+            "risk_at_80": _known(self.risk.risk(0.8)),
+            "land": {
+                "ece": _known(self.land_calibration.ece),
+                "risk": _known(self.land_risk.risk()),
+                "risk_at_80": _known(self.land_risk.risk(0.8)),
+                "risk_by_coverage": [[c / 20, _known(self.land_risk.risk(c / 20))] for c in range(1, 21)],
+                "reliability": {
+                    "pixels": self.land_calibration.pixels.tolist(),
+                    "right": self.land_calibration.right.tolist(),
+                    "confidence": self.land_calibration.confidence.tolist(),
+                },
+            },
+            "milliseconds": self.milliseconds,
+            "confusion": score.confusion.tolist(),
+        }
+
+
+def score_frames(
+    segmenter: Segmenter,
+    frames: Sequence[Frame],
+    zoom: float = 1.0,
+    macro: tuple[int, ...] = _LAND_AND_SKY,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> LabelScore:
+    """Label each frame and compare with its truth, where that is known. `macro`: classes of the mean F1; `look` gets
+    each answer, to draw it."""
+    return score_each([segmenter] * len(frames), frames, zoom, macro, look)
+
+
+def score_each(
+    segmenters: Sequence[Segmenter],
+    frames: Sequence[Frame],
+    zoom: float = 1.0,
+    macro: tuple[int, ...] = _LAND_AND_SKY,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> LabelScore:
+    """As `score_frames`, each frame labelled by a segmenter of its own: of a cross-validation, say."""
+    classes = len(segmenters[0].labels)
+    labels, calibration, tally = SegmentationScore.empty(classes), CalibrationScore.empty(), SkylineTally()
+    risk, land_risk, land_calibration = RiskCoverage.empty(), RiskCoverage.empty(), CalibrationScore.empty()
+    times = []
+    for segmenter, frame in zip(segmenters, frames, strict=True):
+        start = time.perf_counter()
+        found = segmenter.segment(frame.image, zoom)
+        times.append((time.perf_counter() - start) * 1e3)
+        labels = labels.plus(frame.labels, found.labels)
+        calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
+        risk = risk.plus(frame.labels, found.labels, found.confidence, classes)
+        land = np.where(frame.labels == Label.SKY, np.uint8(UNLABELLED), frame.labels)
+        land_calibration = land_calibration.plus(land, found.labels, found.confidence, classes)
+        land_risk = land_risk.plus(land, found.labels, found.confidence, classes)
+        look(frame, found)
+        scale, step = np.float32(_SKYLINE_WIDTH / frame.labels.shape[1]), _truth_step(frame.labels)
+        sampled = frame.labels[::step, ::step]
+        # Where truth's sky ends at a pixel of which nothing is known, its skyline may lie lower: not compared.
+        truth = skyline(sampled == Label.SKY, sampled >= classes)
+        half = np.float32((step - 1) / 2)  # the tally's own offset, which must not be scaled
+        tally.add(scale * (skyline(found.labels == Label.SKY) + half) - half, scale * truth, step)
+    milliseconds = float(np.median(times))
+    return LabelScore(labels, calibration, risk, land_calibration, land_risk, tally.score(), milliseconds, macro)
+
+
+def score_segmenter(segmenter: Segmenter, pairs: Iterable[tuple[UInt8Array, UInt8Array]]) -> SegmentationScore:
+    """Score over pairs of photo (H, W, 3) uint8 RGB and true labels (H, W) uint8 (255: truth unknown)."""
+    score = SegmentationScore.empty(len(segmenter.labels))
+    for image, truth in pairs:
+        score = score.plus(truth, segmenter.segment(image).labels)
+    return score
+
+
+def segment_milliseconds(segmenter: Segmenter, images: Sequence[UInt8Array], repeats: int = 5) -> Float64Array:
+    """Wall time of `segment` in ms, of each call on each image, after one call that is not counted."""
+    segmenter.segment(images[0])
+    times = []
+    for _ in range(repeats):
+        for image in images:
+            start = time.perf_counter()
+            segmenter.segment(image)
+            times.append((time.perf_counter() - start) * 1e3)
+    return np.array(times)
+
+
+def _truth_step(labels: UInt8Array) -> int:
+    """Rows between those that hold truth: 1, or n where only every n-th pixel is labelled."""
+    rows = np.flatnonzero((labels != UNLABELLED).any(axis=1))
+    return int(np.diff(rows).min()) if len(rows) > 1 else 1
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

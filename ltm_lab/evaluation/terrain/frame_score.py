@@ -1,0 +1,173 @@
+"""Scores the surface map on simulated frames: it starts from the surface of one date and sees frames of another.
+
+The depth that it is given is the frames' true depth with noise, or what a depth network measures in their photos.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ltm_core.base.types import BoolArray, Float32Array
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.monocular import DepthNetwork
+from ltm_core.depth.topodepth import fuse
+from ltm_core.raster.dem import Dem
+from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.layers import SurfaceLayers
+from ltm_core.surface.observation import DepthFrame
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.metrics.change import ChangeScore, score_change
+from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of
+from ltm_lab.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
+from ltm_lab.evaluation.terrain.hillside_scenes import Noise
+from ltm_lab.evaluation.truth_frames_io import TruthFrame
+
+HOUR_NS = 3_600_000_000_000
+_SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
+Measure = Callable[[TruthFrame], tuple[DepthFrame, str]]
+"""What a camera measures in a frame, and what fusion had to say of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameScore:
+    """`frames`: that were looked at. `change`: of the cells that independent views have seen; truly changed is what
+    moved by the map's threshold.
+    `before`, `after`: heights of the truly changed ones as given and as updated. `tails`: of the others, the share
+    whose estimate is off by more than 3 and 5 of its sigmas. `verdicts`: of the fusion.
+    """
+
+    frames: int
+    change: ChangeScore
+    before: SurfaceScore
+    after: SurfaceScore
+    tails: tuple[float, float]
+    verdicts: Counter[str]
+    layers: SurfaceLayers
+    truth: BoolArray
+
+
+def score_frames(
+    frames: Iterable[TruthFrame],
+    ground: Dem,
+    before: Dem,
+    now: Dem,
+    measure: Measure,
+    config: TerrainConfig,
+    looks: int = 1,
+    gone: Float32Array | None = None,
+    earlier: Iterable[TruthFrame] = (),
+) -> FrameScore:
+    """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
+
+    `ground`, `before`: what the map starts from, in the map frame. `looks`: how often each frame is looked at: photos
+    of a scene whose errors repeat. `gone`: what labels say, see `SurfaceMap`. `earlier`: frames that the map looks at
+    before, of the date it starts from. Raises RasterError, PoseError and ImageError.
+    """
+    reference = Reference.of(ground, before, config.resolution)
+    truth = cell_means(now.elevation, now.geometry, reference.geometry)
+    kept = [*earlier, *list(frames) * looks]
+    surface = SurfaceMap(reference, config, sorted({frame.camera_name for frame in kept}), gone=gone)
+    verdicts: Counter[str] = Counter()
+    for number, frame in enumerate(kept):
+        seen, verdict = measure(frame)
+        verdicts[verdict] += 1
+        surface.add(replace(seen, stamp_ns=frame.stamp_ns + number * HOUR_NS))
+    surface.decide()
+    layers = surface.layers()
+    known = layers.observed & np.isfinite(truth) & np.isfinite(reference.surface)
+    moved = np.nan_to_num(np.abs(truth - reference.surface)) >= config.threshold
+    return FrameScore(
+        len(kept),
+        score_change(layers.change > 0, moved, known),
+        score_surface(reference.surface, truth, known & moved),
+        score_surface(layers.height, truth, known & moved),
+        _tails((layers.estimate - truth)[known & ~moved] / layers.sigma[known & ~moved]),
+        verdicts,
+        layers,
+        moved,
+    )
+
+
+def _tails(errors: Float32Array) -> tuple[float, float]:
+    if not len(errors):
+        return float("nan"), float("nan")
+    return float((np.abs(errors) > 3).mean()), float((np.abs(errors) > 5).mean())
+
+
+def alike(photos: Mapping[str, Sequence[TruthFrame]], measure: Measure) -> float:
+    """How much of a depth's error, as a share of its mean square, is the same in photos of one scene, by camera and
+    view: 1 for errors that repeat, 0 for errors that are new each time. NaN where no view has two photos.
+
+    In units of sigma, at most 5 of them, at the pixels that are measured in each pair of successive photos.
+    """
+    differences, squares, count = 0.0, 0.0, 0
+    for views in photos.values():
+        errors = [_errors(frame, measure(frame)[0]) for frame in views]
+        for one, other in pairwise(errors):
+            both = np.isfinite(one) & np.isfinite(other)
+            differences += float(((one - other)[both] ** 2).sum()) / 2
+            squares += float((one[both] ** 2 + other[both] ** 2).sum()) / 2
+            count += int(both.sum())
+    return 1 - differences / squares if count and squares > 0 else float("nan")
+
+
+def _errors(frame: TruthFrame, seen: DepthFrame) -> Float32Array:
+    """At the truth's pixels, in sigmas, NaN where nothing is measured."""
+    image = frame.camera.height, frame.camera.width
+    depth, sigma = (at_pixels_of(part, image, frame.surface.shape) for part in (seen.depth, seen.sigma))
+    measured = at_pixels_of(seen.measured, image, frame.surface.shape)
+    with np.errstate(invalid="ignore"):
+        error = np.clip((depth - frame.surface) / sigma, -5, 5)
+    known = measured & np.isfinite(depth) & np.isfinite(frame.surface) & (sigma > 0)
+    return np.where(known, error, np.nan).astype(np.float32)
+
+
+def true_depth(noise: Noise, seed: int = 1) -> Measure:
+    """The frame's true depth with sigma `constant` + `share` x range, independent by pixel; the pose is exact."""
+    rng = np.random.default_rng(seed)
+
+    def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
+        depth = frame.surface
+        with np.errstate(invalid="ignore"):
+            sigma = (noise.constant + noise.share * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
+        measured = (depth + sigma * rng.standard_normal(depth.shape, np.float32)).astype(np.float32)
+        everywhere = np.ones(depth.shape, np.bool_)
+        camera, name = frame.camera.scaled(frame.step), frame.camera_name
+        return DepthFrame(measured, sigma, everywhere, camera, frame.pose, frame.stamp_ns, name, _SURE), "true depth"
+
+    return measure
+
+
+def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter) -> Measure:
+    """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
+    the graph does it; where fusion suspects the pose, nothing.
+    """
+    to_ground, to_surface = (TerrainTracer(dem, possible=NOTHING_BEYOND) for dem in (ground, before))
+    settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
+    classes = ClassPriors.of(segmenter.labels, network.fusion)
+    known: dict[tuple[str, int], tuple[DepthFrame, str]] = {}
+
+    def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
+        key = frame.camera_name, frame.stamp_ns
+        if key not in known:
+            camera, photo, labels = frame.camera, frame.photo, segmenter.segment(frame.photo).labels
+            traced, canopy = (tracer.trace(camera, frame.pose) for tracer in (to_ground, to_surface))
+            fused = fuse(
+                traced, network.predict(photo, camera), photo, labels, classes, settings, canopy, network.fusion
+            )
+            own = fused.measured()
+            of = camera, frame.pose, frame.stamp_ns, frame.camera_name, _SURE
+            known[key] = DepthFrame.of_photo(own.depth, own.sigma, *of, labels), fused.verdict.value
+        return known[key]
+
+    return measure

@@ -1,0 +1,32 @@
+"""The frames of a recording that carry truth, as core types."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.site.site import Site
+from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_ros.recordings.recorded_run import stream_of
+
+
+def recorded_truth_frames(bag: Path, site: Site) -> Iterator[TruthFrame]:
+    """The frames of a bag that have photo, calibration, pose and truth. Raises RecordingError, ImageError."""
+    for frame in stream_of(bag, site).frames(("pose", "photo", "truth_depth", "truth_ground", "truth_labels")):
+        camera = frame.take("camera") or frame.take("depth_camera")
+        if camera is None:
+            continue
+        surface = frame.take("truth_depth")
+        yield TruthFrame(
+            frame.camera_name,
+            frame.stamp_ns,
+            camera,
+            frame.take("pose"),
+            frame.take("photo"),
+            surface,
+            frame.take("truth_ground"),
+            frame.take("truth_labels"),
+            np.zeros(surface.shape, np.bool_),
+        )

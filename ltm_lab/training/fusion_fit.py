@@ -1,0 +1,105 @@
+"""Fits the log odds of fusion to rendered frames, by logistic regression."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from ltm_core.base.errors import ModelError
+from ltm_core.base.types import Float64Array
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_lab.training.fusion_samples import CLASSES, FrameSamples, Samples
+
+STANDING = (*(f"occlusion.standing.{name}" for name in CLASSES), "occlusion.no_foot", "occlusion.metre",
+            "decision.likelihood_weight")  # fmt: skip
+OUTLINE = (*(f"boundaries.outline.{name}" for name in CLASSES), "boundaries.toward")
+CANOPY = (*(f"decision.canopy.{name}" for name in CLASSES), "decision.canopy_weight")
+_POSITIVE = (
+    "occlusion.no_foot",
+    "occlusion.metre",
+    "decision.likelihood_weight",
+    "boundaries.toward",
+    "decision.canopy_weight",
+)
+LEAST = 500
+"""Samples below which a choice keeps its constants."""
+_BELIEF = 1.0
+"""Belief in the constants as they were, as of a sigma of 1: a class that is hardly seen keeps them."""
+
+
+@dataclass(frozen=True)
+class FusionFit:
+    """`config`: with the fitted constants. `counts`: samples by choice. `loss`: mean negative log likelihood by choice,
+    before and after, on frames of folders that were left out of the fit in turn."""
+
+    config: FusionConfig
+    counts: Mapping[str, int]
+    loss: Mapping[str, tuple[float, float]]
+
+
+def fit_fusion(folders: Sequence[Sequence[FrameSamples]], config: FusionConfig) -> FusionFit:
+    """Fit all choices to the frames of several folders; each frame counts alike. Raises ModelError without samples."""
+    changes: dict[str, Any] = {}
+    counts, loss = {}, {}
+    for choice, names in (("standing", STANDING), ("outline", OUTLINE), ("canopy", CANOPY)):
+        sets = [[getattr(frame, choice) for frame in folder] for folder in folders]
+        start = np.array([dict(_values(config))[name] for name in names])
+        everything = [samples for folder in sets for samples in folder if len(samples.right)]
+        counts[choice] = sum(len(samples.right) for samples in everything)
+        if counts[choice] < LEAST:
+            continue
+        fitted = _regress(everything, start, names)
+        changes |= {name: round(float(value), 2) for name, value in zip(names, fitted, strict=True)}
+        loss[choice] = _left_out(sets, start, names)
+    if not changes:
+        raise ModelError(
+            f"the frames hold too few pixels to choose on: {counts}; at least {LEAST} of a kind are needed"
+        )
+    return FusionFit(config.updated(changes), counts, loss)
+
+
+def _values(config: FusionConfig) -> list[tuple[str, Any]]:
+    return [(name, value) for name, value, _, _ in config.constants()]
+
+
+def _regress(frames: Sequence[Samples], start: Float64Array, names: Sequence[str]) -> Float64Array:
+    """Weights by penalised maximum likelihood; frames weigh alike, as much as a middling one has samples."""
+    features = np.concatenate([frame.features for frame in frames])
+    offset = np.concatenate([frame.offset for frame in frames])
+    right = np.concatenate([frame.right for frame in frames]).astype(np.float64)
+    middling = float(np.median([len(frame.right) for frame in frames]))
+    weight = np.concatenate([np.full(len(frame.right), middling / len(frame.right)) for frame in frames])
+
+    def cost(w: Float64Array) -> tuple[float, Float64Array]:
+        odds = features @ w + offset
+        value = float((weight * (np.logaddexp(0.0, odds) - right * odds)).sum())
+        gradient = features.T @ (weight * (expit(odds) - right))
+        return value + 0.5 * _BELIEF * float(((w - start) ** 2).sum()), gradient + _BELIEF * (w - start)
+
+    bounds = [(0.0, None) if name in _POSITIVE else (-8.0, 8.0) for name in names]
+    return np.asarray(minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds).x, np.float64)
+
+
+def _left_out(folders: Sequence[Sequence[Samples]], start: Float64Array, names: Sequence[str]) -> tuple[float, float]:
+    """Mean loss of frames under the constants as they were, and as fitted to the other folders."""
+    before, after = [], []
+    for i, folder in enumerate(folders):
+        others = [s for k, rest in enumerate(folders) if k != i for s in rest if len(s.right)]
+        if not others:
+            continue
+        fitted = _regress(others, start, names)
+        for samples in folder:
+            if len(samples.right):
+                before.append(_loss(samples, start))
+                after.append(_loss(samples, fitted))
+    return (float(np.mean(before)), float(np.mean(after))) if before else (float("nan"), float("nan"))
+
+
+def _loss(samples: Samples, weights: Float64Array) -> float:
+    odds = samples.features @ weights + samples.offset
+    return float(np.mean(np.logaddexp(0.0, odds) - samples.right * odds))

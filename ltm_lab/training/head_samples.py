@@ -1,0 +1,91 @@
+"""Draws from labelled photos what a head is taught from: at pixels of known class, the network's scores and maps."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.training.labelled_frames import Frame
+
+SITES_FILE: Final = "sites.csv"
+_MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSamples:
+    """Pixels of one photo. `labels` (N,) uint8; `scores` (N, K) float64 of the network; `features` (N, F) float64, its
+    maps' values side by side; `shares` (K,) of the photo's area that each class was named on."""
+
+    site: str
+    labels: UInt8Array
+    scores: Float64Array
+    features: Float64Array
+    shares: Float64Array
+
+
+def photo_samples(
+    segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator, most: int = _MOST
+) -> PhotoSamples:
+    """At most so many random pixels of each class, at the places of the network's own grid."""
+    scores, maps = segmenter.scores_and_maps(frame.image)
+    count, rows, cols = scores.shape
+    truth = _at_grid(frame.labels, rows, cols).reshape(-1)
+    known = [rng.permutation(np.flatnonzero(truth == k))[:most] for k in range(count)]
+    places = np.concatenate(known)
+    features = np.concatenate([_enlarged(plane, rows, cols) for plane in maps.values()]).reshape(-1, rows * cols)
+    shares = np.bincount(frame.labels[frame.labels < count], minlength=count) / frame.labels.size
+    return PhotoSamples(
+        site,
+        truth[places],
+        scores.reshape(count, -1)[:, places].T.astype(np.float64),
+        features[:, places].T.astype(np.float64),
+        shares,
+    )
+
+
+def sites_of(frames: list[Frame]) -> list[str]:
+    """The site of each photo: what `sites.csv` (columns image, site) beside it says, else its name up to the first `_`.
+
+    Raises RecordingError for such a file without these columns.
+    """
+    named: dict[Path, Mapping[str, str]] = {}
+    sites = []
+    for frame in frames:
+        folder = frame.path.parent
+        if folder not in named:
+            named[folder] = _read_sites(folder / SITES_FILE)
+        sites.append(named[folder].get(frame.path.name, frame.path.stem.partition("_")[0]))
+    return sites
+
+
+def _read_sites(path: Path) -> Mapping[str, str]:
+    if not path.is_file():
+        return {}
+    rows = csv.DictReader(read_text(path, LARGEST_TABLE, RecordingError).splitlines())
+    if not {"image", "site"} <= set(rows.fieldnames or ()):
+        raise RecordingError(f"{path}: has columns {', '.join(rows.fieldnames or ())}; expected image, site")
+    return {row["image"]: row["site"] for row in rows}
+
+
+def _at_grid(labels: UInt8Array, rows: int, cols: int) -> UInt8Array:
+    """Label of the photo's pixel at the middle of each of the network's."""
+    height, width = labels.shape
+    down = ((np.arange(rows) + 0.5) * height / rows).astype(np.int64)
+    across = ((np.arange(cols) + 0.5) * width / cols).astype(np.int64)
+    return labels[np.ix_(down, across)]
+
+
+def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
+    if planes.shape[1:] == (rows, cols):
+        return planes
+    return np.stack([cv2.resize(plane, (cols, rows), interpolation=cv2.INTER_LINEAR) for plane in planes])

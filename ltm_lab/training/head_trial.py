@@ -1,0 +1,201 @@
+"""Teaches a head and judges it: by sites that did not teach it, by what it forgets elsewhere, by its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from ltm_core.base.errors import ModelError
+from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.vision.label_confidence import Agreement, Calibration
+from ltm_core.vision.label_head import HeadFile, LabelHead
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.picture_domain import HeadDomain
+from ltm_core.vision.picture_domain_io import load_domain
+from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_lab.evaluation.segmentation.network_score import LabelScore, score_each
+from ltm_lab.training.area_folds import by_area
+from ltm_lab.training.domain_fit import fit_head_domain, held_out_odds, picture_point
+from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
+from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_lab.training.labelled_frames import Frame
+from ltm_lab.training.temperature_scaling import balanced, fit_exponent
+
+AGREEMENT: Final = Agreement(reach=0.006)
+"""Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
+_SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class HeadTrial:
+    """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
+    sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
+    `odds`: of each photo, log odds that `head: auto` chooses a head that lies where the other sites' photos do; NaN
+    where that cannot be told; None of a head for one view, and of a network whose domains nobody measured.
+    """
+
+    file: HeadFile
+    sites: tuple[str, ...]
+    folds: str
+    before: LabelScore
+    after: LabelScore
+    odds: Float64Array | None
+
+    @property
+    def better(self) -> bool:
+        """Whether the macro F1 rose."""
+        return self.after.macro_f1 > self.before.macro_f1
+
+
+def teach_head(
+    segmenter: Segmenter,
+    frames: Sequence[Frame],
+    name: str,
+    made: str,
+    licence: str = "",
+    withdrawal: Withdrawal | None = None,
+    one_view: bool = False,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+    fit: HeadFitConfig | None = None,
+) -> HeadTrial:
+    """Teach a head to labelled photos.
+
+    Each site's photos are labelled by a head that the other sites taught; from these answers come scores, agreement
+    and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
+    held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
+    `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
+    photos are of one view, which the head is for alone: areas are held out in their stead, and it is never chosen by
+    the picture. Raises ModelError for a network without maps, or for a single photo without `one_view`.
+    """
+    manifest = segmenter.manifest
+    if not manifest.maps:
+        raise ModelError(f"model {manifest.name!r} states no decoder maps in its manifest; heads need them")
+    ids = [segmenter.labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes]
+    if ids != list(range(len(ids))):
+        raise ModelError(
+            f"model {manifest.name!r}: a head needs a network whose classes are the labels, in their order"
+        )
+    photos = len(frames)
+    if photos < 2 and not one_view:
+        raise ModelError(
+            "one photo cannot both teach a head and judge it; name areas in a photo of another site too, or say that "
+            "the head is for this view alone (--one-view)"
+        )
+    rng = np.random.default_rng(_SEED)
+    sites = sites_of(list(frames))
+    folds, groups = "by site", sites
+    if one_view:
+        folds, (frames, groups) = "by area, all of one view", by_area(frames)
+    elif len(set(sites)) == 1:
+        folds, groups = "by photo, all of one site", [frame.path.name for frame in frames]
+    samples = [photo_samples(segmenter, frame, site, rng) for frame, site in zip(frames, groups, strict=True)]
+    counted = _shared(samples)
+    if not counted:
+        where = "areas" if one_view else "photos of two sites"
+        raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
+    rules = withdrawal or Withdrawal()
+
+    def taught(by: Sequence[PhotoSamples]) -> LabelHead:
+        return as_head(name, fit_head(by, manifest.maps, fit, one_view), manifest.maps, rules)
+
+    heads = {g: taught([s for s in samples if s.site != g]) for g in dict.fromkeys(groups)}
+    judged, alike = _judged_by_others(segmenter, frames, groups, heads)
+    with_heads = [_with_head(segmenter, judged[g]) for g in groups]
+    before = score_each([segmenter] * len(frames), frames, macro=counted)
+    after = score_each(with_heads, frames, macro=counted, look=look)
+    names = manifest.classes
+    errors = {"photos": after.calibration.ece, "land": after.land_calibration.ece}
+    calibration = Calibration(
+        classes=segmenter.labels.names,
+        confusion=tuple(tuple(float(v) for v in row) for row in balanced([after.labels.confusion])),
+        measured_on=f"{photos} photos of {len(set(sites))} sites, held out {folds}",
+        photographs=len({frame.path for frame in frames if not frame.rendered}),
+        ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
+    )
+    domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
+    final = taught(samples)
+    file = HeadFile(
+        name=name,
+        network=manifest.name,
+        sha256=manifest.sha256,
+        made=made,
+        licence=licence,
+        classes=names,
+        temperature=final.temperature,
+        withdraw=rules,
+        agreement=alike,
+        bias=tuple(map(float, final.bias)),
+        maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
+        domain=domain,
+        one_view=one_view,
+        calibration=calibration,
+    )
+    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after, odds)
+
+
+def _domain(
+    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], sites: Sequence[str]
+) -> tuple[HeadDomain | None, Float64Array | None]:
+    """Where the photos lie, and the log odds of each by those of the other groups."""
+    space = load_domain(segmenter.manifest)
+    if space is None:
+        return None, None
+    points, odds = [picture_point(segmenter, space, frame.image) for frame in frames], np.full(len(frames), np.nan)
+    known = [k for k, point in enumerate(points) if point is not None]
+    if not known:
+        return None, odds
+    there = np.array([points[k] for k in known])
+    odds[known] = held_out_odds(there, [groups[k] for k in known], space.checksum)
+    return fit_head_domain(there, [sites[k] for k in known], space.checksum), odds
+
+
+def _judged_by_others(
+    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
+) -> tuple[dict[str, LabelHead], Agreement]:
+    """The heads of the groups held out as they are scored, with the agreement that the photos of the other groups gave,
+    so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
+    surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
+    judged = {
+        group: replace(head, agreement=_agreement([s for g, s in zip(groups, surety, strict=True) if g != group]))
+        for group, head in heads.items()
+    }
+    return judged, _agreement(surety)
+
+
+def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float64Array, BoolArray]:
+    """Of land in a photo held out, for sky is easy: the agreement of each pixel, and whether its label is right."""
+    found = _with_head(segmenter, replace(head, agreement=AGREEMENT)).segment(frame.image)
+    land = (frame.labels < len(segmenter.labels)) & (frame.labels != Label.SKY) & (found.labels != UNLABELLED)
+    return found.confidence[land] / 255, found.labels[land] == frame.labels[land]
+
+
+def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> Agreement:
+    """With the exponent that makes it the share of right labels."""
+    return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(surety), 3)})
+
+
+def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
+    """Classes that two held-out groups hold at least: of others, none teaches the one that judges."""
+    groups: dict[int, set[str]] = {}
+    for sample in samples:
+        for k in np.unique(sample.labels):
+            groups.setdefault(int(k), set()).add(sample.site)
+    return tuple(sorted(k for k, names in groups.items() if len(names) > 1))
+
+
+def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
+    """A fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the exponent
+    of agreement, says how sure a label is; a second one follows their chances."""
+    weights, start = {}, 0
+    for key, count in channels.items():
+        weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)
+        start += count
+    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), 1.0, withdrawal)
+
+
+def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:
+    return Segmenter(segmenter.manifest, labels=segmenter.labels, head=head)

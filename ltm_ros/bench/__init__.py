@@ -1,1 +1,0 @@
-"""Study wing: benchmarks of the running graph."""

@@ -1,0 +1,343 @@
+"""One camera as a source of frames: asks it, judges what it gives, tells when and where it was taken, and knows how it
+is. Without ROS; time comes from a clock that tests replace."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from ltm_core.base.errors import CameraError, ImageError
+from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.zoom_lens import ZoomLens
+from ltm_core.site.source_config import SourceSettings
+from ltm_msgs_py.image import picture_size
+from ltm_ros.cameras.backoff import Backoff
+from ltm_ros.cameras.camera_state import CameraState, StateRecord
+from ltm_ros.cameras.lens_watch import LensWatch
+from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, Reading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.errors import PictureError, SourceError, StuckHeadError, UnauthorisedError
+from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
+from ltm_ros.cameras.protocols.picture import (
+    Nothing,
+    Picture,
+    PictureReader,
+    StuckPicture,
+    is_night,
+    thumbnail_of_bytes,
+    thumbnail_of_rgb,
+)
+from ltm_ros.runtime.clocks import Clock
+from ltm_ros.runtime.health import Health
+
+SETTLE_S = 1.0
+"""After a picture that was taken while the head moved: it may rest by then."""
+SET_BACK_NS = 10**10
+"""By which a stamp is before the last one only where the clock was set; frames so far ahead are refused anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture that can be used. One of `jpeg` and `rgb` is given.
+
+    `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: not known, or not
+    asked for.
+    """
+
+    stamp_ns: int
+    uncertainty: float
+    told_by: str
+    synchronised: bool | None
+    jpeg: bytes | None
+    rgb: UInt8Array | None
+    camera: Camera
+    """Of this picture: a lens may zoom."""
+    pose: Pose | None
+    covariance: Float64Array | None
+    reading: Reading | None = None
+    """What a head said just after the picture."""
+
+
+@dataclass(frozen=True)
+class Gaze:
+    """How a camera's pose is known: a fixed one, or by what its head says and what the mount makes of that; neither:
+    somebody else tells it."""
+
+    pose: Pose | None = None
+    covariance: Float64Array | None = None
+    direction: Direction | None = None
+    model: PoseModel | None = None
+    tolerance: Tolerance = field(default_factory=Tolerance)
+    lens: ZoomLens | None = None
+    """None: it does not zoom."""
+    patrol: Patrol | None = None
+    """None: the head is not driven."""
+
+
+class CameraSource:
+    """`step` by `step`, from one thread.
+
+    Args:
+        calibration: that pictures must fit.
+        open_reader: connects to the camera; raises SourceError.
+        deliver: takes each frame.
+        health: counts what is given up, by its cause, and holds what is said of the camera.
+    """
+
+    def __init__(
+        self,
+        settings: SourceSettings,
+        calibration: Camera,
+        gaze: Gaze,
+        open_reader: Callable[[], PictureReader],
+        deliver: Callable[[Frame], None],
+        health: Health,
+        clock: Clock,
+        backoff: Backoff | None = None,
+    ) -> None:
+        self._settings, self._calibration, self._gaze = settings, calibration, gaze
+        self._open, self._deliver, self._health, self._clock = open_reader, deliver, health, clock
+        self._backoff = backoff or Backoff()
+        self._reader: PictureReader | None = None
+        self._exposures = ExposureClock()
+        self._stuck = StuckPicture(settings.stuck_s)
+        self._lens = LensWatch()
+        self._record = StateRecord(clock.monotonic())
+        self._before: Reading | None = None
+        """What the head said last; None: not since the connection was made."""
+        self._digest = b""
+        self._stamp_ns = -1
+        self._last_good: float | None = None
+        self._connected_at = clock.monotonic()
+
+    @property
+    def state(self) -> CameraState:
+        return self._record.state
+
+    @property
+    def why(self) -> str:
+        """What is wrong, in words; empty: nothing."""
+        return self._record.why
+
+    def step(self) -> float:
+        """Ask once; the seconds after which to ask again."""
+        begun = self._clock.monotonic()
+        try:
+            pause = self._ask()
+        except UnauthorisedError as error:
+            return self._failed(CameraState.UNAUTHORISED, error, self._backoff.unauthorised())
+        except StuckHeadError as error:
+            self._refuse("stuck", str(error))
+            self._become(CameraState.STUCK, str(error))
+            pause = self._settings.period
+        except PictureError as error:
+            self._refuse("picture", str(error))
+            state = self._state_without_picture()
+            if self._reader is None or (self._reader.pause == 0 and state is CameraState.STALLED):
+                # A stream that sends nothing of use may be another one when it is asked for anew.
+                return self._failed(state, error, self._backoff.failed())
+            self._become(state, str(error))
+            pause = self._reader.pause
+        except SourceError as error:
+            return self._failed(CameraState.STALLED, error, self._backoff.failed())
+        # From one beginning to the next, however long the camera took.
+        return max(0.0, begun + pause - self._clock.monotonic())
+
+    def close(self) -> None:
+        self._disconnect()
+
+    def report(self) -> None:
+        """State how the camera is now, for diagnostics."""
+        now, wall = self._clock.monotonic(), self._clock.wall()
+        health, record = self._health, self._record
+        health.gauge("state", record.state.value)
+        health.gauge("state_for_s", round(now - record.since))
+        health.gauge("state_since", round(wall - (now - record.since)))
+        health.gauge("state_why", record.why)
+        if self._last_good is not None:
+            health.gauge("picture_age_s", round(now - self._last_good, 1))
+        offset = self._exposures.offset(wall - now)
+        if offset is not None:
+            health.gauge("camera_clock_ahead_s", round(offset, 3))
+            health.gauge("camera_clock_resets", self._exposures.resets)
+
+    def _ask(self) -> float:
+        if self._reader is None:
+            self._reader = self._open()
+            self._connected_at = self._clock.monotonic()
+            self._exposures.connected()
+            self._health.note("connected")
+        reader, gaze = self._reader, self._gaze
+        if gaze.patrol is not None:
+            gaze.patrol.advance()
+        # A camera that is asked for a picture is asked for its direction just before; of a stream, what was said after
+        # the picture before is what was said before this one.
+        if gaze.direction is not None and (reader.pause > 0 or self._before is None):
+            self._before = gaze.direction.read()
+        item = reader.read()
+        if item is Nothing.YET:
+            self._wait()
+        elif item is Nothing.UNCHANGED:
+            self._repeated()
+        else:
+            assert isinstance(item, Picture)  # nosec B101 # tells the type checker what holds
+            rested = self._take(item)
+            self._backoff.succeeded()
+            if not rested:
+                return min(reader.pause, SETTLE_S)
+        return reader.pause
+
+    def _take(self, picture: Picture) -> bool:
+        """Judge a picture, and deliver it where it is good. False where the head moved. Raises PictureError."""
+        reading, rested = self._look_at_head(picture)
+        now = self._clock.monotonic()
+        wall_less_monotonic = self._clock.wall() - now
+        exposure = self._exposures.estimate(picture.timing, wall_less_monotonic)
+        if not rested:
+            self._refuse("moved", "the head moved while the picture was taken; let a preset rest longer")
+            self._become(CameraState.MOVED, "the head moves")
+            return False
+        self._check_fit(picture)
+        if picture.jpeg is not None:
+            digest = hashlib.blake2b(picture.jpeg, digest_size=16).digest()
+            if digest == self._digest:
+                self._repeated()
+                return True
+            self._digest = digest
+            thumbnail = thumbnail_of_bytes(picture.jpeg)
+        else:
+            assert picture.rgb is not None  # nosec B101 # tells the type checker what holds
+            thumbnail = thumbnail_of_rgb(picture.rgb)
+        self._stuck.look(thumbnail, reading, now)
+        self._last_good = now
+        night = is_night(thumbnail)
+        if not night and (why := self._stuck.said(now)):
+            self._refuse("stuck", f"{why}: restart the camera")
+            self._become(CameraState.STUCK, why)
+            return True
+        if night:
+            self._become(CameraState.NIGHT, "dark, or without colour")
+            if self._settings.night == "hold":
+                self._health.note("night")
+                return True
+        else:
+            self._lens.look(picture, self._calibration.width, reading, now)
+            why = self._lens.said()
+            self._become(CameraState.DIRTY if why else CameraState.ALIVE, why)
+        self._publish(picture, exposure, wall_less_monotonic, reading)
+        return True
+
+    def _look_at_head(self, picture: Picture) -> tuple[Reading | None, bool]:
+        """Where the head looked, and whether it stood still."""
+        gaze = self._gaze
+        if gaze.direction is None:
+            return picture.direction, picture.direction is None or not picture.direction.moving
+        before, after = self._before, gaze.direction.read()
+        self._before = after
+        return after, before is not None and at_rest(before, after, gaze.tolerance)
+
+    def _check_fit(self, picture: Picture) -> None:
+        """Raises PictureError with both sizes where the calibration is for another."""
+        if picture.rgb is not None:
+            size = (picture.rgb.shape[1], picture.rgb.shape[0])
+        else:
+            try:
+                size = picture_size(picture.jpeg or b"")
+            except ImageError as error:
+                raise PictureError(str(error)) from None
+        wanted = (self._calibration.width, self._calibration.height)
+        if size != wanted:
+            raise PictureError(
+                f"picture of {size[0]} x {size[1]} pixels, the calibration in the site file is for {wanted[0]} x "
+                f"{wanted[1]}: set the camera to that size, or calibrate it for this one"
+            )
+
+    def _publish(
+        self, picture: Picture, exposure: Exposure, wall_less_monotonic: float, reading: Reading | None
+    ) -> None:
+        synchronised = None if self._settings.unsynchronised == "ignore" else self._clock.synchronised()
+        self._health.gauge("clock_synchronised", {None: "unknown", True: "yes", False: "no"}[synchronised])
+        if synchronised is False:
+            if self._settings.unsynchronised == "hold":
+                self._refuse("unsynchronised", "this computer's clock is not synchronised: let it reach a time server")
+                return
+            self._health.note("unsynchronised")
+        pose, covariance, camera = self._gaze.pose, self._gaze.covariance, self._calibration
+        if reading is not None and self._gaze.model is not None:
+            pose, covariance = self._gaze.model.pose(reading)
+        if reading is not None and self._gaze.lens is not None:
+            try:
+                camera = self._gaze.lens.camera(reading.zoom)
+            except CameraError as error:
+                self._refuse("zoom", str(error))
+                return
+        estimated_ns = stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
+        # Equal stamps are one frame to all that listen. Where the clock was set back, what came before was wrong, and
+        # to go on from there would make all frames come from the future until the clock has caught up.
+        if stamp_ns <= self._stamp_ns < stamp_ns + SET_BACK_NS:
+            stamp_ns = self._stamp_ns + 1
+        self._stamp_ns = stamp_ns
+        # A picture behind one whose time was put too late, when less was known, is late by that much itself.
+        uncertainty = exposure.uncertainty + (stamp_ns - estimated_ns) / 1e9
+        self._health.gauge("stamp_told_by", exposure.by)
+        self._health.gauge("stamp_uncertainty_s", round(uncertainty, 3))
+        self._deliver(
+            Frame(
+                stamp_ns,
+                uncertainty,
+                exposure.by,
+                synchronised,
+                picture.jpeg,
+                picture.rgb,
+                camera,
+                pose,
+                covariance,
+                reading,
+            )
+        )
+
+    def _repeated(self) -> None:
+        """The camera's picture is the one of before: there is nothing to publish, for it would get a new stamp."""
+        now = self._clock.monotonic()
+        self._backoff.succeeded()
+        self._health.note("repeated")
+        self._stuck.repeated(now)
+        if self.state is not CameraState.NIGHT and (why := self._stuck.said(now)):
+            self._become(CameraState.STUCK, why)
+
+    def _wait(self) -> None:
+        state = self._state_without_picture()
+        if state is CameraState.STALLED:
+            self._become(state, "nothing new comes")
+
+    def _state_without_picture(self) -> CameraState:
+        """That of a camera that is there and gives nothing that can be used: bad at once where it never did."""
+        last = self._connected_at if self._last_good is None else self._last_good
+        if self._clock.monotonic() - last >= self._settings.stall_s:
+            return CameraState.STALLED
+        return self.state if self._last_good is not None else CameraState.CONNECTING
+
+    def _failed(self, state: CameraState, error: SourceError, wait_s: float) -> float:
+        self._disconnect()
+        self._health.note("unauthorised" if state is CameraState.UNAUTHORISED else "disconnected")
+        self._health.trouble(state.value, str(error))
+        self._become(state, str(error))
+        return wait_s
+
+    def _disconnect(self) -> None:
+        reader, self._reader = self._reader, None
+        self._before = None
+        if reader is not None:
+            reader.close()
+        if self._gaze.direction is not None:
+            self._gaze.direction.close()
+
+    def _become(self, state: CameraState, why: str = "") -> None:
+        if self._record.become(state, self._clock.monotonic(), why):
+            self._health.note(f"became_{state.value}")
+        self.report()
+
+    def _refuse(self, cause: str, why: str) -> None:
+        self._health.drop(cause, why)

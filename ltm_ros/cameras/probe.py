@@ -1,0 +1,245 @@
+"""Finds out what a camera speaks: asks it a few questions, and says what it answered in the words of a site file."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from pydantic import TypeAdapter
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.redaction import redacted
+from ltm_core.site.ptz_config import PtzConfig
+from ltm_core.site.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig, url_without_secrets
+from ltm_msgs_py.image import picture_size
+from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.http_client import Answer, HttpClient, http_time
+from ltm_ros.cameras.protocols.http_pictures import MjpegReader
+from ltm_ros.cameras.protocols.picture import Picture, PictureReader
+from ltm_ros.cameras.protocols.video import RtspReader
+from ltm_ros.cameras.ptz.connection import at_asked_host
+from ltm_ros.cameras.ptz.head import Head, Limits
+from ltm_ros.cameras.ptz.onvif import OnvifHead
+from ltm_ros.cameras.ptz.opening import open_head
+
+MOST_BYTES, MOST_WORDS = 32 << 20, 64 << 10
+LISTENS_S = 4.0
+"""To a stream, to count its pictures."""
+FEW = 3
+"""Pictures that are asked for one by one."""
+
+SNAPSHOT_PATHS = (
+    "/axis-cgi/jpg/image.cgi",
+    "/ISAPI/Streaming/channels/101/picture",
+    "/snapshot.jpg",
+)
+"""Where makers have them: Axis, Hikvision, and what many use."""
+REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
+"""Only for a camera that is one of Reolink's: others would get the password in a URL for nothing."""
+HEADS: tuple[dict[str, Any], ...] = (
+    {"kind": "vapix"},
+    {"kind": "isapi", "units": "degrees"},
+    {"kind": "isapi", "units": "tenths"},
+    {"kind": "onvif"},
+    {"kind": "reolink"},
+)
+
+
+@dataclass
+class HeadFound:
+    config: dict[str, Any]
+    reading: Reading
+    limits: Limits
+    presets: tuple[str, ...]
+
+
+@dataclass
+class Found:
+    """What a camera turned out to be. `source`: its section of a site file, without user and password; `tried`: what
+    was asked and what came, in words."""
+
+    source: dict[str, Any] | None = None
+    size: tuple[int, int] | None = None
+    bytes_each: int | None = None
+    rate_hz: float | None = None
+    seconds_each: float | None = None
+    fresh: bool | None = None
+    """Whether two requests a moment apart gave two pictures."""
+    clock_ahead_s: float | None = None
+    clock_known_to_s: float | None = None
+    head: HeadFound | None = None
+    stream: str | None = None
+    """Another address of the camera, as it states it."""
+    tried: list[tuple[str, str]] = field(default_factory=list)
+
+
+def probe(
+    url: str,
+    user: str | None = None,
+    password: SecretConfig | None = None,
+    ca: Path | None = None,
+    check_name: bool = True,
+    timeout: float = 5.0,
+    say: Callable[[str], None] = lambda text: None,
+) -> Found:
+    """Asks for a picture at `url`, or where makers have theirs, and whether it has a head.
+
+    Raises UnauthorisedError at the first refusal, and asks nothing more then: cameras lock an account after a few.
+    """
+    found = Found()
+    login = {"user": user, "password": password, "timeout": timeout}
+    if url.startswith(("rtsp://", "rtsps://")):
+        say("the stream")
+        _try(found, url, lambda: _stream(found, RtspReader(RtspConfig(kind="rtsp", url=url, frames="all", **login))))
+        if found.size is not None:
+            found.source = {"kind": "rtsp", "url": url}
+        host = urlsplit(url).hostname or ""
+        base = f"http://{f'[{host}]' if ':' in host else host}"
+        reolink = _is_reolink(base, timeout, ca, check_name)
+    else:
+        parts = urlsplit(url)
+        base = f"{parts.scheme}://{parts.netloc}"
+        reolink = _is_reolink(base, timeout, ca, check_name)
+        tls = login | {"ca": ca, "check_name": check_name}
+        paths = [url] if parts.path not in ("", "/") else [base + path for path in SNAPSHOT_PATHS]
+        if parts.path in ("", "/") and user is not None and reolink:
+            paths = [base + REOLINK_SNAPSHOT]
+        for place in paths:
+            if found.source is None:
+                say(f"a picture at {urlsplit(place).path}")
+                _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
+    web = {"url": base, **login, "ca": ca, "check_name": check_name}
+    for given in HEADS:
+        if found.head is None and (given["kind"] == "reolink") <= reolink:
+            say(f"a head by {given['kind']}")
+            _try(found, f"head by {' '.join(given.values())}", lambda given=given: _head(found, given, web))  # type: ignore[misc]
+    if found.source is None and found.stream is not None and found.stream.startswith("http"):
+        stated = found.stream
+        tls = login | {"ca": ca, "check_name": check_name}
+        _try(found, redacted(stated), lambda: _picture(found, _address_at(base, stated), tls))
+    return found
+
+
+def _address_at(base: str, stated: str) -> str:
+    """What the camera at `base` states as an address of its own. Raises SourceError where it is none, or holds what
+    would be a password in the site file."""
+    try:
+        return url_without_secrets(at_asked_host(stated, base), ("http", "https"))
+    except ValueError as error:
+        raise SourceError(f"the address that the camera states cannot be taken: {error}") from None
+
+
+def _is_reolink(base: str, timeout: float, ca: Path | None, check_name: bool) -> bool:
+    """Whether a camera answers in Reolink's form; it is asked without user and password."""
+    client = HttpClient(HttpSettings(url=base, timeout=timeout, ca=ca, check_name=check_name), most_bytes=MOST_WORDS)
+    try:
+        kind = {"content-type": "application/json"}
+        body = client.send("POST", f"{base}/cgi-bin/api.cgi?cmd=GetDevInfo", kind, b'[{"cmd":"GetDevInfo"}]').body
+        said = json.loads(body)
+        return isinstance(said, list) and bool(said) and isinstance(said[0], dict) and "cmd" in said[0]
+    except (SourceError, ValueError, RecursionError):
+        return False
+    finally:
+        client.close()
+
+
+def _try(found: Found, what: str, ask: Callable[[], str]) -> None:
+    try:
+        found.tried.append((what, ask()))
+    except UnauthorisedError:
+        raise
+    except (SourceError, ImageError) as error:
+        found.tried.append((what, str(error)))
+
+
+def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
+    """One picture a request, or a stream of them."""
+    client = HttpClient(HttpSettings(url=url, **login), most_bytes=MOST_BYTES)
+    try:
+        with client.stream(url) as (response, _, _):
+            kind = response.headers.get("content-type", "")
+        if "multipart" in kind:
+            told = _stream(found, MjpegReader(MjpegConfig(kind="mjpeg", url=url, **login), MOST_BYTES))
+            found.source = {"kind": "mjpeg", "url": url}
+            return told
+        answers = [client.get(url) for _ in range(FEW)]
+    finally:
+        client.close()
+    last = answers[-1]
+    found.size = picture_size(last.body)
+    found.bytes_each = len(last.body)
+    found.seconds_each = min(answer.arrived - answer.asked for answer in answers)
+    found.fresh = answers[0].body != last.body
+    _clock_of(found, answers)
+    found.source = {"kind": "snapshot", "url": url}
+    return f"a picture of {found.size[0]} x {found.size[1]} pixels"
+
+
+def _stream(found: Found, reader: PictureReader) -> str:
+    count, first, last = 0, 0.0, 0.0
+    try:
+        for picture in _pictures(reader):
+            count, last = count + 1, picture.timing.arrived
+            first = first or last
+            if picture.rgb is not None:
+                found.size = picture.rgb.shape[1], picture.rgb.shape[0]
+            elif picture.jpeg is not None:
+                found.size, found.bytes_each = picture_size(picture.jpeg), len(picture.jpeg)
+            if picture.timing.taken is not None:
+                now = time.time() - (time.monotonic() - picture.timing.arrived)
+                found.clock_ahead_s, found.clock_known_to_s = picture.timing.taken.epoch - now, 0.5
+    finally:
+        reader.close()
+    if not count:
+        raise SourceError(f"no picture within {LISTENS_S:g} s")
+    found.rate_hz = (count - 1) / (last - first) if count > 1 and last > first else None
+    return f"{count} pictures in {LISTENS_S:g} s"
+
+
+def _pictures(reader: PictureReader) -> Iterator[Picture]:
+    until = time.monotonic() + LISTENS_S
+    while time.monotonic() < until:
+        item = reader.read()
+        if isinstance(item, Picture):
+            yield item
+
+
+def _clock_of(found: Found, answers: list[Answer]) -> None:
+    """All answers together say more than one: the camera's time has whole seconds."""
+    low, high = -float("inf"), float("inf")
+    for answer in answers:
+        stated = http_time(answer.headers, "Date")
+        if stated is None:
+            return
+        ours = time.time() - (time.monotonic() - answer.arrived)
+        low = max(low, stated.epoch - ours)
+        high = min(high, stated.epoch + stated.resolution - (ours - (answer.arrived - answer.asked)))
+    found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2, max(high - low, 0.0) / 2
+
+
+def _head(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
+    adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
+    head: Head = open_head(adapter.validate_python(given | web), None)
+    try:
+        if isinstance(head, OnvifHead):
+            found.clock_ahead_s, found.clock_known_to_s = head.soap.clock_ahead(), 0.5
+            snapshot, stream = head.picture_addresses()
+            found.stream = stream if found.source is not None else snapshot or stream
+        reading = head.read()
+        limits, presets = Limits(), tuple[str, ...]()
+        try:
+            limits, presets = head.limits(), tuple(head.presets())
+        except UnauthorisedError:
+            raise
+        except SourceError as error:
+            found.tried.append((f"limits and presets by {given['kind']}", str(error)))
+        found.head = HeadFound(given, reading, limits, presets)
+    finally:
+        head.close()
+    return f"pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}, zoom {reading.zoom:g}"

@@ -1,1 +1,0 @@
-"""Study wing: scores of recorded runs against truth, and their reports."""

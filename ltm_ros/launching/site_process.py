@@ -1,0 +1,237 @@
+"""The process in which the nodes of all cameras of a site live: each job a node, each camera a pipeline."""
+
+from __future__ import annotations
+
+import importlib
+import queue
+import sys
+import time
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import rclpy.node
+from rclpy.parameter import Parameter
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.site.site_io import load_site
+from ltm_ros.launching.graph import NodeSpec
+from ltm_ros.runtime.camera_pipeline import CameraPipeline, FrameScheduler
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.handler import NodeType, Topic
+from ltm_ros.runtime.heartbeat import HEARTBEAT
+from ltm_ros.runtime.late_start import LateStart, cannot_start
+from ltm_ros.runtime.node_process import EX_IOERR
+from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
+from ltm_ros.runtime.pipeline import Job, absolute
+from ltm_ros.runtime.ros_environment import available_cores
+
+CLOSE_S = 5.0
+"""For which frames that are at work may come to their end when the process is told to stop."""
+
+
+class JobNode(OutletNode):
+    """A node whose handler is a job of its camera's pipeline: what the pipeline's other jobs listen to is handed over,
+    DDS takes what others listen to."""
+
+    def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
+        node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
+        remappings = [part for old, new in spec.remappings for part in ("-r", f"{old}:={new}")]
+        super().__init__(
+            node_type,
+            {
+                "node_name": spec.name,
+                "namespace": spec.namespace,
+                "cli_args": ["--ros-args", *remappings] if remappings else [],
+                "use_global_arguments": False,
+                "parameter_overrides": [Parameter(name, value=value) for name, value in spec.parameters.items()],
+            },
+        )
+        self.spec = spec
+        self._camera, self._pipeline = camera, camera.pipeline
+        self._heard_here: Set[Topic] = frozenset()
+        """Acknowledgements that a job of this pipeline also listens to on DDS, for nodes elsewhere send them too."""
+        make: Callable[[], Any] = partial(node_type.handler, self.config, self, self.health)
+        self.job = Job(spec.full_name, spec.namespace, self.health, make)
+        handler = self.job.handler
+        if handler.services or handler.discoverable:
+            raise ConfigError(f"{spec.label}: a node with services or topics by pattern needs a process of its own")
+        for topic in handler.publications:
+            self.open(topic)
+        self._pipeline.add(self.job)
+
+    def subscribe(self, wake: Callable[[], None]) -> None:
+        """Listen on DDS to what none of the pipeline's jobs makes; call it when all are there."""
+        for topic in self.job.callbacks:
+            if not self._pipeline.made_here(self.job.topic(topic)):
+                self.listen(topic, topic.name, partial(self._offer, wake, topic))
+        # Last: who is known to acknowledge frames also takes them.
+        for topic in self.job.handler.acknowledgements:
+            self.open(topic)
+        self._heard_here = {t for t in self.job.handler.acknowledgements if self._pipeline.listened(self.job.topic(t))}
+
+    def publish(self, topic: Topic, message: Any) -> None:
+        """Part of Outlet."""
+        self._hand_over(topic, message)
+        super().publish(topic, message)
+
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        """Part of Outlet."""
+        if not self._pipeline.listened(self.job.topic(topic)):
+            super().provide(topic, stamp_ns, make)
+            return
+        message = make()
+        self._hand_over(topic, message)
+        super().provide(topic, stamp_ns, lambda: message)
+
+    def more_waits(self) -> bool:
+        """Part of Outlet."""
+        return self._camera.more_waits
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Part of Outlet."""
+        message = self.acknowledgement(stamp_ns)
+        self._hand_over(topic, message)
+        if self._publishers_by_topic[topic].get_subscription_count() > (topic in self._heard_here):
+            self.send(topic, message)
+
+    def workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        return super().workers(topic) | self.prompt_workers(topic)
+
+    def prompt_workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        name = self.job.topic(topic)
+        return {
+            job.name
+            for job in self._pipeline.jobs.values()
+            if name in {job.topic(own) for own in job.handler.acknowledgements}
+        }
+
+    def _hand_over(self, topic: Topic, message: Any) -> None:
+        if self._pipeline.listened(name := absolute(self.spec.namespace, topic)):
+            self._pipeline.publish(name, message, topic.latched)
+
+    def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
+        if topic.counted:
+            self.health.received(topic.name)
+        try:
+            self._camera.offer(self.job, topic, message)
+        except queue.Full:
+            self.health.drop(
+                "overload", f"{self._camera.waiting} messages wait already; slow the camera down or give it more cores"
+            )
+        wake()
+
+
+@dataclass(frozen=True)
+class _Camera:
+    nodes: list[JobNode]
+    pipeline: CameraPipeline
+
+    def destroy(self) -> None:
+        for node in self.nodes:
+            node.destroy_node()
+
+
+class SiteProcess:
+    """All nodes of `specs`; those of one namespace are a camera's.
+
+    A camera whose nodes cannot be made is left out, and said, and tried again now and then (`LateStart`); raises the
+    LtmError of the first where none can be.
+    """
+
+    def __init__(self, specs: Sequence[NodeSpec]) -> None:
+        self._members: list[JobNode] = []
+        self._cameras: list[CameraPipeline] = []
+        self._diagnostics: list[DiagnosticsPublisher] = []
+        workers = load_site(str(specs[0].parameters["site"])).workers or available_cores()
+        self._scheduler = FrameScheduler(workers, HEARTBEAT)
+        faults: list[LtmError] = []
+        left_out: dict[str, Callable[[], _Camera]] = {}
+        reasons: dict[str, str] = {}
+        for namespace in dict.fromkeys(spec.namespace for spec in specs):
+            make = partial(self._make_camera, [spec for spec in specs if spec.namespace == namespace])
+            try:
+                self._add_camera(make())
+            except LtmError as error:
+                faults.append(error)
+                left_out[namespace], reasons[namespace] = make, str(error)
+            except Exception as error:
+                sys.excepthook(*sys.exc_info())
+                left_out[namespace], reasons[namespace] = make, repr(error)
+        for namespace, why in reasons.items():
+            _say(cannot_start(namespace, why) if self._cameras else f"{namespace}: cannot start: {why}")
+        self._late = LateStart(left_out, reasons, _say)
+        if not self._cameras:
+            raise faults[0] if faults else RuntimeError("none of the cameras' nodes can be started; see above")
+        self._ticked = time.monotonic()
+        first = self._members[0]
+        first.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
+        first.create_timer(WIRING_S, self._look_at_wiring, clock=DiagnosticsPublisher.steady_clock())
+        self._scheduler.start()
+
+    @property
+    def members(self) -> Sequence[rclpy.node.Node]:
+        """Those of a camera that is late come to it."""
+        return self._members
+
+    def close(self) -> int:
+        """Let frames that are at work come to their end and tell the handlers; the process's exit status."""
+        for late in self._late.close(CLOSE_S):
+            late.destroy()
+        for camera in self._cameras:
+            camera.stop_admitting()
+        finished = self._scheduler.close(CLOSE_S)
+        if finished:
+            for camera in self._cameras:
+                camera.finish()
+        for diagnostics in self._diagnostics:
+            diagnostics.publish()
+        return 0 if finished else EX_IOERR
+
+    def _make_camera(self, specs: Sequence[NodeSpec]) -> _Camera:
+        nodes: list[JobNode] = []
+
+        def say(name: str, text: str) -> None:
+            next(node for node in nodes if node.spec.full_name == name).warn(text)
+
+        made = _Camera(nodes, CameraPipeline(say))
+        try:
+            for spec in specs:
+                nodes.append(JobNode(spec, made.pipeline))
+            made.pipeline.pipeline.start()
+            for node in nodes:
+                node.subscribe(partial(self._scheduler.wake, made.pipeline))
+        except BaseException:
+            made.destroy()
+            raise
+        return made
+
+    def _add_camera(self, made: _Camera) -> None:
+        healths = {node.spec.full_name: node.health for node in made.nodes}
+        self._diagnostics.append(DiagnosticsPublisher(made.nodes[0], healths, made.nodes[0].config.camera))
+        self._members += made.nodes
+        self._cameras.append(made.pipeline)
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        waited, self._ticked = now - self._ticked, now
+        for late in self._late.tick(waited):
+            self._add_camera(late)
+        for node in self._members:
+            node.state_listeners()
+        self._members[0].look_at_clock()
+        for camera in self._cameras:
+            next(iter(camera.pipeline.jobs.values())).health.gauge("queue", camera.waiting)
+            camera.tick(waited)
+            self._scheduler.wake(camera)
+
+    def _look_at_wiring(self) -> None:
+        for node in self._members:
+            node.look_at_wiring()
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

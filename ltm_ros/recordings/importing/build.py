@@ -1,0 +1,238 @@
+"""Builds a bag from photos: the work of `ltm import` between its options and its table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
+from ltm_core.cameras.camera_config import PartialPose
+from ltm_core.cameras.plausibility import doubt_of_radians
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.site.site import Site
+from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
+from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
+from ltm_ros.recordings.importing.photo import Photo
+from ltm_ros.recordings.importing.photo_folder import PhotoFolder
+from ltm_ros.recordings.importing.pictures import find_pictures
+from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
+from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
+from ltm_ros.recordings.importing.sensed import Picture
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
+
+_APART_NS = 1_000_000
+"""Photos of one camera with equal stamps (bursts within a second) are moved this far apart."""
+
+
+@dataclass
+class ImportReport:
+    """What an import did. `skipped`: (photo, why). `cameras`: photos a camera."""
+
+    bag: Path
+    site: str
+    crs: str
+    origin: tuple[float, float]
+    cameras: dict[str, int] = field(default_factory=dict)
+    skipped: list[tuple[Path, str]] = field(default_factory=list)
+    notes: list[tuple[str, str]] = field(default_factory=list)
+    refined: list[tuple[str, Refinement]] = field(default_factory=list)
+    """Of each photo whose pose was sought in its picture."""
+
+
+def import_photos(
+    images: Sequence[Path],
+    out: Path,
+    poses: Path | None = None,
+    site: Site | None = None,
+    camera: str | None = None,
+    assumed: Assumptions | None = None,
+    skip_bad: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    photos_out: Path | None = None,
+    refinement: PoseRefinement | None = None,
+) -> ImportReport:
+    """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
+
+    `images`: photo files, folders of photos, and recordings of phones (`find_pictures`). With `poses`, only photos that
+    it names are taken. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
+    without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
+    names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead of
+    stopping. `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for
+    the upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in
+    their pictures.
+
+    Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
+    """
+    assumed = assumed or Assumptions()
+    BagWriter.require_free(out)
+    files = find_pictures(images, assumed)
+    rows = read_pose_file(poses) if poses is not None else None
+    if rows is not None:
+        given = len(files)
+        files = _named_in(files, rows, poses)
+    frame = site.frame if site is not None else _frame_of(files, rows)
+    around = Surroundings(frame)
+    if site is not None:
+        around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+    report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
+
+    if rows is not None and len(files) < given:
+        report.notes.append((str(poses), f"does not name {given - len(files)} of the {given} photos: left out"))
+
+    placed: list[tuple[str, Picture, PhotoPose, int]] = []
+    for done, file in enumerate(files):
+        row = _row_of(file, rows)
+        try:
+            name = _camera_name(row, camera, site)
+            item = place(_read(file, row), row, name, around, assumed)
+            _check_size(item, name, site)
+        except ConfigError:
+            raise
+        except LtmError as error:
+            if not skip_bad:
+                raise
+            report.skipped.append((file.path, str(error)))
+        else:
+            if refinement is not None:
+                refinement.look(name, file.name, item)
+            # Only what orders the photos is kept: a season's photos do not fit in memory.
+            placed.append((name, file, row, item.stamp_ns))
+            report.notes += [(file.name, note) for note in item.notes]
+        progress(done + 1, 2 * len(files))
+    if not placed:
+        raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
+    placed = _apart(placed, report)
+    doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
+    if doubt is not None:
+        report.notes.append((str(poses), doubt))
+
+    origin = f"{frame.x_origin!r} {frame.y_origin!r}"
+    custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
+    folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
+    with BagWriter(out, compression=None, custom_data=custom) as writer, folder or nullcontext():  # JPEG stays as it is
+        for done, (name, file, row, stamp_ns) in enumerate(placed):
+            item = place(_read(file, row), row, name, around, assumed)
+            if refinement is not None:
+                item, found = refinement.refine(name, file.name, item)
+                report.refined.append((file.name, found))
+            _write(writer, report.site, name, item, stamp_ns)
+            if folder is not None:
+                folder.add(file.name, name, item, stamp_ns)
+            report.cameras[name] = report.cameras.get(name, 0) + 1
+            progress(len(files) + done + 1, len(files) + len(placed))
+    return report
+
+
+def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
+    optical = f"{camera}_optical"
+    image = compressed_to_msg(item.photo.data, item.photo.image_format, stamp_ns, optical)
+    for topic, msg in (
+        (CAMERA_INFO, camera_to_msg(item.camera, stamp_ns, optical)),
+        (POSE, pose_to_msg(item.pose, stamp_ns, covariance=item.covariance)),
+        (IMAGE_COMPRESSED, image),
+    ):
+        writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
+
+
+def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
+    missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
+    if missing:
+        raise RecordingError(
+            f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
+        )
+    return [file for file in files if any(name in rows for name in _names_of(file))]
+
+
+def _names_of(file: Picture) -> tuple[str, str, str]:
+    """By which a pose file may call it: its own, that without the suffix, and its capture's."""
+    return file.name, Path(file.name).stem, file.capture
+
+
+def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
+    """Its own, or that of its capture, whose begin it then tells."""
+    if rows is None:
+        return PhotoPose(name=file.name)
+    return next(rows[name] for name in _names_of(file) if name in rows)
+
+
+def _read(file: Picture, row: PhotoPose) -> Photo:
+    """A frame with a row of its own is placed by that, and not by the capture's first frame."""
+    photo = file.read()
+    own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
+    return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
+
+
+def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
+    name = row.camera or given
+    if site is None:
+        return checked(PhotoPose, {"name": "-", "camera": name or "camera"}, "--camera").camera or ""
+    if name is None:
+        if len(site.cameras) > 1:
+            raise ConfigError(
+                f"site {site.name} has the cameras {', '.join(site.cameras)}: say which one took the photos, with "
+                "--camera or a column `camera` in the pose file"
+            )
+        (name,) = site.cameras
+    site.camera(name)
+    return name
+
+
+def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
+    """Raises ImageError for a photo that the graph would drop, as the site's calibration is for another size."""
+    calibration = site.camera(name).calibration if site is not None else None
+    photo = item.photo
+    if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
+        return
+    why = f"is {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
+    remedy = "give it a photo of that size, or the site the calibration of this one"
+    if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
+        remedy = (
+            "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
+            "(exiftool -Orientation= photo.jpg)"
+        )
+    raise ImageError(
+        f"{photo.path} {why} but camera {name} of the site is calibrated for {calibration.width} x "
+        f"{calibration.height}: {remedy}"
+    )
+
+
+def _frame_of(files: list[Picture], rows: dict[str, PhotoPose] | None) -> SiteFrame:
+    """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
+    for file in files:
+        row = _row_of(file, rows)
+        if row.pose.x is not None and row.pose.crs is None:
+            raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
+        lon, lat = row.pose.lonlat()
+        if lon is None or lat is None:
+            sensed = file.read().sensed
+            lon, lat = sensed.lon, sensed.lat
+        if lon is not None and lat is not None:
+            zone = min(math.floor((lon + 180) / 6) + 1, 60)
+            crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
+            x, y = SiteFrame(crs).from_lonlat(lon, lat)
+            return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
+    raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
+
+
+def _apart(
+    placed: list[tuple[str, Picture, PhotoPose, int]], report: ImportReport
+) -> list[tuple[str, Picture, PhotoPose, int]]:
+    """In the order of their stamps, with no stamp twice for a camera."""
+    ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
+    last: dict[str, int] = {}
+    result = []
+    for name, file, row, stamp_ns in ordered:
+        if name in last and stamp_ns <= last[name]:
+            stamp_ns = last[name] + _APART_NS
+            report.notes.append((file.name, "has the stamp of the photo before it: moved 1 ms on"))
+        last[name] = stamp_ns
+        result.append((name, file, row, stamp_ns))
+    return sorted(result, key=lambda item: item[3])

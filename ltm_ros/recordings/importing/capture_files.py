@@ -1,0 +1,138 @@
+"""The files of a capture: members of a zip, or a folder. What is read is bounded, and no name from inside a zip ever
+reaches the file system: members are read into memory, by what they are called in the archive alone."""
+
+from __future__ import annotations
+
+import csv
+import io
+import lzma
+import struct
+import zipfile
+import zlib
+from collections.abc import Collection, Iterator
+from pathlib import Path, PurePosixPath
+
+from ltm_core.base.errors import RecordingError
+
+MOST_MEMBERS = 100_000
+LARGEST_TABLE = 64 << 20
+"""Bytes of a CSV file: an hour of attitudes at 100 Hz has 55 MB."""
+LARGEST_JSON = 32 << 20
+"""Bytes of a JSON file, which takes twenty times as much while it is read."""
+MOST_ROWS = 1_000_000
+_BROKEN = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError),
+    *(NotImplementedError, RuntimeError, ValueError, LookupError, OverflowError, MemoryError),
+)
+"""What zipfile raises for archives that are damaged, encrypted, or packed in a way that it does not know."""
+
+
+class CaptureFiles:
+    """The files of a capture, by their names relative to `root`, with `/`. Raises RecordingError throughout."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._archive = None if path.is_dir() else self._opened()
+        self.names: tuple[str, ...] = tuple(self._below() if self._archive is None else self._members(self._archive))
+
+    def find(self, name: str) -> str | None:
+        """The member of this name, in any case and at any depth; of several the one nearest to the top."""
+        found = [n for n in self.names if PurePosixPath(n).name.lower() == name.lower()]
+        return min(found, key=lambda n: (n.count("/"), n)) if found else None
+
+    def matching(self, folder: str, suffixes: tuple[str, ...]) -> list[str]:
+        """Members right in a folder of this name (in any case, at any depth), sorted."""
+        return sorted(
+            name
+            for name in self.names
+            if PurePosixPath(name).parent.name.lower() == folder.lower() and name.lower().endswith(suffixes)
+        )
+
+    def read(self, name: str, most: int) -> bytes:
+        """A member's bytes, no more than `most` of them whatever the archive says of its size."""
+        place = f"{self.path}: {name!r}"
+        try:
+            opened = (self.path / name).open("rb") if self._archive is None else self._archive.open(name)
+            with opened as member:
+                data = member.read(most + 1)
+        except _BROKEN as error:
+            raise RecordingError(
+                f"{place}: cannot be read ({type(error).__name__}: {error}); export the recording again, without a "
+                "password"
+            ) from error
+        if len(data) > most:
+            raise RecordingError(
+                f"{place}: has more than {most >> 20} MiB unpacked: no such file is that large; split the recording"
+            )
+        return data
+
+    def text(self, name: str, most: int) -> str:
+        """A member that is text in UTF-8."""
+        try:
+            return self.read(name, most).decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise RecordingError(f"{self.path}: {name!r} is not text in UTF-8 ({error})") from error
+
+    def _opened(self) -> zipfile.ZipFile:
+        try:
+            return zipfile.ZipFile(self.path)
+        except _BROKEN as error:
+            raise RecordingError(
+                f"{self.path}: is no whole zip ({type(error).__name__}: {error}); export or copy it again"
+            ) from error
+
+    def _members(self, archive: zipfile.ZipFile) -> list[str]:
+        infos = archive.infolist()
+        if len(infos) > MOST_MEMBERS:
+            raise RecordingError(f"{self.path}: has {len(infos)} files, more than {MOST_MEMBERS}: split the recording")
+        return [info.filename for info in infos if info.filename and not info.filename.endswith("/")]
+
+    def _below(self) -> Iterator[str]:
+        """Files in the folder and one below it: no recording nests deeper."""
+        for pattern in ("*", "*/*"):
+            for count, path in enumerate(self.path.glob(pattern)):
+                if count >= MOST_MEMBERS:
+                    raise RecordingError(f"{self.path}: has more than {MOST_MEMBERS} files: split the recording")
+                if path.is_file():
+                    yield path.relative_to(self.path).as_posix()
+
+
+def is_zip(path: Path) -> bool:
+    """By its first bytes."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) in (b"PK\x03\x04", b"PK\x05\x06")
+    except OSError:
+        return False
+
+
+def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, list[str]]:
+    """The wanted columns of a CSV with a header, as far as it has them; blanks beside commas are taken off.
+
+    Raises RecordingError for one that is none, or with rows of another length (the last may be cut short: a phone that
+    dies mid-word).
+    """
+    place = f"{files.path}: {name!r}"
+    lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
+    rows = csv.reader(lines, skipinitialspace=True)
+    try:
+        header = [column.strip() for column in next(rows, [])]
+        if not header or len(set(header)) < len(header):
+            raise RecordingError(f"{place}: its first line is no header of different columns, got {header[:8]}")
+        columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
+        kept = [(header.index(column), values) for column, values in columns.items()]
+        short = 0
+        for number, row in enumerate(rows, start=2):
+            if short:
+                raise RecordingError(f"{place}, line {short}: has fewer values than the {len(header)} columns")
+            if number > MOST_ROWS:
+                raise RecordingError(f"{place}: has more than {MOST_ROWS} rows: split the recording")
+            if row and len(row) < len(header):
+                short = number
+            elif row:
+                for i, values in kept:
+                    values.append(row[i].strip())
+    except (csv.Error, UnicodeDecodeError) as error:
+        what = "not text in UTF-8" if isinstance(error, UnicodeDecodeError) else "no CSV"
+        raise RecordingError(f"{place} is {what} ({error}); export the recording again") from error
+    return columns

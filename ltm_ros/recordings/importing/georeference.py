@@ -1,0 +1,203 @@
+"""Camera, pose and stamp of one photo: by its row in the pose file, the site's fixed camera and its sensors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from ltm_core.base.errors import CameraError, PoseError, RecordingError
+from ltm_core.base.types import Float64Array
+from ltm_core.base.utc_time import stamp_of_moment
+from ltm_core.cameras.camera_config import PartialCalibration, PartialPose, PoseConfig
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
+from ltm_core.site.sections import CameraConfig
+from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
+from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
+from ltm_ros.recordings.importing.height import height_of
+from ltm_ros.recordings.importing.photo import Photo
+from ltm_ros.recordings.importing.photo_time import photo_time
+from ltm_ros.recordings.importing.pose_file import PhotoPose
+
+_NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPhoto:
+    """A photo with all that the graph needs. `covariance`: (6, 6) of the pose; None: it is as good as the site assumes
+    of poses. `notes`: what had to be assumed, for the user.
+    """
+
+    photo: Photo
+    camera: Camera
+    pose: Pose
+    covariance: Float64Array | None
+    stamp_ns: int
+    notes: list[str] = field(default_factory=list)
+
+
+def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed: Assumptions) -> PlacedPhoto:
+    """Join what is known of a photo: its row goes before the site's fixed pose and calibration of `camera`, which go
+    before its sensors and EXIF.
+
+    Raises PoseError, CameraError or RecordingError where position, azimuth, pitch, focal length or date are known from
+    nowhere, with the remedy.
+    """
+    notes: list[str] = []
+    taken = photo_time(photo, row.stamp, assumed.time_zone, notes)
+    stamp_ns = _stamp_ns(photo, taken)
+    fixed = site.cameras.get(camera, CameraConfig())
+    known = row.pose.over(_whole(fixed.pose))
+    found: dict[str, float] = {}
+    x, y = _position(photo, known, site.frame, assumed, found)
+    z = height_of(photo, known, x, y, site, assumed, notes, found)
+    azimuth = _azimuth_deg(photo, known, site.frame, (x, y, z), taken, assumed, notes, found)
+    pitch, roll = _tilt(photo, known, assumed, notes, found)
+    if photo.turned:
+        notes.append(
+            f"{photo.turned}: taken upright, as {photo.width} x {photo.height} pixels, of which calibration, pitch and "
+            "roll must be"
+        )
+    pose = Pose.from_angles((x, y, z), azimuth, pitch, roll)
+    stated = known.model_dump(include=set(found), exclude_none=True)
+    error = site.pose_error
+    covariance = known.model_copy(update=found | stated).covariance(pose, error.position, error.angle_deg)
+    if photo.sensed.relative is not None:
+        first, pose = pose, photo.sensed.relative.placed(pose)
+        covariance = None if covariance is None else moved_covariance(covariance, pose.position - first.position)
+    return PlacedPhoto(photo, _camera(photo, row, fixed, assumed), pose, covariance, stamp_ns, notes)
+
+
+def _tilt(
+    photo: Photo, known: PartialPose, assumed: Assumptions, notes: list[str], found: dict[str, float]
+) -> tuple[float, float]:
+    """Pitch and roll, degrees."""
+    sensed, sigma = photo.sensed, photo.sensed.tilt_sigma_deg or assumed.attitude_sigma_deg
+    pitch, roll = known.pitch_deg, known.roll_deg
+    if pitch is None and sensed.pitch_deg is not None:
+        pitch, found["pitch_sigma_deg"] = sensed.pitch_deg, sigma
+    if roll is None and sensed.roll_deg is not None:
+        roll, found["roll_sigma_deg"] = sensed.roll_deg, sigma
+    if pitch is None and assumed.pitch_deg is not None:
+        pitch, found["pitch_sigma_deg"] = assumed.pitch_deg, assumed.tilt_sigma_deg
+        notes.append(
+            f"pitch is not known ({sensed.source} has none): taken as {pitch:g} +- {assumed.tilt_sigma_deg:g} deg"
+        )
+    if pitch is None and assumed.keep_unknown:
+        pitch, found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
+        notes.append(f"pitch is not known: taken as unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
+    if pitch is None:
+        raise PoseError(
+            f"{photo.path}: its pitch is not known ({sensed.source} has none): give pitch_deg in a pose file "
+            "(--poses), or --pitch-deg for all photos, or --keep-unknown to take it as unknown"
+        )
+    if roll is None:
+        roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
+        notes.append(f"roll is not known: taken as {roll:g} +- {assumed.tilt_sigma_deg:g} deg")
+    return pitch, roll
+
+
+def _whole(fixed: PoseConfig | None) -> PartialPose | None:
+    """Pitch and roll that a site file leaves out are 0."""
+    if fixed is None:
+        return None
+    return fixed.model_copy(update={"pitch_deg": fixed.pitch_deg or 0.0, "roll_deg": fixed.roll_deg or 0.0})
+
+
+def _stamp_ns(photo: Photo, taken: datetime) -> int:
+    stamp_ns = stamp_of_moment(taken)
+    if stamp_ns < 0:
+        raise RecordingError(
+            f"{photo.path} is dated {taken.isoformat()}, before 1970: give it a `stamp` in the pose file"
+        )
+    return stamp_ns
+
+
+def _position(
+    photo: Photo, known: PartialPose, frame: SiteFrame, assumed: Assumptions, found: dict[str, float]
+) -> tuple[float, float]:
+    stated = known.xy(frame)
+    if stated is not None:
+        return stated
+    sensed = photo.sensed
+    lon, lat = sensed.lon, sensed.lat
+    if lon is None or lat is None:
+        why = f": {sensed.missing}" if sensed.missing else ""
+        raise PoseError(
+            f"{photo.path} has no position in {sensed.source}{why}; give it x, y or lon, lat in a pose file (--poses)"
+        )
+    found["position_sigma"] = sensed.position_sigma or assumed.gps_sigma
+    x, y = frame.from_lonlat(lon, lat)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise PoseError(f"{photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
+    return float(x), float(y)
+
+
+def _azimuth_deg(
+    photo: Photo,
+    known: PartialPose,
+    frame: SiteFrame,
+    position: tuple[float, float, float],
+    taken: datetime,
+    assumed: Assumptions,
+    notes: list[str],
+    found: dict[str, float],
+) -> float:
+    stated = known.grid_azimuth_deg(frame, position, taken.date())
+    if stated is not None:
+        return stated
+    x, y, z = position
+    sensed = photo.sensed
+    azimuth = sensed.azimuth_deg
+    if azimuth is None and assumed.keep_unknown:
+        found["azimuth_sigma_deg"] = UNKNOWN_AZIMUTH_SIGMA_DEG
+        notes.append(
+            f"direction is not known: taken as unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}"
+        )
+        return 0.0
+    if azimuth is None:
+        raise PoseError(
+            f"{photo.path} has no direction in {sensed.source}: give it azimuth_deg in a pose file (--poses), or "
+            "--keep-unknown to take it as unknown"
+        )
+    found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
+    if sensed.azimuth_ref == "M":
+        return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
+    if sensed.azimuth_ref is None:
+        notes.append(f"{sensed.source} direction {azimuth:.1f} deg does not say from which north: taken as true north")
+    return frame.true_to_grid_deg(azimuth, x, y)
+
+
+def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumptions) -> Camera:
+    """Raises CameraError where the focal length is known from nowhere, or the row's calibration is of another size."""
+    width, height = photo.width, photo.height
+    stated: PartialCalibration = row.calibration
+    if stated.width is not None and (stated.width, stated.height) != (width, height):
+        raise CameraError(
+            f"{photo.path} has {width} x {height} pixels upright, but its calibration in the pose file is of "
+            f"{stated.width} x {stated.height}: give fx or hfov_deg for this image size, or photos of that size"
+        )
+    if stated == PartialCalibration() and fixed.calibration is not None:
+        stated = fixed.calibration
+    if stated == PartialCalibration():
+        stated = photo.sensed.calibration
+    cx, cy = stated.cx or 0.0, stated.cy or 0.0
+    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
+        raise CameraError(
+            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) lies beside the image of {width} x {height} "
+            f"pixels, as {photo.turned}: give that of the upright image"
+        )
+    if stated.fx is not None or stated.hfov_deg is not None:
+        return stated.camera_of(width, height, 0.0)
+    fx = photo.exif.focal_px(width, height, assumed.sensor_width_mm)
+    if fx is None and assumed.focal_35mm is not None:
+        fx = assumed.focal_35mm / FULL_FRAME_WIDTH_MM * max(width, height)
+    if fx is None:
+        remedy = "give fx or hfov_deg in a pose file (--poses), --focal-35mm"
+        if photo.exif.focal_mm is not None:
+            remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
+        raise CameraError(f"{photo.path}: EXIF does not tell the focal length in pixels: {remedy}")
+    return stated.camera_of(width, height, fx)

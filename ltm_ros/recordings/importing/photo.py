@@ -1,0 +1,106 @@
+"""Finds photo files, and reads them upright as JPEG or PNG bytes, with what their sensors told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import ImageOps
+
+from ltm_core.base.errors import ImageError
+from ltm_core.storage.photo_io import opened_picture, read_picture
+from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_ros.recordings.importing.dji import sensed_by_xmp
+from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
+from ltm_ros.recordings.importing.sensed import Sensed
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
+_FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}
+_REENCODED_QUALITY = 95
+_TURNS = {
+    2: "mirrors it",
+    3: "turns it by 180 degrees",
+    4: "turns it by 180 degrees and mirrors it",
+    5: "turns it by 90 degrees and mirrors it",
+    6: "turns it by 90 degrees clockwise",
+    7: "turns it by 90 degrees and mirrors it",
+    8: "turns it by 90 degrees counter-clockwise",
+}
+"""What EXIF's orientation tag does to the stored image: CIPA DC-008 (Exif 2.32), 4.6.4."""
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
+    what is known of its place and direction.
+
+    `reencoded`: whether `data` differs from the file, because it is HEIC or was turned upright.
+    """
+
+    path: Path
+    data: bytes
+    image_format: str
+    width: int
+    height: int
+    exif: ExifFacts
+    sensed: Sensed
+    reencoded: bool
+
+    @property
+    def turned(self) -> str:
+        """What EXIF has done to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
+        # libheif has turned a HEIC image by what its own format says, so that its EXIF tag says nothing.
+        known = self.path.suffix.lower() not in (".heic", ".heif") and self.exif.orientation in _TURNS
+        return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
+
+
+def photos_in(folder: Path) -> list[Path]:
+    """The photos in a folder (not below it), by name."""
+    return sorted(
+        p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
+    )
+
+
+def read_photo(path: Path) -> Photo:
+    """Read a JPEG, PNG or HEIC photo, told by its content.
+
+    JPEG and PNG keep their very bytes unless EXIF says that the image is to be turned; then, and for HEIC, the upright
+    image is compressed anew (JPEG quality 95). Raises ImageError on anything else, or on a file that does not decode.
+    """
+    return photo_of(read_picture(path), path)
+
+
+def photo_of(data: bytes, path: Path) -> Photo:
+    """The photo of a file's bytes; `path`: what errors call it. Raises as `read_photo` does."""
+    with opened_picture(data, path) as image:
+        found = image.format or "unknown"
+        if found not in _FORMATS and found != "HEIF":
+            raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
+        facts = exif_facts(image.getexif(), str(path))
+        # libheif has already turned a HEIC image upright, whatever its EXIF says.
+        if found in _FORMATS and facts.orientation == 1:
+            pixels = decode_rgb(data, str(path))
+            height, width = pixels.shape[:2]
+            sensed = sensed_by_xmp(image.info.get("xmp"), sensed_by_exif(facts), width, height)
+            return Photo(path, data, _FORMATS[found], width, height, facts, sensed, reencoded=False)
+        xmp = image.info.get("xmp")
+        upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
+        pixels = np.asarray(upright.convert("RGB"), np.uint8)
+    image_format = "png" if found == "PNG" else "jpeg"
+    height, width = pixels.shape[:2]
+    encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
+    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
+    return Photo(path, encoded, image_format, width, height, facts, sensed, reencoded=True)
+
+
+def sensed_by_exif(facts: ExifFacts) -> Sensed:
+    """EXIF tells place and direction; it has no pitch and no roll."""
+    return Sensed(
+        lon=facts.lon,
+        lat=facts.lat,
+        position_sigma=facts.position_error,
+        altitude=facts.altitude,
+        azimuth_deg=facts.direction_deg,
+        azimuth_ref=facts.direction_ref,
+    )

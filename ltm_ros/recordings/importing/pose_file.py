@@ -1,0 +1,123 @@
+"""Reads pose files: what a user knows of each photo, as CSV or YAML. It takes precedence over EXIF."""
+
+from __future__ import annotations
+
+import csv
+import io
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.cameras.camera_config import PartialCalibration, PartialPose
+from ltm_core.site.site import RosName
+from ltm_core.storage.config_io import checked, read_yaml
+from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+
+_SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
+_FORMER = {"pose": ("position",), "calibration": ("distortion",)}
+
+
+class PhotoPose(StrictModel):
+    """What is known of one photo. What is left out comes from the site file's camera, or from EXIF.
+
+    `pose` and `calibration` are those of a site file. In a CSV, and in former YAML files, their keys stand beside
+    `name`.
+    """
+
+    name: str = Field(min_length=1)
+    """File name of the photo, without its folder."""
+    camera: RosName | None = None
+    stamp: datetime | None = None
+    """ISO 8601; UTC unless it names a zone."""
+    pose: PartialPose = PartialPose()
+    calibration: PartialCalibration = PartialCalibration()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gathered(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        rest, sections = dict(data), {}
+        for section, model in _SECTIONS.items():
+            keys = data.keys() & {*model.model_fields, *_FORMER[section]}
+            if section not in data and keys:
+                sections[section] = {key: rest.pop(key) for key in data if key in keys}
+        return rest | sections
+
+
+def columns() -> list[str]:
+    """All columns that a CSV may have."""
+    own = [name for name in PhotoPose.model_fields if name not in _SECTIONS]
+    return own + [name for model in _SECTIONS.values() for name in model.model_fields]
+
+
+def read_pose_file(path: Path) -> dict[str, PhotoPose]:
+    """Rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names without
+    their suffix, from a folder of pose files, as `ltm pose --photo` writes it.
+
+    Raises ConfigError: no file, another kind of file, unknown columns, wrong or contradicting values (with the line),
+    or a photo that comes twice.
+    """
+    if path.is_dir():
+        return _pose_files(path)
+    readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ConfigError(f"pose file {path} must end in .csv, .yaml or .yml")
+    poses: dict[str, PhotoPose] = {}
+    unnamed = _SECTIONS if path.suffix.lower() == ".csv" else ()
+    for place, row in reader(path):
+        pose = checked(PhotoPose, row, place, unnamed=unnamed)
+        if pose.name in poses:
+            raise ConfigError(f"{place}: {pose.name} comes twice")
+        poses[pose.name] = pose
+    if not poses:
+        raise ConfigError(f"pose file {path} has no rows")
+    return poses
+
+
+def _pose_files(folder: Path) -> dict[str, PhotoPose]:
+    poses = {}
+    for path in sorted(folder.glob("*.yaml")):
+        content = read_yaml(path)
+        if not isinstance(content, dict) or "pose" not in content:
+            raise ConfigError(f"{path} is no pose file: it has no section `pose`")
+        known = {section: content[section] for section in _SECTIONS if section in content}
+        poses[path.stem] = checked(PhotoPose, {"name": path.stem, **known}, str(path))
+    if not poses:
+        raise ConfigError(f"{folder} holds no pose files (NAME.yaml for the photo NAME)")
+    return poses
+
+
+def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
+    try:
+        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
+        header = [name.strip() for name in reader.fieldnames or []]
+        unknown = sorted(set(header) - set(columns()))
+        if unknown or len(set(header)) < len(header):
+            raise ConfigError(
+                f"pose file {path}: columns {', '.join(unknown) or 'that come twice'} are not known; "
+                f"known: {', '.join(columns())}"
+            )
+        reader.fieldnames = header
+        rows = []
+        for number, row in enumerate(reader, start=1):
+            place = f"{path}, row {number}"
+            if None in row or None in row.values():
+                raise ConfigError(f"{place}: has more or fewer values than the header's {len(header)} columns")
+            rows.append((place, {name: value.strip() for name, value in row.items() if value.strip()}))
+        return rows
+    except csv.Error as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
+
+
+def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    content = read_yaml(path)
+    if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
+        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one a photo, each with a name")
+    return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

@@ -1,0 +1,186 @@
+"""What a device recorded along its way: fixes, attitude and barometer, each at a time of its own, read at any stamp."""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import Float64Array, Int64Array
+from ltm_core.base.utc_time import moment_of_stamp
+from ltm_core.cameras.sensor_pose import optical_angles_deg
+from ltm_ros.recordings.importing.sensed import Sensed, Walk
+
+_FIX_GAP_NS = 15_000_000_000
+"""Between a photo and the nearest fix: a walker goes 20 m in it. Phones give one fix a second."""
+_ATTITUDE_GAP_NS = 500_000_000
+"""Between a photo and the nearest attitude: a hand turns a phone by tens of degrees in a second."""
+_WALKING_SPEED = 1.4
+"""Metres a second by which a fix that is not of the photo's time gets worse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` above sea level, or above the ellipsoid where
+    `ellipsoidal`, and both sigmas in metres (N,), NaN where not known."""
+
+    stamp_ns: Int64Array
+    lon: Float64Array
+    lat: Float64Array
+    altitude: Float64Array
+    position_sigma: Float64Array
+    altitude_sigma: Float64Array
+    ellipsoidal: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes:
+    """`stamp_ns` (M,) ascending; `rotations`: M, the device's axes to east, north, up of `north`: true ("T"), magnetic
+    ("M"), or None where the heading means nothing. Sigmas in degrees, None where the device states none."""
+
+    stamp_ns: Int64Array
+    rotations: Rotation
+    north: Literal["T", "M"] | None
+    heading_sigma_deg: float | None = None
+    tilt_sigma_deg: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """`metres` (K,) above where the recording began, at `stamp_ns` (K,) ascending."""
+
+    stamp_ns: Int64Array
+    metres: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTrack:
+    """`on_foot`: carried at eye height, so that the ground under its way tells the height at which it began."""
+
+    source: str
+    fixes: Fixes | None = None
+    attitudes: Attitudes | None = None
+    climb: Climb | None = None
+    on_foot: bool = False
+    _walk: list[Walk | None] = field(default_factory=list)
+
+    def at(self, stamp_ns: int, device_from_optical: Float64Array) -> Sensed:
+        """What the track tells of a photo: `device_from_optical` (3, 3), how its camera is mounted."""
+        facts: dict[str, object] = {}
+        position = self._position(stamp_ns)
+        if isinstance(position, str):
+            facts["missing"] = position
+        else:
+            facts |= position
+        facts |= self._angles(stamp_ns, device_from_optical)
+        climb = self._climbed(stamp_ns)
+        if climb is not None:
+            facts |= {"climb": climb, "walk": self._walked()}
+        return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
+
+    def rotation_at(self, stamp_ns: int) -> Rotation | None:
+        """The device's axes to east, north, up; None where nothing was recorded near."""
+        told = self.attitudes
+        if told is None or not len(told.stamp_ns):
+            return None
+        near, gap = _nearest(told.stamp_ns, stamp_ns)
+        if gap > _ATTITUDE_GAP_NS:
+            return None
+        first = min(max(bisect.bisect_right(told.stamp_ns, stamp_ns) - 1, 0), max(len(told.stamp_ns) - 2, 0))
+        pair = told.stamp_ns[first : first + 2]
+        if len(pair) < 2 or pair[0] == pair[1] or not pair[0] <= stamp_ns <= pair[1]:
+            return told.rotations[near]
+        return Slerp([0.0, 1.0], told.rotations[first : first + 2])((stamp_ns - pair[0]) / (pair[1] - pair[0]))
+
+    def _position(self, stamp_ns: int) -> dict[str, object] | str:
+        fixes = self.fixes
+        if fixes is None or not len(fixes.stamp_ns):
+            return "it holds no fix"
+        near, gap = _nearest(fixes.stamp_ns, stamp_ns)
+        if gap > _FIX_GAP_NS:
+            return (
+                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from its nearest fix "
+                f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
+            )
+        facts: dict[str, object] = {
+            "lon": _at(fixes.stamp_ns, fixes.lon, stamp_ns),
+            "lat": _at(fixes.stamp_ns, fixes.lat, stamp_ns),
+            "ellipsoidal": fixes.ellipsoidal,
+        }
+        altitude = _at(fixes.stamp_ns, fixes.altitude, stamp_ns)
+        if np.isfinite(altitude):
+            facts["altitude"] = altitude
+            if np.isfinite(fixes.altitude_sigma[near]):
+                facts["altitude_sigma"] = float(fixes.altitude_sigma[near])
+        if np.isfinite(fixes.position_sigma[near]):
+            away = _WALKING_SPEED * max(gap / 1e9 - 1.0, 0.0)  # a second is what fixes lie apart
+            facts["position_sigma"] = float(np.hypot(fixes.position_sigma[near], away))
+        return facts
+
+    def _angles(self, stamp_ns: int, device_from_optical: Float64Array) -> dict[str, object]:
+        rotation, told = self.rotation_at(stamp_ns), self.attitudes
+        if rotation is None or told is None:
+            return {}
+        azimuth, pitch, roll = optical_angles_deg(rotation.as_matrix() @ device_from_optical)
+        facts: dict[str, object] = {"pitch_deg": pitch, "roll_deg": roll, "tilt_sigma_deg": told.tilt_sigma_deg}
+        if told.north is not None:
+            facts |= {
+                "azimuth_deg": azimuth,
+                "azimuth_ref": told.north,
+                "azimuth_sigma_deg": told.heading_sigma_deg,
+            }
+        return facts
+
+    def _climbed(self, stamp_ns: int) -> float | None:
+        if self.climb is None or not len(self.climb.stamp_ns):
+            return None
+        _, gap = _nearest(self.climb.stamp_ns, stamp_ns)
+        return _at(self.climb.stamp_ns, self.climb.metres, stamp_ns) if gap <= _FIX_GAP_NS else None
+
+    def _walked(self) -> Walk | None:
+        fixes, climb = self.fixes, self.climb
+        if not self.on_foot or fixes is None or climb is None:
+            return None
+        if not self._walk:
+            inside = (fixes.stamp_ns >= climb.stamp_ns[0]) & (fixes.stamp_ns <= climb.stamp_ns[-1])
+            heights = np.interp(fixes.stamp_ns[inside], climb.stamp_ns, climb.metres)
+            self._walk.append(Walk(fixes.lon[inside], fixes.lat[inside], heights) if inside.any() else None)
+        return self._walk[0]
+
+
+def time_of(stamp_ns: int) -> datetime:
+    """UTC. Raises RecordingError for one that no calendar has."""
+    try:
+        return moment_of_stamp(stamp_ns)
+    except OverflowError as error:
+        raise RecordingError(f"time {stamp_ns} ns is no nanoseconds since 1970") from error
+
+
+def _shown(stamp_ns: int) -> str:
+    """A date, or seconds of a video."""
+    return time_of(stamp_ns).isoformat() if stamp_ns > 10**17 else f"{stamp_ns / 1e9:.1f} s"
+
+
+def ascending(stamp_ns: Int64Array) -> Int64Array:
+    """Indices that put stamps (N,) into order, each stamp once; 0 stands for none, and is left out."""
+    values, first = np.unique(stamp_ns, return_index=True)
+    return np.asarray(first[values > 0], np.int64)
+
+
+def _nearest(stamps: Int64Array, stamp_ns: int) -> tuple[int, int]:
+    """Index of the nearest stamp, and how far it lies."""
+    after = bisect.bisect_left(stamps, stamp_ns)
+    near = min((i for i in (after - 1, after) if 0 <= i < len(stamps)), key=lambda i: abs(int(stamps[i]) - stamp_ns))
+    return near, abs(int(stamps[near]) - stamp_ns)
+
+
+def _at(stamps: Int64Array, values: Float64Array, stamp_ns: int) -> float:
+    """Between the two nearest, the nearest beyond the ends; of unknown neighbours the known one."""
+    near, _ = _nearest(stamps, stamp_ns)
+    between = float(np.interp(stamp_ns - int(stamps[0]), stamps - stamps[0], values))
+    return between if np.isfinite(between) else float(values[near])

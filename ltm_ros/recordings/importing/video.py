@@ -1,0 +1,199 @@
+"""Frames, times and tags of videos in MP4 and MOV, by PyAV (FFmpeg), which the extra `ltm[video]` installs."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import UInt8Array
+from ltm_core.storage.photo_io import MAX_PIXELS
+
+SUFFIXES = (".mp4", ".mov", ".m4v")
+MOST_FRAMES = 20_000
+_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+_STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis")
+_LARGEST_TRACK = 256 << 20
+"""Bytes of a track of telemetry: an hour of a GoPro has 60 MB."""
+_ISO6709 = re.compile(r"([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)?(?:CRS[^/]*)?/?")
+_TAGS = (
+    *("com.apple.quicktime.location.ISO6709", "com.apple.quicktime.location.iso6709"),
+    *("location", "location-eng", "com.android.location"),
+)
+_EPOCH_1904 = datetime(1971, 1, 1, tzinfo=UTC)
+"""Cameras without a clock write 0, which is 1904."""
+
+
+@dataclass(frozen=True)
+class Video:
+    """`begins`: its first frame's time, with its zone; None where it states none. `times`: seconds after it of the
+    frames that were asked for. `lat`, `lon`, `altitude`: one place of all of it, above sea level; `position_sigma`:
+    metres. `focal_35mm`: as on 36 mm wide film. `maker`: of the camera, empty where it is not stated."""
+
+    path: Path
+    begins: datetime | None
+    times: tuple[float, ...]
+    lat: float | None = None
+    lon: float | None = None
+    altitude: float | None = None
+    position_sigma: float | None = None
+    focal_35mm: float | None = None
+    maker: str = ""
+
+    def upright(self, seconds: float) -> UInt8Array:
+        """The first frame from then on, (H, W, 3) RGB, turned as the video says. Raises RecordingError."""
+        pixels, turn_deg = self._frame(seconds)
+        # The turn that shows it upright is counter-clockwise, as NumPy's.
+        return np.ascontiguousarray(np.rot90(pixels, round(turn_deg / 90) % 4))
+
+    def stored(self, seconds: float) -> UInt8Array:
+        """The same as the sensor read it, whatever way the video says it is to be shown."""
+        return self._frame(seconds)[0]
+
+    def _frame(self, seconds: float) -> tuple[UInt8Array, float]:
+        with _opened(self.path) as container:
+            stream = container.streams.video[0]
+            start = float((stream.start_time or 0) * stream.time_base)
+            container.seek(max(0, math.floor((start + seconds) / stream.time_base)), stream=stream)
+            found: Any = None
+            for frame in container.decode(stream):
+                found = frame
+                if frame.time is not None and frame.time - start >= seconds - 1e-3:
+                    break
+            if found is None:
+                raise RecordingError(
+                    f"{self.path}: no frame at {seconds:.2f} s: the video was cut short; export it again"
+                )
+            return np.asarray(found.to_ndarray(format="rgb24"), np.uint8), float(found.rotation)
+
+
+def is_video(path: Path) -> bool:
+    """By its first box: ISO 14496-12's `ftyp`, or one of QuickTime's that stand there in older files. HEIC and AVIF
+    begin alike and name themselves."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(12)
+    except OSError:
+        return False
+    return head[4:8] in _FIRST_BOXES and head[8:12] not in _STILL_BRANDS
+
+
+def read_video(path: Path, every: float) -> Video:
+    """What a video says of itself, with the times of a frame each `every` seconds. Raises RecordingError for one that
+    cannot be read, or without pictures."""
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        if stream.width * stream.height > MAX_PIXELS:
+            raise RecordingError(
+                f"{path}: frames of {stream.width} x {stream.height} pixels are not decoded; export it smaller"
+            )
+        duration = (
+            float(stream.duration * stream.time_base) if stream.duration else float(container.duration or 0) / 1e6
+        )
+        count = max(1, math.ceil(duration / every - 1e-6))
+        if count > MOST_FRAMES:
+            raise RecordingError(
+                f"{path}: {count} frames, more than {MOST_FRAMES}: take one each more seconds (--every)"
+            )
+        tags = {str(key): str(value) for key, value in {**stream.metadata, **container.metadata}.items()}
+    lat, lon, altitude = _place(tags)
+    return Video(
+        path,
+        _begins(tags),
+        tuple(k * every for k in range(count)),
+        lat,
+        lon,
+        altitude,
+        _number(tags.get("com.apple.quicktime.location.accuracy.horizontal")),
+        _number(tags.get("com.apple.quicktime.camera.focal_length.35mm_equivalent")),
+        tags.get("com.apple.quicktime.make", tags.get("make", "")),
+    )
+
+
+def telemetry(path: Path, begin: bytes) -> list[tuple[float, bytes]]:
+    """The packets of the data track whose first packet begins so, with their seconds; empty where there is none."""
+    packets: dict[int, list[tuple[float, bytes]]] = {}
+    held = 0
+    with _opened(path) as container:
+        streams = [stream for stream in container.streams if stream.type == "data"]
+        for packet in container.demux(*streams) if streams else ():
+            index = packet.stream_index
+            if not packet.size or packet.pts is None or packets.get(index) == []:
+                continue
+            data = bytes(packet)
+            if index not in packets and not data.startswith(begin):
+                packets[index] = []  # of another kind: a clock, a camera's own notes
+                continue
+            held += len(data)
+            if held > _LARGEST_TRACK:
+                raise RecordingError(f"{path}: its telemetry has more than {_LARGEST_TRACK >> 20} MiB: cut the video")
+            packets.setdefault(index, []).append((float(packet.pts * packet.time_base), data))
+    return next((found for found in packets.values() if found), [])
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    try:
+        import av
+    except ImportError as error:
+        raise RecordingError(f"{path}: videos are read by PyAV: pip install 'ltm[video]'") from error
+    try:
+        # From an open file and as this format alone: no playlist or link in it is followed to other files.
+        with path.open("rb") as file, av.open(file, "r", format="mov") as container:
+            if not container.streams.video:
+                raise RecordingError(f"{path}: a video without pictures; give the file that the camera wrote")
+            if container.streams.video[0].codec_context is None:
+                raise RecordingError(f"{path}: FFmpeg does not know how its pictures are packed; export it as H.264")
+            yield container
+    except (av.FFmpegError, OSError, ValueError, TypeError, OverflowError, MemoryError, ZeroDivisionError) as error:
+        raise RecordingError(
+            f"{path}: cannot be read as a video ({type(error).__name__}: {error}); export or copy it again"
+        ) from error
+
+
+def _place(tags: dict[str, str]) -> tuple[float | None, float | None, float | None]:
+    """ISO 6709: latitude, longitude and, where it is stated, height."""
+    for tag in _TAGS:
+        found = _ISO6709.fullmatch(tags.get(tag, "").strip())
+        if found is not None:
+            lat, lon = float(found[1]), float(found[2])
+            if abs(lat) <= 90 and abs(lon) <= 180 and (lat, lon) != (0.0, 0.0):
+                return lat, lon, float(found[3]) if found[3] else None
+    return None, None, None
+
+
+def _begins(tags: dict[str, str]) -> datetime | None:
+    """Apple's own date has a zone; `creation_time` is UTC by ISO 14496-12."""
+    for tag in ("com.apple.quicktime.creationdate", "creation_time"):
+        try:
+            found = datetime.fromisoformat(tags.get(tag, "").replace("Z", "+00:00"))
+        except ValueError:
+            continue
+        found = found if found.tzinfo is not None else found.replace(tzinfo=UTC)
+        if found > _EPOCH_1904:
+            return found
+    return None
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        number = float(text or "")
+    except ValueError:
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def later(begins: datetime, seconds: float) -> datetime:
+    """Raises RecordingError for a time that no calendar has."""
+    try:
+        return begins + timedelta(seconds=seconds)
+    except OverflowError as error:
+        raise RecordingError(f"{seconds:g} s after {begins.isoformat()} is no time") from error

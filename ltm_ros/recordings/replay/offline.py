@@ -1,0 +1,154 @@
+"""Offline replay: the graph's handlers in one process, without DDS, as fast as it goes, bit-repeatable."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Set
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ltm_core.base.errors import LtmError
+from ltm_core.base.utc_time import DAY_NS
+from ltm_core.storage.config_io import checked
+from ltm_msgs_py.bag.reader import BagMessage, BagReader
+from ltm_msgs_py.bag.schemas import type_name_of
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.stamp import stamp_text
+from ltm_ros.launching.graph import Graph, NodeSpec
+from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.runtime.handler import NodeType, Topic
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
+
+
+class OfflineGraph:
+    """Runs the nodes of a graph by calling their handlers, one message at a time, in the order of publication."""
+
+    def __init__(self, graph: Graph, record: BagWriter | None = None, source: str = "") -> None:
+        """`source`: where messages come from, for errors."""
+        self._source = source
+        self.healths: dict[str, Health] = {}
+        self._pipeline = Pipeline(self._run)
+        self._record = record
+        self.now_ns = 0
+        """Log time of the message at work."""
+        for spec in graph:
+            self._add(spec)
+        self._pipeline.start()
+        self._pipeline.settle()
+
+    def feed(self, topic: str, message: Any, time_ns: int) -> None:
+        """Deliver a message and all that follows from it."""
+        if 0 < self.now_ns // DAY_NS < time_ns // DAY_NS:
+            self._pipeline.end_of_day()
+        self.now_ns = time_ns
+        self.publish(topic, message)
+        self._pipeline.settle()
+
+    def finish(self) -> None:
+        """Tell every handler that no more will come, each after all that it listens to; what they still publish is
+        delivered."""
+        self._pipeline.finish()
+
+    def publish(self, topic: str, message: Any, latched: bool = False) -> None:
+        self._pipeline.publish(topic, message)
+        if self._record is not None:
+            self._record.add_topic(topic, type_name_of(message), latched)
+            self._record.write(topic, message, self.now_ns)
+
+    def wanted(self, topic: str) -> bool:
+        """Whether anything becomes of a message on it."""
+        return self._record is not None or self.listened(topic)
+
+    def listened(self, topic: str) -> bool:
+        return self._pipeline.listened(topic)
+
+    def _add(self, spec: NodeSpec) -> None:
+        node: NodeType[Any] = importlib.import_module(spec.module).NODE
+        given: Mapping[str, Any] = {k: v for k, v in spec.parameters.items() if k != "use_sim_time"}
+        health = self.healths[spec.full_name] = Health()
+        outlet = _Outlet(self, spec.namespace, health)
+        config = checked(node.config, given, f"parameters of {spec.label}")
+        make = partial(node.handler, config, outlet, health)
+        self._pipeline.add(Job(spec.full_name, spec.namespace, health, make))
+
+    def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
+        _guarded(job.health, work, partial(self._place, topic, message) if topic else None)
+
+    def _place(self, topic: str, message: Any) -> str:
+        """Of a message, for errors: its topic, which names the camera, its stamp, and the recording."""
+        parts = [topic, *([f"stamp {stamp_text(message)}"] if hasattr(message, "header") else []), self._source]
+        return ", ".join(filter(None, parts))
+
+
+class _Outlet:
+    def __init__(self, graph: OfflineGraph, namespace: str, health: Health) -> None:
+        self._graph, self._namespace, self._health = graph, namespace, health
+
+    def publish(self, topic: Topic, message: Any) -> None:
+        self._graph.publish(absolute(self._namespace, topic), message, topic.latched)
+        if not topic.latched:
+            self._health.published(topic.name)
+
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        if self._graph.wanted(absolute(self._namespace, topic)):
+            self.publish(topic, make())
+        else:
+            self._health.published(topic.name)
+
+    def wanted(self, topic: Topic) -> bool:
+        return self._graph.listened(absolute(self._namespace, topic))
+
+    def more_waits(self) -> bool:
+        """Each frame is finished before the next is fed: none need be turned away for a newer one."""
+        return False
+
+    def now_ns(self) -> int:
+        return self._graph.now_ns
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Each frame is finished before the next is fed: nobody waits for it."""
+
+    def workers(self, topic: Topic) -> Set[str]:
+        return frozenset()
+
+    def prompt_workers(self, topic: Topic) -> Set[str]:
+        return frozenset()
+
+
+def replay_offline(
+    selection: Selection,
+    graph: Graph,
+    record: Path | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, dict[str, str]]:
+    """Run a recording through a graph; each node's health summary by its full name.
+
+    `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`.
+    """
+    writer = BagWriter(record) if record is not None else None
+    try:
+        offline = OfflineGraph(graph, writer, str(selection.reader.path))
+        recording = offline.healths["recording"] = Health()
+        for done, message in enumerate(selection, start=1):
+            recording.received(message.topic)
+            _guarded(recording, partial(_deliver, offline, selection.reader, message))
+            recording.published(message.topic)
+            progress(done)
+        offline.finish()
+    finally:
+        if writer is not None:
+            writer.close()
+    return {name: health.summary() for name, health in offline.healths.items()}
+
+
+def _deliver(offline: OfflineGraph, reader: BagReader, message: BagMessage) -> None:
+    offline.feed(message.topic, reader.decode(message), message.log_time_ns)
+
+
+def _guarded(health: Health, work: Callable[[], None], place: Callable[[], str] | None = None) -> None:
+    try:
+        work()
+    except LtmError as error:
+        health.drop(cause_of(error), str(error) if place is None else f"{error} ({place()})")

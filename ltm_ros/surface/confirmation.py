@@ -1,0 +1,181 @@
+"""Publish the changes of a terrain map and the versions of the surface that it confirms."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from std_msgs.msg import String
+
+from ltm_core.base.errors import StoreError
+from ltm_core.pipeline.site_surface import surface_versions
+from ltm_core.site.site import Site
+from ltm_core.surface import SurfaceMap
+from ltm_core.surface.change import Changed, ChangeKind, confirmed_surface
+from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.surface_map import SurfaceMap
+from ltm_core.surface.surface_versions_io import SurfaceManifest
+from ltm_msgs_py.confirmed_surface import manifest_to_msg
+from ltm_msgs_py.grid import change_to_msg, changed_to_msg
+from ltm_ros.runtime.handler import Outlet
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.retry import RetryPace
+from ltm_ros.runtime.topics import TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_SURFACE, TERRAIN_UPDATE
+
+
+class TerrainPublisher:
+    """Publishes on the three topics of the node `terrain`; `health` gets the counts of cells."""
+
+    def __init__(self, site: Site, terrain: SurfaceMap, outlet: Outlet, health: Health) -> None:
+        self._site, self._map, self._outlet, self._health = site, terrain, outlet, health
+
+    def info(self) -> None:
+        """Where the grid lies in the site's CRS, and what its values mean; latched."""
+        geometry = self._site.in_crs(self._map.reference.geometry)
+        info = {
+            "kinds": {kind.name.lower(): int(kind) for kind in ChangeKind},
+            "crs": geometry.crs,
+            "x_min": geometry.x_min,
+            "y_max": geometry.y_max,
+            "resolution": geometry.resolution,
+            "width": geometry.width,
+            "height": geometry.height,
+            "threshold": self._map.config.threshold,
+            "canopy_known": self._map.reference.canopy_known,
+            "cameras": list(self._map.cameras),
+        }
+        self._outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
+
+    def update(self, changed: Changed) -> None:
+        """Cells whose change is new."""
+        heights = self._map.heights_at(changed)
+        self._outlet.publish(
+            TERRAIN_UPDATE, changed_to_msg(changed, heights, self._map.reference.geometry, self._map.newest_ns)
+        )
+
+    def grid(self) -> None:
+        """All changes in the window that a camera has seen, latched; nothing where none has seen any."""
+        window = self._map.seen_window()
+        if window is None:
+            return
+        layers = self._map.layers(window)
+        self._outlet.publish(TERRAIN_CHANGE, change_to_msg(layers, self._map.newest_ns))
+        self._health.gauge("cells.seen", int((layers.frames > 0).sum()))
+        self._health.gauge("cells.judged", int(layers.observed.sum()))
+        for kind in ChangeKind:
+            if kind is not ChangeKind.NONE:
+                self._health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
+
+
+class Confirmation:
+    """Makes versions of what a surface map has confirmed, in the folder `folder` of a site that asks for them.
+
+    When one is due is told by the frames' stamps alone, so that a replay makes the same versions. What a version holds
+    is in the map's store before. Where one cannot be written, the version before still counts, and it is tried again.
+    """
+
+    def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
+        assert site.terrain is not None  # nosec B101 # tells the type checker what holds
+        self._versions = surface_versions(site, Path(folder))
+        self._map, self._outlet, self._health = surface, outlet, health
+        self._every_ns, self._least = int(site.terrain.confirm_every * 1e9), site.terrain.threshold / 2
+        self.news = False
+        """Whether cells have changed since it was last looked for a version."""
+        self._looked_ns = 0
+        self._current: ConfirmedSurface | None = None
+        self._manifest = SurfaceManifest(site=site.name)
+        self._read()
+        self._pace = RetryPace()
+
+    def start(self) -> None:
+        """Tell of the version that counts."""
+        self._tell()
+
+    def follow(self) -> None:
+        """Make a version where one is due: the first as soon as there is change, and others not too often."""
+        since = self._map.newest_ns - self._looked_ns
+        due = (since > 0 and since >= self._every_ns) or (self.news and not self._manifest.current)
+        if due and self._pace.due:
+            self._try()
+
+    def passed(self, seconds: float) -> None:
+        """So much time has gone by."""
+        self._pace.passed(seconds)
+
+    def finish(self) -> None:
+        """Have the last of what is known count for those that come later."""
+        self._try()
+
+    def confirm(self) -> str:
+        """Make what the map knows now count, also where a version was taken back. Raises StoreError."""
+        found, seen = confirmed_surface(self._map)
+        self._add(found, seen)
+        return f"surface {self._manifest.current} counts: {len(found)} of {seen} cells seen have changed"
+
+    def take_back(self) -> str:
+        """Make the version before count, and hold it until `confirm`. Raises StoreError."""
+        self._manifest, self._current = self._versions.take_back(), None
+        self._tell()
+        now = f"surface {self._manifest.current}" if self._manifest.current else "the terrain as it was given"
+        return f"{now} counts again, and is held until terrain/confirm is called"
+
+    def _read(self) -> None:
+        """What counts, from the folder. Where that cannot be, nothing does until a version is made; the node lives."""
+        try:
+            self._manifest, told = self._versions.manifest_of_writer()
+        except StoreError as error:
+            told, cause = str(error), cause_of(error)
+        else:
+            cause = "surfaces"
+        if told:
+            self._health.trouble(cause, told)
+
+    def _try(self) -> None:
+        try:
+            self._put_aside_what_is_broken()
+            self._renew()
+            self._pace.succeeded()
+        except StoreError as error:
+            self._pace.failed()
+            self._health.trouble(cause_of(error), f"{error}; the surface before still counts")
+
+    def _put_aside_what_is_broken(self) -> None:
+        """Somebody may write into the folder while the node lives."""
+        manifest, told = self._versions.manifest_of_writer()
+        if told:
+            self._health.trouble("surfaces", told)
+            self._manifest, self._current = manifest, None
+            self._tell()
+
+    def _renew(self) -> None:
+        """Make a version where there is anything new; none while one is held."""
+        if self._manifest.held:
+            return
+        found, seen = confirmed_surface(self._map)
+        before = self._counting()
+        if len(found) > 0 if before is None else found.differs_from(before, self._least):
+            self._add(found, seen)
+        self.news, self._looked_ns = False, self._map.newest_ns
+
+    def _counting(self) -> ConfirmedSurface | None:
+        """What counts now; None where nothing does, or its file is lost: it is then written anew."""
+        entry = self._manifest.entry(self._manifest.current)
+        if self._current is None and entry is not None:
+            try:
+                self._current = self._versions.load(entry)
+            except StoreError as error:
+                self._health.trouble(cause_of(error), str(error))
+        return self._current
+
+    def _add(self, found: ConfirmedSurface, seen: int) -> None:
+        self._put_aside_what_is_broken()
+        self._map.commit()
+        self._versions.add(found, self._map.newest_ns, seen)
+        self._manifest, self._current = self._versions.manifest(), found
+        self._tell()
+
+    def _tell(self) -> None:
+        self._outlet.publish(TERRAIN_SURFACE, manifest_to_msg(self._manifest))
+        entry = self._manifest.entry(self._manifest.current)
+        self._health.gauge("surface", "as given" if entry is None else entry.version)
+        self._health.gauge("surface.changed_share", f"{0.0 if entry is None else entry.changed_share:.4f}")

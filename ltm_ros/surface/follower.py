@@ -1,0 +1,62 @@
+"""The side of the nodes that trace: the terrain of the version that counts, loaded between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ltm_core.base.errors import RasterError, StoreError
+from ltm_core.pipeline.site_surface import ConfirmedTerrain, surface_versions
+from ltm_core.site.site import Site
+from ltm_core.surface.surface_versions_io import AS_GIVEN
+from ltm_msgs_py.confirmed_surface import msg_to_version
+from ltm_ros.runtime.health import Health, cause_of
+
+
+class SurfaceFollower:
+    """Has `take` take each new terrain whole, once it is loaded; until then, and where it cannot be, the one before
+    stays.
+
+    The manifest in the folder says which version counts. A message only tells that it may be another now, so nobody on
+    the wire chooses what is read.
+
+    Args:
+        folder: that of the site's surfaces, from the graph; empty: the site does not follow them.
+        take: called with each new terrain; what traces begins with the terrain as given, and keeps what it has where
+            this raises.
+    """
+
+    def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:
+        self._site, self._take, self._health = site, take, health
+        self._versions = surface_versions(site, Path(folder)) if folder else None
+        self._name = AS_GIVEN
+        self._late = False
+        self._follow()
+
+    def on_message(self, message: Any) -> None:
+        """Raises MessageError for a message that names no version."""
+        msg_to_version(message)
+        self._follow()
+
+    def tick(self) -> None:
+        """Try again what could not be loaded."""
+        if self._late:
+            self._follow()
+
+    def _follow(self) -> None:
+        if self._versions is None:
+            return
+        try:
+            name = self._versions.manifest().current
+            if name != self._name:
+                self._take(ConfirmedTerrain.of(self._site, self._versions, name))
+                self._name = name
+                self._health.note("surface_changed")
+            self._late = False
+        except (StoreError, RasterError) as error:
+            self._late = True
+            self._health.trouble(
+                cause_of(error), f"{error}; frames are traced to {self._name or 'the terrain as given'}"
+            )
+        self._health.gauge("surface", self._name or "as given")

@@ -1,0 +1,77 @@
+"""Query a tower's health port from the same machine, and find which process uses it."""
+
+from __future__ import annotations
+
+import http.client
+import ipaddress
+import json
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.site.sections import HealthConfig
+from ltm_core.site.site_io import load_site
+from ltm_ros.runtime.ports import bind_error, refusal
+from ltm_ros.tower.doctor import Condition, Finding
+from ltm_ros.tower.web_server import read_token, secret
+
+LARGEST = 16 << 20
+ANY = ("0.0.0.0", "::")  # nosec B104 # compared with, not listened on
+
+
+def ask(config: HealthConfig, path: str) -> Any:
+    """The answer as JSON gives it. The certificate must be the one of the site file. Raises ConfigError."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.address, config.address)  # nosec B104
+    place = f"{host}:{config.port}"
+    headers = {"Host": f"[{host}]" if ipaddress.ip_address(host).version == 6 else host}
+    connection: http.client.HTTPConnection
+    if config.certificate is None:
+        connection = http.client.HTTPConnection(host, config.port, timeout=10)
+    else:
+        context = ssl.create_default_context(cafile=str(secret(config.certificate)))
+        context.check_hostname = False  # it is asked for by its address; who holds the key of that certificate is it
+        connection = http.client.HTTPSConnection(host, config.port, timeout=10, context=context)
+    if config.token is not None:
+        headers["Authorization"] = f"Bearer {read_token(config.token)}"
+    try:
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        body = answer.read(LARGEST)
+        if answer.status != 200:
+            raise ConfigError(f"{place}: {answer.status} {body[:200].decode(errors='replace').strip()}")
+        return json.loads(body)
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise ConfigError(f"{place}: no tower answers ({error}): does `ltm run` of this site run?") from error
+    finally:
+        connection.close()
+
+
+def check_health_port(path: Path) -> Iterator[Finding]:
+    """Whether the tower of a site file can answer monitoring systems: without that it runs all the same."""
+    name = "health port"
+    try:
+        site = load_site(path)
+    except LtmError as error:
+        yield Finding("machine", name, Condition.WARNING, str(error), f"ltm check {path}")
+        return
+    health = site.health
+    if health is None or health.port == 0:
+        return
+    taken = bind_error(health.address, health.port)
+    if taken is None:
+        yield Finding("machine", name, Condition.OK, f"{health.address}:{health.port} is free: no tower runs")
+        return
+    try:
+        said = ask(health, "/status.json")
+        other = "" if said["site"] == site.name else f"the tower of {said['site']} has it"
+    except LtmError as why:
+        other = str(why)
+    except (TypeError, KeyError):
+        other = "what answers there is no tower"
+    if other:
+        remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without, and tries again"
+        yield Finding("machine", name, Condition.WARNING, other, remedy)
+    else:
+        yield Finding("machine", name, Condition.OK, f"{site.name} answers on {health.address}:{health.port}")

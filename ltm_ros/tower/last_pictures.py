@@ -1,0 +1,239 @@
+"""Keep the last whole frame of each camera and the map as small pictures, while someone views them.
+
+The last whole frame of each camera, and the map, asked of the graph only while somebody looks at them.
+
+Who listens to images makes the nodes send them: that costs processor time for each frame. So a camera's images are
+listened to until one frame is whole, at the start, and again for `WATCHED_S` after each look.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+
+from ltm_core.base.errors import LtmError
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.pictures.drawing import to_jpeg, to_png
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.pictures.maps import MapCamera, furnished, interesting_bounds, nearest, view_of
+from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
+from ltm_core.site.site import Site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.grid import msg_to_classes
+from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_MAP,
+    FUSED_DEPTH,
+    LABELS_IMAGE,
+    POSED_IMAGE,
+    POSED_POSE,
+    camera_topic,
+    site_topic,
+)
+
+WIDTH = 800
+"""Of a picture at most, pixels."""
+REACH = 3000.0
+"""Of a camera's sector on the map, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPicture:
+    """One frame with what was made of it: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres."""
+
+    name: str
+    stamp_ns: int
+    photo: RgbImage
+    labels: UInt8Array
+    depth: Float32Array
+    camera: Camera
+    pose: Pose
+
+    def small(self) -> CameraPicture:
+        """Every n-th pixel of all, so that they stay in place, and at most `WIDTH` wide; copies."""
+        step = max(1, -(-self.photo.shape[1] // WIDTH))
+
+        def thin(values: NDArray[Any]) -> NDArray[Any]:
+            return values[::step, ::step].copy()
+
+        return CameraPicture(
+            self.name, self.stamp_ns, thin(self.photo), thin(self.labels), thin(self.depth), self.camera, self.pose
+        )
+
+    def pixel(self, across: float, down: float) -> tuple[float, float]:
+        """(u, v) of the camera's own picture, where `across` and `down` are shares of this one's width and height."""
+        rows, columns = self.photo.shape[:2]
+        step = -(-self.camera.width // columns)
+        u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
+        return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
+
+    def jpeg(self, kind: str, palette: ClassPalette) -> bytes:
+        """`kind`: photo, labels or depth. Raises ImageError where sizes disagree."""
+        if kind == "labels":
+            return to_jpeg(overlay_labels(self.photo, self.labels, palette))
+        if kind == "depth":
+            return to_jpeg(overlay_depth(self.photo, self.depth))
+        return to_jpeg(self.photo)
+
+    @property
+    def on_map(self) -> MapCamera:
+        x, y, _ = self.pose.position
+        return MapCamera(self.name, self.camera, (float(x), float(y)), self.pose.angles_deg[0], REACH)
+
+
+def map_png(classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, cameras: Sequence[MapCamera]) -> bytes:
+    """The part of the life form map that is known, with the cameras; `classes` (H, W), 255 unknown, north up."""
+    bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, geometry)
+    view = view_of(bounds, WIDTH)
+    ids = nearest(classes, geometry, view, UNLABELLED)
+    picture = label_colors(ids, palette, unlabelled=(205, 208, 212))
+    lines = np.zeros(ids.shape, np.bool_)
+    lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
+    lines[1:] |= ids[1:] != ids[:-1]
+    picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
+    return to_png(np.asarray(cv2.GaussianBlur(furnished(picture, view, cameras, None), (0, 0), 0.4), np.uint8))
+
+
+WATCHED_S = 60.0
+WAITING = 3
+"""Frames of a camera that may wait for their parts."""
+
+
+class LastPictures:
+    """`look` and the pictures may be asked for from any thread; the rest happens in the node's executor."""
+
+    def __init__(self, node: Node, site: Site, cameras: Sequence[str], health: Health) -> None:
+        self._node, self._site, self._health = node, site, health
+        self._labels = LabelSet.load(config_path(site.labels))
+        self._map_palette = life_form_labels(self._labels)
+        self._cameras = {name: _Camera(node, site, name, health, self._keep) for name in cameras}
+        self._kept: dict[str, CameraPicture] = {}
+        self._map: Any = None
+        self._looked_s = -float("inf")
+        self._lock = threading.Lock()
+        node.create_subscription(
+            FUEL_MAP.type, site_topic(site.name, FUEL_MAP), self._keep_map, stream_qos(FUEL_MAP.latched, FUEL_MAP.depth)
+        )
+
+    def look(self) -> None:
+        self._looked_s = time.monotonic()
+
+    def tick(self) -> None:
+        """Begin and end listening; call it about once a second, in the executor."""
+        watched = time.monotonic() - self._looked_s < WATCHED_S
+        for name, camera in self._cameras.items():
+            camera.listen(watched or name not in self._kept)
+
+    def stamps_s(self) -> dict[str, float]:
+        """Of the frames that there are pictures of."""
+        with self._lock:
+            return {name: picture.stamp_ns / 1e9 for name, picture in self._kept.items()}
+
+    def shown(self, camera: str) -> CameraPicture | None:
+        """None where no frame has come."""
+        with self._lock:
+            return self._kept.get(camera)
+
+    def jpeg(self, camera: str, kind: str) -> bytes | None:
+        """None where no frame has come. Raises ImageError."""
+        picture = self.shown(camera)
+        return picture.jpeg(kind, self._labels) if picture is not None else None
+
+    def map_png(self) -> bytes | None:
+        """None where no map has come. Raises MessageError."""
+        with self._lock:
+            message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
+        if message is None:
+            return None
+        classes, geometry = msg_to_classes(message)
+        return map_png(classes, geometry, self._map_palette, cameras)
+
+    def _keep(self, picture: CameraPicture) -> None:
+        with self._lock:
+            self._kept[picture.name] = picture
+
+    def _keep_map(self, message: Any) -> None:
+        with self._lock:
+            self._map = message
+
+
+class _Camera:
+    """Listens to one camera's frames, or does not."""
+
+    def __init__(
+        self, node: Node, site: Site, name: str, health: Health, keep: Callable[[CameraPicture], None]
+    ) -> None:
+        self._node, self._site, self._name, self._health, self._keep = node, site, name, health, keep
+        depth = FUSED_DEPTH if site.depth_model else DEPTH_IMAGE
+        self._topics = {
+            "image": POSED_IMAGE,
+            "labels": LABELS_IMAGE,
+            "depth": depth,
+            "info": DEPTH_CAMERA_INFO,
+            "pose": POSED_POSE,
+        }
+        self._join: StampJoin | None = None
+        self._subscriptions: list[Any] = []
+
+    def listen(self, wanted: bool) -> None:
+        if wanted == bool(self._subscriptions):
+            if self._join is not None:
+                self._join.tick(1.0)
+            return
+        if not wanted:
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions, self._join = [], None
+            return
+        # What is wrong with frames is the other nodes' to say: here a frame that lacks a part is one less to show.
+        self._join = StampJoin(tuple(self._topics), self._whole, self._health, WAITING, give_up=lambda *_: None)
+        self._subscriptions = [
+            self._node.create_subscription(
+                topic.type,
+                camera_topic(self._site.name, self._name, topic),
+                lambda message, part=part: self._take(part, message),
+                stream_qos(False, WAITING),
+            )
+            for part, topic in self._topics.items()
+        ]
+
+    def _take(self, part: str, message: Any) -> None:
+        if self._join is None:
+            return
+        try:
+            self._join.add(part, stamp_of(message), message)
+        except LtmError as error:
+            self._health.drop(cause_of(error), str(error))
+
+    def _whole(self, image: Any, labels: Any, depth: Any, info: Any, pose: Any) -> None:
+        picture = CameraPicture(
+            self._name,
+            stamp_of(image),
+            msg_to_rgb(image),
+            msg_to_array(labels, ("mono8",)),
+            msg_to_depth(depth),
+            msg_to_camera(info),
+            msg_to_pose(pose, "map"),
+        )
+        self._keep(picture.small())

@@ -1,0 +1,160 @@
+"""What a person clicks on in a camera's picture on the status page goes to `locate`; its places come back."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from http import HTTPStatus
+from typing import Any, Literal
+
+from geometry_msgs.msg import PointStamped
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from rclpy.node import Node
+
+from ltm_core.base.strict_model import StrictModel
+from ltm_msgs_py.stamp import make_header
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, site_topic
+from ltm_ros.tower.last_pictures import CameraPicture
+from ltm_ros.tower.web_server import Answer
+
+SAME_S = 1e-3
+"""A browser's numbers hold stamps to microseconds."""
+
+
+class Mark(StrictModel):
+    """Where somebody clicked. `stamp`: seconds, of the picture that was shown; `across`, `down`: shares of its width
+    and height, from its upper left corner."""
+
+    camera: str
+    stamp: float
+    across: float = Field(ge=0, le=1)
+    down: float = Field(ge=0, le=1)
+
+
+class _Told(BaseModel):
+    """Part of what `locate/tracks` tells; the rest of it is for others."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class _Name(_Told):
+    mgrs: str | None
+    lon: float
+    lat: float
+    elevation: float | None
+
+
+class _Ellipse(_Told):
+    share: float
+    semi_major: float | None
+    semi_minor: float | None
+
+
+class _Place(_Told):
+    track: int
+    last_ns: int
+    place: _Name
+    ellipses: list[_Ellipse]
+    seen_by: list[str]
+    sources: list[str]
+    disagrees: str | None
+
+
+class _Feature(_Told):
+    properties: dict[str, Any]
+
+
+class _Turned(_Told):
+    camera: str
+    probability: float
+    turned_deg: float
+    sigma_deg: float
+    fires: int
+    pictures: int = Field(0, ge=0)
+    by: tuple[Literal["marks", "pictures"], ...] = ("marks",)
+
+    def in_words(self) -> str:
+        evidence = {
+            "marks": f"the marks of {self.fires} {'fire' if self.fires == 1 else 'fires'}",
+            "pictures": "the skyline in its pictures" if self.pictures else "its pictures",
+        }
+        return (
+            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by "
+            f"{' and '.join(evidence[what] for what in self.by)} its "
+            f"stated azimuths are {abs(self.turned_deg):.1f} degrees too {'great' if self.turned_deg > 0 else 'small'} "
+            f"(sigma {self.sigma_deg:.1f}); look after its mount"
+        )
+
+
+class _Tracks(_Told):
+    features: list[_Feature]
+    turned: _Turned | None = None
+
+
+class Marks:
+    """`take`, `places` and `wrong` may be called from any thread.
+
+    `shown`: the picture of a camera that the page shows; None: there is none.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        site: str,
+        cameras: Sequence[str],
+        shown: Callable[[str], CameraPicture | None],
+        health: Health,
+    ) -> None:
+        self._shown, self._health = shown, health
+        self._publishers = {
+            name: node.create_publisher(LOCATE_POINT.type, camera_topic(site, name, LOCATE_POINT), stream_qos())
+            for name in cameras
+        }
+        self._places: list[dict[str, Any]] = []
+        self._wrong: list[str] = []
+        self._lock = threading.Lock()
+        node.create_subscription(
+            LOCATE_TRACKS.type, site_topic(site, LOCATE_TRACKS), self._hear, stream_qos(LOCATE_TRACKS.latched, 1)
+        )
+
+    def take(self, body: bytes) -> Answer:
+        """Of a request: a `Mark` in JSON. What `locate` makes of it, or why it cannot, is its own to say."""
+        try:
+            mark = Mark.model_validate_json(body)
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
+            return Answer(f"not a mark: {wrong}\n".encode(), status=HTTPStatus.BAD_REQUEST)
+        picture = self._shown(mark.camera) if mark.camera in self._publishers else None
+        if picture is None:
+            return Answer(b"no picture of such a camera\n", status=HTTPStatus.NOT_FOUND)
+        if abs(picture.stamp_ns / 1e9 - mark.stamp) > SAME_S:
+            return Answer(b"another picture has come meanwhile: mark it there\n", status=HTTPStatus.CONFLICT)
+        u, v = picture.pixel(mark.across, mark.down)
+        point = PointStamped(header=make_header(picture.stamp_ns, f"{mark.camera}_optical"))
+        point.point.x, point.point.y = u, v
+        self._publishers[mark.camera].publish(point)
+        return Answer.json({"u": round(u, 1), "v": round(v, 1)})
+
+    def places(self) -> list[dict[str, Any]]:
+        """The site's tracks, newest first, as `locate` says them."""
+        with self._lock:
+            return self._places
+
+    def wrong(self) -> list[str]:
+        """Sentences: of a camera that is named as turned, where one is."""
+        with self._lock:
+            return self._wrong
+
+    def _hear(self, message: Any) -> None:
+        try:
+            told = _Tracks.model_validate_json(message.data)
+            about = (one.properties for one in told.features)
+            found = [_Place.model_validate(one) for one in about if one.get("role") == "place"]
+        except ValidationError as error:
+            self._health.drop("message", f"{LOCATE_TRACKS.name}: not what `locate` tells ({error.errors()[0]['msg']})")
+            return
+        with self._lock:
+            self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]
+            self._wrong = [] if told.turned is None else [told.turned.in_words()]

@@ -1,0 +1,156 @@
+"""A tower's state as metrics, in Prometheus's text format."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from ltm_ros.tower.tower_status import OUTBOX_KEYS, TowerStatus
+
+METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
+NODE = ("node", "camera")
+COUNTERS = {
+    "frames_in": "Frames that came",
+    "frames_out": "Frames of which a result went out",
+    "received": "Messages that came",
+    "published": "Messages that went out",
+}
+BY_KIND = {"dropped": ("cause", "Inputs given up, by cause; `shed`: turned away"), "noted": ("event", "What was noted")}
+QUANTILES = {"0.5": "p50", "0.95": "p95"}
+OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS, *OUTBOX_KEYS}
+"""Keys of `/diagnostics` that have metrics of their own; other numbers are `ltm_node_value`."""
+
+
+class TowerCollector(Collector):
+    """Of one state; a new one for each scrape."""
+
+    def __init__(self, status: TowerStatus) -> None:
+        self._status = status
+
+    def collect(self) -> Iterable[Metric]:
+        yield from self._tower()
+        yield from self._cameras()
+        yield from self._nodes()
+        yield from self._outbox()
+        yield from self._machine()
+
+    def _tower(self) -> Iterator[Metric]:
+        status = self._status
+        build = GaugeMetricFamily("ltm_build_info", "Versions of what runs", labels=("site", *_names(status.versions)))
+        build.add_metric((status.site, *status.versions.values()), 1)
+        yield build
+        yield GaugeMetricFamily("ltm_alive", "Whether every node reports (/healthz)", value=status.alive)
+        yield GaugeMetricFamily("ltm_ready", "Whether frames of every camera come too (/readyz)", value=status.ready)
+        yield GaugeMetricFamily("ltm_wrong", "Number of things that are wrong, in words", value=len(status.wrong))
+
+    def _outbox(self) -> Iterator[Metric]:
+        outbox = self._status.outbox
+        if outbox is None:
+            return
+        yield GaugeMetricFamily("ltm_outbox_frames", "Frames that wait for the region's map", value=outbox.frames)
+        yield GaugeMetricFamily("ltm_outbox_bytes", "Of their votes", value=outbox.bytes)
+        yield GaugeMetricFamily("ltm_outbox_age_seconds", "Since the oldest one's stamp", value=outbox.age_s)
+        yield GaugeMetricFamily("ltm_link_up", "Whether the region's map can be reached", value=outbox.link_up)
+
+    def _cameras(self) -> Iterator[Metric]:
+        age = GaugeMetricFamily("ltm_frame_age_seconds", "Since the stamp of the newest frame", labels=("camera",))
+        finished = CounterMetricFamily("ltm_frames_finished", "Frames that all nodes have done", labels=("camera",))
+        verdicts = CounterMetricFamily(
+            "ltm_pose_verdicts", "Frames by verdict on their pose", labels=("camera", "verdict")
+        )
+        doubted = GaugeMetricFamily("ltm_camera_wrong", "Whether something is amiss with a camera", labels=("camera",))
+        for camera in self._status.cameras:
+            if camera.frame_age_s is not None:
+                age.add_metric((camera.name,), camera.frame_age_s)
+            finished.add_metric((camera.name,), camera.finished)
+            doubted.add_metric((camera.name,), bool(camera.wrong))
+        judged: Counter[tuple[str, str]] = Counter()
+        for node in self._status.nodes:
+            for verdict, count in node.counts("noted.verdict.").items():
+                judged[node.camera, verdict] += count
+        for (name, verdict), count in judged.items():
+            verdicts.add_metric((name, verdict), count)
+        yield from (age, finished, verdicts, doubted)
+
+    def _nodes(self) -> Iterator[Metric]:
+        up = GaugeMetricFamily("ltm_node_up", "Whether a node reports", labels=NODE)
+        troubled = GaugeMetricFamily("ltm_node_troubled", "Whether it dropped something in the last 10 s", labels=NODE)
+        counters = {key: CounterMetricFamily(f"ltm_{key}", text, labels=NODE) for key, text in COUNTERS.items()}
+        kinds = {
+            kind: CounterMetricFamily(f"ltm_{kind}", text, labels=(*NODE, label))
+            for kind, (label, text) in BY_KIND.items()
+        }
+        rate = GaugeMetricFamily("ltm_rate_hertz", "Messages out a second", labels=NODE)
+        cpu = CounterMetricFamily("ltm_cpu_seconds", "Processor time of a node that shares a process", labels=NODE)
+        times = {
+            name: GaugeMetricFamily(f"ltm_{name}_seconds", text, labels=(*NODE, "quantile"))
+            for name, text in (("latency", "From a frame's stamp to a result"), ("work", "Work on one message"))
+        }
+        values = GaugeMetricFamily("ltm_node_value", "Other numbers that a node states", labels=(*NODE, "name"))
+        for node in self._status.nodes:
+            labels = (node.name, node.camera)
+            up.add_metric(labels, node.state in ("ok", "troubled"))
+            troubled.add_metric(labels, node.state == "troubled")
+            for key, family in counters.items():
+                if (number := node.number(key)) is not None:
+                    family.add_metric(labels, number)
+            for kind, family in kinds.items():
+                for name, count in node.counts(f"{kind}.").items():
+                    family.add_metric((*labels, name), count)
+            for key, single in (("rate_hz", rate), ("cpu_s", cpu)):
+                if (number := node.number(key)) is not None:
+                    single.add_metric(labels, number)
+            for name, gauge in times.items():
+                for quantile, suffix in QUANTILES.items():
+                    if (number := node.number(f"{name}_{suffix}_ms")) is not None:
+                        gauge.add_metric((*labels, quantile), number / 1000)
+            for key in node.values:
+                if not _has_own(key) and (number := node.number(key)) is not None:
+                    values.add_metric((*labels, key), number)
+        yield from (up, troubled, *counters.values(), *kinds.values(), rate, cpu, *times.values(), values)
+
+    def _machine(self) -> Iterator[Metric]:
+        status = self._status
+        if status.clock.synchronised is not None:
+            yield GaugeMetricFamily(
+                "ltm_clock_synchronised", "Whether something keeps the clock right", value=status.clock.synchronised
+            )
+        if status.clock.estimated_error_s is not None:
+            yield GaugeMetricFamily(
+                "ltm_clock_error_seconds", "As the kernel estimates it", value=status.clock.estimated_error_s
+            )
+        yield CounterMetricFamily(
+            "ltm_clock_steps", "Times that the clock was set by a second or more", value=status.clock_steps
+        )
+        free = GaugeMetricFamily("ltm_disk_free_bytes", "Free space where something is kept", labels=("folder",))
+        total = GaugeMetricFamily("ltm_disk_bytes", "Size of that file system", labels=("folder",))
+        for disk in status.disks:
+            if disk.total >= 0:
+                free.add_metric((disk.folder,), disk.free)
+                total.add_metric((disk.folder,), disk.total)
+        yield from (free, total)
+        yield GaugeMetricFamily("ltm_memory_bytes", "Memory of the machine", value=status.memory_total)
+        yield GaugeMetricFamily("ltm_memory_available_bytes", "Of it, available", value=status.memory_available)
+        used = GaugeMetricFamily("ltm_process_memory_bytes", "Of a process (PSS)", labels=("process",))
+        for name, size in status.process_memory.items():
+            used.add_metric((name,), size)
+        yield used
+
+
+def exposition(status: TowerStatus) -> bytes:
+    """The answer to a scrape."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(TowerCollector(status))
+    return bytes(generate_latest(registry))
+
+
+def _has_own(key: str) -> bool:
+    return key in OWN or key.startswith(("dropped.", "noted.", "reason.", "latency_", "work_"))
+
+
+def _names(versions: Iterable[str]) -> tuple[str, ...]:
+    return tuple(name.replace("-", "_") for name in versions)

@@ -1,0 +1,291 @@
+"""The state of a tower at one moment, made of what its nodes say on `/diagnostics`; pure data, no ROS.
+
+Metrics, `ltm status`, the status page and the two yes-or-no questions of a monitoring system are read from it alone, so
+they cannot contradict each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from ltm_ros.runtime.clocks import KernelClock
+from ltm_ros.tower.machine import Disk
+
+SILENT_S = 10.0
+"""A node sends its diagnostics once a second; after that long without one it is taken for dead."""
+KEYS = 300
+"""Values of one node that are kept, and"""
+LENGTH = 400
+"""characters of each: what is named on a topic may be anybody's."""
+LARGEST_COUNT = 2.0**53
+"""What a number of JSON and of Prometheus holds to the last unit."""
+OUTBOX_KEYS = ("outbox_frames", "outbox_bytes", "outbox_age_s", "link_up")
+"""What the node `uplink` states of its outbox."""
+LEAST_FREE = 0.05
+"""Share of a disk; less is worth a word."""
+
+
+class StatedValues:
+    """Reads what a node states, by key, as numbers."""
+
+    values: Mapping[str, str]
+
+    def number(self, key: str) -> float | None:
+        """A value that is a finite number."""
+        try:
+            value = float(self.values[key])
+        except (KeyError, ValueError):
+            return None
+        return value if math.isfinite(value) else None
+
+    def counts(self, prefix: str) -> dict[str, int]:
+        """`dropped.` -> {"shed": 3, ...}."""
+        found = {}
+        for key in self.values:
+            count = self.number(key) if key.startswith(prefix) else None
+            if count is not None and 0 <= count < LARGEST_COUNT:
+                found[key.removeprefix(prefix)] = int(count)
+        return found
+
+
+@dataclass(frozen=True)
+class NodeReport(StatedValues):
+    """One node's last word. `heard_s`: by a clock that nobody sets."""
+
+    name: str
+    troubled: bool
+    message: str
+    values: Mapping[str, str]
+    heard_s: float
+
+
+@dataclass(frozen=True)
+class NodeState(StatedValues):
+    name: str
+    camera: str
+    """Empty: of the whole site."""
+    state: str
+    """`ok`, `troubled` (something was dropped in the last ten seconds), `silent`, `missing` (never heard)."""
+    said: str
+    age_s: float | None
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class CameraState:
+    name: str
+    frame_age_s: float | None
+    """Since the stamp of its newest frame; None: none has come."""
+    frames_in: int
+    finished: int
+    """Frames that all nodes have done."""
+    dropped: Mapping[str, int]
+    """By cause, of all its nodes; `shed`: turned away at the door."""
+    latency_s: float | None
+    """From a frame's stamp to its last result, median of the slowest node."""
+    pose: str
+    """Verdict on its newest pose; empty: nothing judges it."""
+    wrong: str
+    """What is amiss, in words; empty: nothing."""
+
+
+@dataclass(frozen=True)
+class OutboxState:
+    """Votes that the map of the region has not yet answered for."""
+
+    frames: int
+    bytes: int
+    age_s: float
+    """Of the oldest, since its stamp; 0: nothing waits."""
+    link_up: bool
+    """Whether the broker answers and the region's map is there."""
+
+
+@dataclass(frozen=True)
+class TowerStatus:
+    site: str
+    time_s: float
+    """By the machine's clock."""
+    versions: Mapping[str, str]
+    nodes: Sequence[NodeState]
+    cameras: Sequence[CameraState]
+    clock: KernelClock
+    clock_steps: int
+    disks: Sequence[Disk]
+    memory_total: int
+    memory_available: int
+    process_memory: Mapping[str, int]
+    frame_limit_s: float
+    outbox: OutboxState | None = None
+    """None: the site belongs to no region, or its node `uplink` has not reported."""
+    wrong: Sequence[str] = field(default_factory=tuple)
+    """Sentences, the gravest first."""
+
+    @property
+    def alive(self) -> bool:
+        """Whether every node reports: the answer of `/healthz`."""
+        return all(node.state in ("ok", "troubled") for node in self.nodes)
+
+    @property
+    def ready(self) -> bool:
+        """Whether every node reports and every camera's frames come: the answer of `/readyz`."""
+        return self.alive and all(_fresh(camera, self.frame_limit_s) for camera in self.cameras)
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self) | {"alive": self.alive, "ready": self.ready}
+
+
+def _fresh(camera: CameraState, limit_s: float) -> bool:
+    return camera.frame_age_s is not None and abs(camera.frame_age_s) <= limit_s
+
+
+class TowerWatch:
+    """Remembers the last word of each node that is expected; what others say is not listened to.
+
+    Args:
+        site: its name.
+        expected: full names of the graph's nodes, such as `/ridge/north/depth`.
+        frame_limit_s: age of a camera's newest frame from which that is said to be wrong.
+    """
+
+    def __init__(self, site: str, expected: Sequence[str], frame_limit_s: float) -> None:
+        self._site, self._frame_limit_s = site, frame_limit_s
+        self._expected = list(expected)
+        self._reports: dict[str, NodeReport] = {}
+
+    @property
+    def reports(self) -> Mapping[str, NodeReport]:
+        return dict(self._reports)
+
+    def hear(self, name: str, troubled: bool, message: str, values: Mapping[str, str], now_s: float) -> None:
+        if name in self._expected:
+            kept = {key[:LENGTH]: value[:LENGTH] for key, value in list(values.items())[:KEYS]}
+            self._reports[name] = NodeReport(name, troubled, message[:LENGTH], kept, now_s)
+
+    def status(
+        self,
+        now_s: float,
+        time_s: float,
+        *,
+        versions: Mapping[str, str],
+        clock: KernelClock,
+        disks: Sequence[Disk],
+        memory: tuple[int, int],
+        process_memory: Mapping[str, int],
+    ) -> TowerStatus:
+        """`now_s`: by the clock of `hear`; `time_s`: by the one that stamps frames."""
+        nodes = [self._node(name, now_s) for name in self._expected]
+        names = dict.fromkeys(node.camera for node in nodes if node.camera)
+        cameras = [self._camera(name, time_s) for name in names]
+        outbox = self._outbox()
+        steps = max((r.counts("noted.").get("clock_step", 0) for r in self._reports.values()), default=0)
+        return TowerStatus(
+            site=self._site,
+            time_s=time_s,
+            versions=versions,
+            nodes=nodes,
+            cameras=cameras,
+            clock=clock,
+            clock_steps=steps,
+            disks=list(disks),
+            memory_total=memory[0],
+            memory_available=memory[1],
+            process_memory=process_memory,
+            frame_limit_s=self._frame_limit_s,
+            outbox=outbox,
+            wrong=tuple(_sentences(nodes, cameras, clock, disks, outbox)),
+        )
+
+    def _outbox(self) -> OutboxState | None:
+        report = self._reports.get(f"/{self._site}/uplink")
+        numbers = [report.number(key) if report else None for key in OUTBOX_KEYS]
+        if any(number is None for number in numbers):
+            return None
+        frames, size, age_s, link_up = (float(number or 0) for number in numbers)
+        return OutboxState(int(frames), int(size), age_s, link_up > 0)
+
+    def _node(self, name: str, now_s: float) -> NodeState:
+        report = self._reports.get(name)
+        camera = camera_of(name)
+        if report is None:
+            return NodeState(name, camera, "missing", "has not reported yet", None, {})
+        age_s = now_s - report.heard_s
+        if age_s > SILENT_S:
+            return NodeState(name, camera, "silent", f"no word for {age_s:.0f} s", age_s, report.values)
+        return NodeState(name, camera, "troubled" if report.troubled else "ok", report.message, age_s, report.values)
+
+    def _camera(self, name: str, time_s: float) -> CameraState:
+        own = {r.name.rpartition("/")[2]: r for r in self._reports.values() if camera_of(r.name) == name}
+        dropped: dict[str, int] = {}
+        for report in own.values():
+            for cause, count in report.counts("dropped.").items():
+                dropped[cause] = dropped.get(cause, 0) + count
+        capture, judge = own.get("capture"), own.get("topodepth")
+        stamp = capture.number("newest_stamp") if capture else None
+        latencies = [ms for r in own.values() if (ms := r.number("latency_p50_ms")) is not None]
+        pose = judge.values.get("verdict", "") if judge else ""
+        if mount := (own["pose"].values.get("mount", "") if "pose" in own else ""):
+            pose = f"{pose}; mount {mount}" if pose else f"mount {mount}"
+        age_s = None if stamp is None else time_s - stamp
+        return CameraState(
+            name=name,
+            frame_age_s=age_s,
+            frames_in=int(capture.number("frames_in") or 0) if capture else 0,
+            finished=int(capture.number("finished") or 0) if capture else 0,
+            dropped=dropped,
+            latency_s=max(latencies) / 1000 if latencies else None,
+            pose=pose,
+            wrong=self._camera_wrong(name, age_s, pose, judge),
+        )
+
+    def _camera_wrong(self, name: str, age_s: float | None, pose: str, judge: NodeReport | None) -> str:
+        if age_s is None:
+            return f"camera {name}: no frame has come since the start; is it on, does it send to its topics?"
+        if age_s > self._frame_limit_s:
+            return f"camera {name}: its newest frame is {_time(age_s)} old"
+        if age_s < -self._frame_limit_s:
+            return f"camera {name}: its clock is {_time(-age_s)} ahead of this machine's"
+        if "pose_suspected" in pose or "slipped" in pose:
+            why = judge.values.get("last_verdict", "") if judge else ""
+            return f"camera {name}: its pose is doubted{f' ({why})' if why else ''}; has the mount moved?"
+        return ""
+
+
+def camera_of(name: str) -> str:
+    """Of a node's full name, `/ridge/north/depth`; empty for a node of the site."""
+    parts = name.strip("/").split("/")
+    return parts[1] if len(parts) > 2 else ""
+
+
+def _sentences(
+    nodes: Sequence[NodeState],
+    cameras: Sequence[CameraState],
+    clock: KernelClock,
+    disks: Sequence[Disk],
+    outbox: OutboxState | None,
+) -> list[str]:
+    said = [f"{node.name} {node.said}" for node in nodes if node.state in ("silent", "missing")]
+    said += [camera.wrong for camera in cameras if camera.wrong]
+    if clock.synchronised is False:
+        said.append("the machine's clock is kept right by nothing: frames of other towers will not agree with its own")
+    for disk in disks:
+        if disk.total < 0:
+            said.append(f"{disk.folder}: not there")
+        elif disk.free < LEAST_FREE * disk.total:
+            said.append(f"{disk.folder}: {disk.free / 1e9:.1f} GB free of {disk.total / 1e9:.0f} GB")
+    if outbox is not None and outbox.frames and not outbox.link_up:
+        said.append(
+            f"the region's map cannot be reached: {outbox.frames} frames wait in the outbox, the oldest of "
+            f"{_time(outbox.age_s)} ago"
+        )
+    said += [f"{node.name}: {node.said}" for node in nodes if node.state == "troubled"]
+    return said
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

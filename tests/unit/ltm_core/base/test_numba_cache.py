@@ -1,0 +1,161 @@
+"""Compiled kernels are never older than the source they come from."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from ltm_core.base.numba_cache import use_own_cache
+
+CALLED = "import numba\n\n@numba.njit(cache=True)\ndef called(x):\n    return x + {term}\n"
+CALLER = (
+    "import numba\nfrom kernels.called import called\nfrom kernels import (  # over lines\n    constants,\n)\n\n"
+    "@numba.njit(cache=True)\ndef caller(x):\n    return called(x) + constants.OFFSET\n"
+)
+CONSTANTS = "from kernels.origin import OFFSET\n"
+ORIGIN = "OFFSET = {offset}\n"
+INIT = "from pathlib import Path\nfrom ltm_core.base.numba_cache import use_own_cache\nuse_own_cache(Path(__file__).parent)\n"
+
+
+@pytest.fixture(autouse=True)
+def _own_folder_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This process goes on with its own folder afterwards."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    (folder / "__init__.py").write_text(INIT)
+    (folder / "caller.py").write_text(CALLER)
+    (folder / "called.py").write_text(CALLED.format(term=1.0))
+    (folder / "constants.py").write_text(CONSTANTS)
+    (folder / "origin.py").write_text(ORIGIN.format(offset=0.0))
+    return folder
+
+
+def answer(folder: Path, first: str = "", meanwhile: str = "") -> str:
+    """What a process prints that calls the kernel; it does `first`, and `meanwhile` before it loads any kernel."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    paths = [str(folder), *filter(None, sys.path)]
+    code = f"{first}\nimport kernels\n{meanwhile}\nfrom kernels.caller import caller; print(caller(1.0))"
+    run = [sys.executable, "-c", code]
+    environment["PYTHONPATH"] = os.pathsep.join(paths)
+    return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+
+
+@pytest.mark.parametrize("first", ["", "import numba"])
+def test_a_change_in_a_called_kernel_reaches_its_callers(tmp_path: Path, package: Path, first: str) -> None:
+    assert answer(tmp_path, first) == "2.0"
+    (package / "called.py").write_text(CALLED.format(term=10.0))
+    assert answer(tmp_path, first) == "11.0"
+
+
+def test_a_constant_that_a_kernel_has_through_other_modules_reaches_it(tmp_path: Path, package: Path) -> None:
+    assert answer(tmp_path) == "2.0"
+    (package / "origin.py").write_text(ORIGIN.format(offset=0.25))
+    assert answer(tmp_path) == "2.25"
+
+
+def test_an_edit_that_no_kernel_depends_on_compiles_nothing_anew(package: Path) -> None:
+    (package / "apart.py").write_text("from kernels.caller import caller\n")
+    first = use_own_cache(package)
+    (package / "apart.py").write_text("from kernels.caller import caller as renamed\n")
+    assert use_own_cache(package) == first
+
+
+def test_what_was_compiled_while_the_source_changed_is_given_to_nobody(tmp_path: Path, package: Path) -> None:
+    """A process has said which state it found when a kernel is edited, and compiles that; then the edit is undone."""
+    called = package / "called.py"
+    edit = f"import pathlib; pathlib.Path({str(called)!r}).write_text({CALLED.format(term=10.0)!r})"
+    assert answer(tmp_path, meanwhile=edit) == "11.0"
+    called.write_text(CALLED.format(term=1.0))
+    assert answer(tmp_path) == "2.0"
+
+
+def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
+    assert use_own_cache(tmp_path) is None
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "mine")
+
+
+def test_one_folder_a_state_of_the_source(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("import numba")
+    first = use_own_cache(tmp_path)
+    assert first is not None
+    assert use_own_cache(tmp_path) == first, "the same source, and a variable inherited from us"
+    (tmp_path / "a.py").write_text("import numba  # edited")
+    second = use_own_cache(tmp_path)
+    assert second is not None
+    assert second != first
+    assert os.environ["NUMBA_CACHE_DIR"] == str(second)
+
+
+def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:
+    first = use_own_cache(tmp_path)
+    assert first is not None
+    gone = first.with_name(first.name[:-4] + "gone")
+    gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
+    (tmp_path / "a.py").write_text("import numba  # edited")
+    assert use_own_cache(tmp_path) is not None
+
+
+@pytest.fixture
+def shared_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """A source that only a common folder is left for, as files lie where the other places would be; and that folder."""
+    source, home, common = tmp_path / "source", tmp_path / "home", tmp_path / "tmp"
+    for folder in (source, home, common):
+        folder.mkdir()
+    (source / "a.py").write_text("import numba")
+    for taken in (source / "__pycache__", home / ".cache"):
+        taken.write_text("no folder")
+    monkeypatch.setattr(Path, "home", lambda: home)
+    monkeypatch.setattr("tempfile.tempdir", str(common))
+    return source, common / f"ltm-{os.getuid()}"
+
+
+def test_a_place_in_a_common_folder_is_made_for_us_alone(shared_tmp: tuple[Path, Path]) -> None:
+    source, place = shared_tmp
+    found = use_own_cache(source)
+    assert found is not None
+    assert found.parent == place
+    assert [folder.stat().st_mode & 0o777 for folder in (place, found)] == [0o700, 0o700]
+    assert use_own_cache(source) == found
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o755])
+def test_a_place_that_others_get_at_is_not_taken(shared_tmp: tuple[Path, Path], mode: int) -> None:
+    source, place = shared_tmp
+    place.mkdir()
+    place.chmod(mode)
+    assert use_own_cache(source) is None
+    assert "NUMBA_CACHE_DIR" not in os.environ
+
+
+def test_a_place_of_another_owner_is_not_taken(shared_tmp: tuple[Path, Path]) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root gives folders away")
+    source, place = shared_tmp
+    place.mkdir(mode=0o700)
+    os.chown(place, 65_534, 65_534)
+    assert use_own_cache(source) is None
+    os.chown(place, 0, 0)
+    found = use_own_cache(source)
+    assert found is not None
+    os.chown(found, 65_534, 65_534)
+    assert use_own_cache(source) is None, "a folder of kernels that somebody left in ours"
+
+
+def test_a_link_is_not_taken_for_a_place(shared_tmp: tuple[Path, Path]) -> None:
+    source, place = shared_tmp
+    elsewhere = place.with_name("elsewhere")
+    elsewhere.mkdir(mode=0o700)
+    place.symlink_to(elsewhere)
+    assert use_own_cache(source) is None

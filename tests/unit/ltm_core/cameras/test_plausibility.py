@@ -1,0 +1,88 @@
+"""Angles and heights in another unit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ltm_core.cameras.plausibility import doubt_of_dem, doubt_of_height, doubt_of_heights, doubt_of_radians
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "part"),
+    [
+        ([3.7], "azimuth 3.7 lies within 2 pi"),
+        ([3.7, 3.7], "(3.7 rad is 212.0 deg)"),
+        ([0.31, 6.1, 2.0], "all azimuths, 0.31 to 6.1, lie"),
+        ([1.5, 3], "(1.5 rad is 85.9 deg)"),
+        ([-2.5, 1], "(-2.5 rad is 216.8 deg)"),
+    ],
+)
+def test_radians_are_doubted(azimuths: list[float], part: str) -> None:
+    assert part in (doubt_of_radians(azimuths) or "")
+
+
+@pytest.mark.parametrize("azimuths", [[], [0.0], [3], [0, 3, 5], [3.7, 6.4], [212.0], [-7.5, 1.5]])
+def test_what_degrees_look_like(azimuths: list[float]) -> None:
+    assert doubt_of_radians(azimuths) is None
+
+
+def test_one_right_azimuth_in_57_is_doubted() -> None:
+    """As the documentation states."""
+    spread = [(k + 0.5) * 360 / 3600 for k in range(3600)]
+    doubted = sum(doubt_of_radians([azimuth]) is not None for azimuth in spread)
+    assert doubted / 3600 == pytest.approx(2 * math.pi / 360, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("z", "ground", "part"),
+    [
+        (2988.8, 900.0, "as feet it would be 911 m"),
+        (1300.0, 900.0, "higher than masts"),
+        (911.0, 2953.0, "if the DEM's heights are feet, the ground is at 900 m"),
+        (90.0, 100.0, "10.00 m under the ground, which is at 100.00 m"),
+        (880.0, 900.0, "20.00 m under the ground, which is at 900.00 m"),
+        (900.0, 900.0, "0.00 m under the ground"),
+    ],
+)
+def test_heights_are_doubted(z: float, ground: float, part: str) -> None:
+    assert part in (doubt_of_height(z, ground) or "")
+
+
+@pytest.mark.parametrize(("z", "ground"), [(902.0, 900.0), (1049.0, 900.0), (-3.0, -5.0), (1300.0, math.nan)])
+def test_heights_that_may_be(z: float, ground: float) -> None:
+    assert doubt_of_height(z, ground) is None
+
+
+def test_ground_that_no_planet_has() -> None:
+    heights = np.full((20, 30), 3_000.0, np.float32)
+    assert doubt_of_dem(heights, 10.0) is None
+    heights[3, 4] = -9_999.0
+    assert "-9999 to 3000 m" in (doubt_of_dem(heights, 10.0) or "")
+
+
+@pytest.mark.parametrize(("slope", "doubted"), [(0.45, False), (0.45 / 0.3048, True)])
+def test_mountains_in_feet_are_too_steep(slope: float, doubted: bool) -> None:
+    zigzag = np.abs((np.arange(60) % 20) - 10.0)[None, :] * 30.0 * slope + np.arange(40)[:, None]
+    doubt = doubt_of_dem(zigzag.astype(np.float32), 30.0)
+    assert (doubt is not None) is doubted
+    assert doubt is None or "steeper than 56 degrees" in doubt
+
+
+@pytest.mark.parametrize(
+    ("factor", "shift", "part"),
+    [
+        (1.0, 0.0, None),
+        (1.0, 35.0, None),
+        (1.0, 90.0, "is 90 m off the other in the median"),
+        (1 / 0.3048, 0.0, "its heights are feet"),
+        (0.3048, 0.0, "whose heights may be feet"),
+    ],
+)
+def test_two_rasters_of_one_ground(factor: float, shift: float, part: str | None) -> None:
+    others = np.linspace(400.0, 1_900.0, 120).reshape(8, 15)
+    others[0, :3] = np.nan
+    doubt = doubt_of_heights(others * factor + shift, others, "the other")
+    assert (doubt is None) if part is None else (part in (doubt or ""))

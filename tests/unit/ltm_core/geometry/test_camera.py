@@ -1,0 +1,135 @@
+"""Pixels and rays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ltm_core.base.errors import CameraError
+from ltm_core.geometry.camera import Camera
+
+pytestmark = pytest.mark.kernel
+
+BARREL = Camera(64, 40, 40.0, 42.0, 30.0, 21.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_from_fov_spans_the_outer_edges() -> None:
+    camera = Camera.from_fov(8, 6, 90.0)
+    assert (camera.fx, camera.fy) == (pytest.approx(4.0), pytest.approx(4.0))
+    assert (camera.cx, camera.cy) == (3.5, 2.5)
+    assert camera.hfov_deg == pytest.approx(90.0)
+    assert Camera(9, 5, 20.0, 20.0, 1.0, 2.0).hfov_deg == pytest.approx(
+        math.degrees(math.atan(1.5 / 20) + math.atan(7.5 / 20))
+    )
+
+
+def test_matrix() -> None:
+    assert BARREL.matrix.tolist() == [[40.0, 0.0, 30.0], [0.0, 42.0, 21.0], [0.0, 0.0, 1.0]]
+
+
+def test_rays_of_a_pinhole() -> None:
+    camera = Camera(5, 3, 2.0, 4.0, 1.0, 2.0)
+    rays = camera.rays()
+    assert rays.shape == (3, 5, 3)
+    np.testing.assert_allclose(rays[2, 1], [0.0, 0.0, 1.0])
+    # Pixel (u, v) = (3, 0): x right (3 - 1) / 2, y down (0 - 2) / 4.
+    np.testing.assert_allclose(rays[0, 3], np.array([1.0, -0.5, 1.0]) / 1.5)
+    with pytest.raises(ValueError, match="read-only"):
+        rays[0, 0, 0] = 1.0
+
+
+def test_project() -> None:
+    camera = Camera(5, 3, 2.0, 4.0, 1.0, 2.0)
+    np.testing.assert_allclose(camera.project(np.array([3.0, -1.5, 3.0])), [3.0, 0.0])
+    behind = camera.project(np.array([[1.0, 1.0, -2.0], [0.5, 0.0, 0.0], [0.0, 0.0, 2.0]]))
+    assert np.isnan(behind[:2]).all()
+    assert behind[2].tolist() == [1.0, 2.0]
+
+
+def test_distortion_by_hand() -> None:
+    camera = Camera(64, 40, 100.0, 200.0, 30.0, 20.0, (0.1, 0.01, 0.02, 0.03, 0.001))
+    x, y = 0.3, -0.2
+    r2 = 0.09 + 0.04
+    radial = 1 + 0.1 * r2 + 0.01 * r2**2 + 0.001 * r2**3
+    xd = x * radial + 2 * 0.02 * x * y + 0.03 * (r2 + 2 * x * x)
+    yd = y * radial + 0.02 * (r2 + 2 * y * y) + 2 * 0.03 * x * y
+    np.testing.assert_allclose(camera.project(np.array([x, y, 1.0]) * 7), [100 * xd + 30, 200 * yd + 20], rtol=1e-14)
+
+
+def test_a_barrel_pulls_content_inwards() -> None:
+    pinhole = Camera(64, 40, 40.0, 42.0, 30.0, 21.0)
+    point = np.array([0.4, 0.0, 1.0])
+    assert BARREL.project(point)[0] < pinhole.project(point)[0]
+    assert BARREL.rays()[21, 50, 0] > pinhole.rays()[21, 50, 0]
+
+
+def test_no_ray_beyond_the_fold() -> None:
+    # r (1 - 0.3 r^2) grows up to r = sqrt(1 / 0.9), where it is two thirds of that.
+    fold = math.sqrt(1 / 0.9)
+    camera = Camera(201, 3, 100.0, 100.0, 100.0, 1.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
+    x = (np.arange(201) - 100) / 100
+    known = np.isfinite(camera.rays()[1, :, 0])
+    assert known.any()
+    assert not known.all()
+    np.testing.assert_array_equal(known, np.abs(x) < fold * 2 / 3)
+    assert np.isfinite(camera.project(np.array([0.999 * fold, 0.0, 1.0]))).all()
+    assert np.isnan(camera.project(np.array([1.001 * fold, 0.0, 1.0]))).all()
+
+
+def test_a_model_that_all_but_folds_has_all_its_rays() -> None:
+    # Newton's method from the distorted point never settles on 22 pixels of this one.
+    distortion = (-0.469, -0.169, 0.004, -0.008, 0.197)
+    camera = Camera(97, 61, 60.0, 63.0, 45.0, 33.0, distortion)
+    rays = camera.rays()
+    assert np.isfinite(rays).all()
+    v, u = np.mgrid[0:61, 0:97]
+    np.testing.assert_allclose(camera.project(rays), np.stack([u, v], axis=-1), atol=1e-6)
+
+
+@pytest.mark.parametrize("step", [1, 3, 4, 100])
+def test_scaled_keeps_pixel_centres(step: int) -> None:
+    sampled = BARREL.scaled(step)
+    rays = BARREL.rays()[::step, ::step]
+    assert (sampled.height, sampled.width) == rays.shape[:2]
+    np.testing.assert_allclose(sampled.rays(), rays, atol=1e-12)
+
+
+def test_resized_shows_the_same_from_edge_to_edge() -> None:
+    small = BARREL.resized(31, 17)
+    rays = BARREL.rays()[::9, ::7].reshape(-1, 3)
+    u, v = np.meshgrid(np.arange(0, BARREL.width, 7), np.arange(0, BARREL.height, 9))
+    across, down = 31 / BARREL.width, 17 / BARREL.height
+    expected = np.stack([(u.ravel() + 0.5) * across - 0.5, (v.ravel() + 0.5) * down - 0.5], axis=-1)
+    seen = np.isfinite(rays).all(axis=-1)
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(small.project(rays[seen]), expected[seen], atol=1e-6)
+
+
+def test_scaled_needs_a_step() -> None:
+    with pytest.raises(CameraError, match="got 0"):
+        BARREL.scaled(0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((0, 40, 40.0, 40.0, 1.0, 1.0), "0 x 40"),
+        ((64, 40, 0.0, 40.0, 1.0, 1.0), "fx=0.0"),
+        ((64, 40, 40.0, -3.0, 1.0, 1.0), "fy=-3.0"),
+        ((64, 40, 40.0, 40.0, float("nan"), 1.0), "finite"),
+        ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.0, 0.0, 0.0, 0.0, float("inf"))), "finite"),
+        ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.1, 0.2)), "k1, k2, p1, p2, k3"),
+        ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.1, 1e300, 0.0, 0.0, 0.0)), "no lens"),
+    ],
+)
+def test_no_camera(values: tuple, message: str) -> None:
+    with pytest.raises(CameraError, match=message):
+        Camera(*values)
+
+
+@pytest.mark.parametrize("hfov_deg", [0.0, 180.0, -5.0, float("nan")])
+def test_no_field_of_view(hfov_deg: float) -> None:
+    with pytest.raises(CameraError, match="field of view"):
+        Camera.from_fov(64, 40, hfov_deg)

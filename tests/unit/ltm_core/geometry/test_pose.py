@@ -1,0 +1,136 @@
+"""The angle conventions, by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+
+S = math.sqrt(0.5)
+EAST, NORTH, UP = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("angles", "right", "down", "forward"),
+    [
+        ((0, 0, 0), EAST, -UP, NORTH),
+        ((90, 0, 0), -NORTH, -UP, EAST),  # azimuth: clockwise from grid north
+        ((180, 0, 0), -EAST, -UP, -NORTH),
+        ((270, 0, 0), NORTH, -UP, -EAST),
+        ((0, 30, 0), EAST, [0, 0.5, -math.sqrt(0.75)], [0, math.sqrt(0.75), 0.5]),  # pitch: up
+        ((90, -45, 0), -NORTH, [-S, 0, -S], [S, 0, -S]),
+        ((0, 0, 90), -UP, -EAST, NORTH),  # roll: clockwise, so the camera's right side goes down
+        ((0, 0, -90), UP, EAST, NORTH),
+        ((0, 90, 0), EAST, NORTH, UP),
+        ((0, -90, 0), EAST, -NORTH, -UP),  # straight down: the image's top is north
+        ((90, -90, 0), -NORTH, -EAST, -UP),
+    ],
+)
+def test_axes(angles: tuple[float, float, float], right: np.ndarray, down: np.ndarray, forward: np.ndarray) -> None:
+    rotation = Pose.from_angles((0, 0, 0), *angles).rotation
+    np.testing.assert_allclose(rotation.T, [right, down, forward], atol=1e-15)
+
+
+def test_roll_turns_content_counter_clockwise() -> None:
+    camera = Camera.from_fov(101, 101, 60.0)
+    # A point right of the centre; a camera that rolls clockwise sees it move up in the image.
+    point = np.array([10.0, 100.0, 0.0])
+    level, rolled = (
+        camera.project(Pose.from_angles((0, 0, 0), 0, 0, roll).to_optical(point)) - 50 for roll in (0.0, 20.0)
+    )
+    assert level[0] > 0
+    assert level[1] == pytest.approx(0, abs=1e-9)
+    assert math.degrees(math.atan2(-rolled[1], rolled[0])) == pytest.approx(20.0)
+
+
+def test_points_between_frames() -> None:
+    pose = Pose.from_angles((10.0, 20.0, 30.0), 90.0, 0.0)
+    # 5 m ahead is east, 2 m right is south, 1 m down is down.
+    np.testing.assert_allclose(pose.to_map(np.array([[2.0, 1.0, 5.0]])), [[15.0, 18.0, 29.0]])
+    np.testing.assert_allclose(pose.to_optical(np.array([15.0, 18.0, 29.0])), [2.0, 1.0, 5.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "angles", [(0, 0, 0), (214.5, -5.8, -0.8), (359.9, 60, 179), (10, -89.999, 30), (123.4, 89.99999, -45)]
+)
+def test_angles_come_back(angles: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(Pose.from_angles((1, 2, 3), *angles).angles_deg, angles, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ((40, -90, 0), (40, -90, 0)),
+        ((40, -90, 25), (65, -90, 0)),  # looking down, clockwise roll turns the image's top clockwise on the map
+        ((40, 90, 0), (40, 90, 0)),
+        ((40, 90, 25), (15, 90, 0)),  # looking up, against it
+    ],
+)
+def test_straight_up_and_down(angles: tuple[float, float, float], expected: tuple[float, float, float]) -> None:
+    pose = Pose.from_angles((0, 0, 0), *angles)
+    np.testing.assert_allclose(pose.angles_deg, expected, atol=1e-9)
+    np.testing.assert_allclose(Pose.from_angles((0, 0, 0), *expected).rotation, pose.rotation, atol=1e-12)
+
+
+def test_quaternion_by_hand() -> None:
+    # Looking north, optical x, y, z are map x, -z, y: a turn by -90 degrees about x.
+    np.testing.assert_allclose(Pose.from_angles((0, 0, 0), 0).quaternion, [-S, 0, 0, S], atol=1e-15)
+    np.testing.assert_allclose(
+        Pose.from_quaternion((0, 0, 0), (-S, 0, 0, S)).rotation, [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15
+    )
+
+
+def test_a_quaternion_is_normalised_within_a_thousandth() -> None:
+    pose = Pose.from_quaternion((0, 0, 0), (0.0, 0.0, 0.0, 1.0009))
+    np.testing.assert_allclose(pose.rotation, np.eye(3))
+    with pytest.raises(PoseError, match=r"norm 1\.002"):
+        Pose.from_quaternion((0, 0, 0), (0.0, 0.0, 0.0, 1.002))
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (float("nan"), 0, 0, 1), (0, 0, 1), (0, 0, 0, 0, 1)])
+def test_no_quaternion(quaternion: tuple[float, ...]) -> None:
+    with pytest.raises(PoseError, match="unit quaternion"):
+        Pose.from_quaternion((0, 0, 0), quaternion)
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation", "message"),
+    [
+        ((0, float("nan"), 0), np.eye(3), "position"),
+        ((0, 0), np.eye(3), "position"),
+        ((0, 0, 0), np.full((3, 3), np.inf), "finite 3 x 3"),
+        ((0, 0, 0), np.eye(4), "finite 3 x 3"),
+        ((0, 0, 0), 1.001 * np.eye(3), "orthonormal"),
+        ((0, 0, 0), np.diag([1.0, 1.0, -1.0]), "right-handed"),
+    ],
+)
+def test_no_pose(position: tuple[float, ...], rotation: np.ndarray, message: str) -> None:
+    with pytest.raises(PoseError, match=message):
+        Pose(np.array(position, float), rotation)
+
+
+def test_no_angles() -> None:
+    with pytest.raises(PoseError, match="nan"):
+        Pose.from_angles((0, 0, 0), 10.0, float("nan"), 0.0)
+
+
+def test_poses_are_values() -> None:
+    a, b = (Pose.from_angles((1, 2, 3), 10, 20, 30) for _ in range(2))
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a != Pose.from_angles((1, 2, 3), 10, 20, 31)
+    assert a != "pose"
+    with pytest.raises(ValueError, match="read-only"):
+        a.position[0] = 7.0
+
+
+def test_a_pose_keeps_its_own_copy() -> None:
+    position = np.array([1.0, 2.0, 3.0])
+    pose = Pose(position, np.eye(3))
+    position[0] = 99.0
+    assert pose.position[0] == 1.0

@@ -1,0 +1,186 @@
+"""Pictures of one mount, fitted together, and their verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.mountain_view import CAMERA, eye, terrain, view
+
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.pose_estimation.mount import mount_fit
+from ltm_core.pose_estimation.mount.mount_fit import MountFit, fit_mount, widened
+from ltm_core.pose_estimation.skyline.find_pose import find_pose
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import (
+    UNKNOWN_DEG,
+    PosePrior,
+    angle_slopes,
+    angles_between,
+    turned,
+)
+from ltm_core.raster.dem import Dem
+from ltm_core.vision.labels import Label
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+
+
+def test_presets_of_one_head_share_its_mount() -> None:
+    lean, tilt = np.radians([0.4, -0.3, 1.3]), np.radians(0.25)
+    c, s = np.cos(tilt), np.sin(tilt)
+    up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    priors, searches, true = [], [], []
+    for azimuth in (20.0, 110.0, 205.0, 290.0):
+        pose = Pose.from_angles(eye(), azimuth, 2.0, 0.0)
+        told = turned(Pose(pose.position, pose.rotation @ up), lean)
+        prior = PosePrior(told, 1.5, 0.5, 0.5)
+        photo, labels = view(pose)
+        priors.append(prior)
+        true.append(pose)
+        searches.append(find_pose(picture_evidence(photo, labels, CAMERA), terrain(), widened(prior, 0.3)))
+    fit = fit_mount(priors, searches)
+    assert fit.word == "accepted", fit.reason
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+        assert fit.pose_covariance(k).shape == (6, 6)
+    # Both turn a camera that looks level up and down; the lean is about axes that all share, the zero about its own.
+    np.testing.assert_allclose(fit.rotation, -lean, atol=np.radians(0.1))
+    assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
+
+
+@pytest.mark.parametrize(("azimuths", "floor_deg"), [((63.0,), 1.0), ((63.0, 63.0), 1.0), ((63.0, 150.0), 0.5**0.5)])
+def test_a_floor_of_pitch_is_in_a_picture_s_pose_once(
+    azimuths: tuple[float, ...], floor_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And directions have it each by itself."""
+    priors = [PosePrior(Pose.from_angles(eye(), azimuth, 2.5, 0.0), 1.5, 0.5, 0.5) for azimuth in azimuths]
+    searches = [find_pose(picture_evidence(*view(p.pose), CAMERA), terrain(), p) for p in priors]
+    monkeypatch.setattr(mount_fit, "MOUNT_FLOOR_DEG", (0.0, 1.0, 0.0))
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.05)
+    slopes = angle_slopes(priors[0].pose)
+    turns = slopes @ fit.pose_covariance(0)[3:, 3:] @ slopes.T
+    assert np.degrees(np.sqrt(turns[1, 1])) == pytest.approx(floor_deg, rel=0.01)
+
+
+@pytest.mark.parametrize(("sigma_deg", "word"), [(0.08, "ambiguous"), (0.2, "accepted")])
+def test_a_picture_that_is_sure_of_another_pitch_contradicts_the_mount(sigma_deg: float, word: str) -> None:
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 110.0, 205.0)]
+    priors = [PosePrior(turned(pose, np.radians([0.2, -0.1, 1.1])), 1.5, 0.5, 0.5) for pose in true]
+    searches = [
+        find_pose(picture_evidence(*view(pose), CAMERA), terrain(), prior)
+        for pose, prior in zip(true, priors, strict=True)
+    ]
+    best, *others = searches[1].hypotheses
+    raised = Pose.from_angles(eye(), 110.0, 3.5, 0.0)
+    other = replace(best, refined=replace(best.refined, pose=raised))
+    verdict = replace(searches[1].verdict, sigma_deg=(sigma_deg, 0.05, 0.05))
+    searches[1] = replace(searches[1], hypotheses=(other, *others), verdict=verdict)
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert fit.word == word, fit.reason
+    assert ("sure of itself lies 1.5 deg" in fit.reason) == (word == "ambiguous")
+
+
+def test_presets_of_one_head_share_its_focal_length_where_it_is_free() -> None:
+    wrong = CAMERA.zoomed(1.06)
+    priors, searches = [], []
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 205.0, 290.0)]
+    for pose in true:
+        prior = PosePrior(turned(pose, np.radians([0.2, -0.1, 1.1])), 1.5, 0.5, 0.5)
+        priors.append(prior)
+        searches.append(find_pose(picture_evidence(*view(pose), wrong), terrain(), prior, focal_sigma=0.04))
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0, focal_sigma=0.04)
+    assert fit.word == "accepted", fit.reason
+    assert wrong.fx * fit.focal == pytest.approx(CAMERA.fx, rel=0.003)
+    assert 0 < fit.focal_sigma < 0.01
+    assert fit.covariance.shape == (7, 7)
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+    held = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert (held.focal, held.focal_sigma) == (1.0, 0.0)
+
+
+def test_a_mount_that_looks_backwards_is_not_two() -> None:
+    """Of two presets the one asks for a turn of just less than half a circle to the right, the other to the left."""
+    little = np.radians(0.02)
+    priors, searches = [], []
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 205.0)]
+    for pose, turn in zip(true, (np.pi - little, np.pi + little), strict=True):
+        told = turned(pose, np.array([0.0, 0.0, turn]))
+        priors.append(PosePrior(told, UNKNOWN_DEG, 0.5, 0.5))
+        searches.append(find_pose(picture_evidence(*view(pose), CAMERA), terrain(), PosePrior(pose, 1.5, 0.5, 0.5)))
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert fit.word == "accepted", fit.reason
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 100.0, 170.0])
+def test_a_mount_may_tip_as_far_whatever_its_heading(heading_deg: float) -> None:
+    """By 2.9 sigmas about each level axis, of the 4 that contradict what is stated."""
+    told = matrix_of_vector(np.radians([1.45, 1.45, 0.0])) @ matrix_of_vector([0.0, 0.0, np.radians(heading_deg)])
+    away = vector_of_matrix(told.T)
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 205.0)]
+    fit = fit_mount(
+        [PosePrior(turned(pose, away), UNKNOWN_DEG, 0.5, 0.5) for pose in true],
+        [find_pose(picture_evidence(*view(pose), CAMERA), terrain(), PosePrior(pose, 1.5, 0.5, 0.5)) for pose in true],
+        tilt_zero_sigma_deg=0.0,
+    )
+    assert fit.word == "accepted", fit.reason
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+
+
+def test_copies_of_one_picture_say_no_more_than_the_picture() -> None:
+    """Its DEM's errors are the same in all of them."""
+    told = turned(TRUE, np.radians([0.1, 0.0, 0.8]))
+    prior = PosePrior(told, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(*view(TRUE), CAMERA), terrain(), prior)
+    once, often = (fit_mount([prior] * n, [search] * n, tilt_zero_sigma_deg=0.0) for n in (1, 4))
+    assert once.word == often.word == "accepted"
+    np.testing.assert_allclose(often.rotation, once.rotation, atol=1e-6)
+    np.testing.assert_allclose(often.covariance, once.covariance, rtol=1e-3, atol=1e-12)
+    assert often.gap == pytest.approx(once.gap, rel=1e-3)
+
+
+def test_a_mount_whose_pictures_leave_its_azimuth_open_stays_as_stated() -> None:
+    geometry = GridGeometry(0.0, 3000.0, 20.0, 170, 150)
+    flat = replace(terrain(), dem=Dem(np.full((150, 170), 50.0, np.float32), geometry))
+    rows = np.mgrid[0:300, 0:480][0]
+    labels = np.where(rows < 150, np.uint8(Label.SKY), np.uint8(Label.GRASS)).astype(np.uint8)
+    photo = np.where((rows < 150)[..., None], [200, 210, 230], [90, 90, 50]).astype(np.uint8)
+    prior = PosePrior(Pose.from_angles((1700.0, 1500.0, 60.0), 40.0), 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), flat, prior)
+    fit = fit_mount([prior] * 3, [search] * 3, tilt_zero_sigma_deg=0.0)
+    assert fit.word in ("ambiguous", "no_skyline")
+    assert fit.poses == (prior.pose,) * 3
+
+
+@pytest.mark.parametrize(("grown", "asked"), [(Label.BARE, "ridges_gap"), (Label.TREE, "plants_gap")])
+def test_a_mount_of_which_ridges_alone_tell_is_asked_more(grown: Label, asked: str) -> None:
+    """As of a single picture; all other limits are loose here."""
+    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 6.0])), 8.0, 0.5, 0.5)
+    photo, labels = view(TRUE)
+    labels = np.where(labels == Label.BARE, np.uint8(grown), labels).astype(np.uint8)
+    evidence = replace(picture_evidence(photo, labels, CAMERA), skyline=None)
+    loose = {"most_sigma_deg": 9.0, "mount_azimuth_sigma_deg": 9.0, "least_gap": 0.0, "alternative_deg": 0.05}
+    loose |= {"ridges_gap": 0.0, "plants_gap": 0.0, "contradiction": 99.0, "mount_apart_deg": 99.0}
+    search = find_pose(evidence, terrain(), prior)
+
+    def fit(**limits: float) -> MountFit:
+        config = PicturePoseConfig(verdict=VerdictConfig(**(loose | limits)))
+        return fit_mount([prior] * 2, [search] * 2, config, tilt_zero_sigma_deg=0.0)
+
+    gap = fit().gap
+    assert 0 < gap < math.inf
+    assert [fit(**{asked: share * gap}).word for share in (0.9, 1.1)] == ["accepted", "ambiguous"]
+
+
+def test_a_mount_without_pictures_is_refused() -> None:
+    with pytest.raises(PoseError, match="one each"):
+        fit_mount([], [])

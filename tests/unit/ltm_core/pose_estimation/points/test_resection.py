@@ -1,0 +1,487 @@
+"""Resection on made points whose camera is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.rasters import rough_terrain
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.points.control_points import ControlPoints, held_notes, read_control_points
+from ltm_core.pose_estimation.points.resection import resect
+from ltm_core.pose_estimation.points.resection_check import traced_errors
+from ltm_core.raster.dem import Dem
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.trace_io import load_picture_config
+from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_ros.cli.main import cli
+from ltm_ros.cli.trace import trace as trace_command
+
+CAMERA = Camera(1600, 1100, 1850.0, 1850.0, 801.0, 547.0, (-0.12, 0.0, 0.0, 0.0, 0.0))
+START = replace(CAMERA, fx=1500.0, fy=1500.0, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
+POSE = Pose.from_angles((120.0, -340.0, 812.0), 203.0, -8.0, 3.0)
+BEND = ray_bend(True, 0.13)
+
+
+def marked(
+    pixels: Float64Array, distances: Float64Array, camera: Camera = CAMERA, pose: Pose = POSE, bend: float = BEND
+) -> ControlPoints:
+    """Points at slant distances behind pixels; the curved ray's height is the straight one's plus bend r^2."""
+    ways = pixel_rays(camera, pixels) @ pose.rotation.T * distances[:, None]
+    ways[:, 2] += bend * (ways[:, 0] ** 2 + ways[:, 1] ** 2)
+    names = tuple(f"p{k}" for k in range(len(pixels)))
+    return ControlPoints(names, pose.position + ways, pixels)
+
+
+def scattered(count: int = 12, seed: int = 1, noise: float = 0.0, **kind: object) -> ControlPoints:
+    rng = np.random.default_rng(seed)
+    pixels = np.column_stack([rng.uniform(20, 1580, count), rng.uniform(20, 1080, count)])
+    points = marked(pixels, rng.uniform(400, 3000, count), **kind)  # type: ignore[arg-type]
+    return replace(points, pixels=np.clip(pixels + rng.normal(0, noise, pixels.shape), 0, (1599, 1099)))
+
+
+def moved(points: ControlPoints, shifts: dict[int, tuple[float, float]]) -> ControlPoints:
+    pixels = points.pixels.copy()
+    for index, shift in shifts.items():
+        pixels[index] += shift
+    return replace(points, pixels=pixels)
+
+
+def turn_between(a: Pose, b: Pose) -> float:
+    """Degrees."""
+    return float(np.degrees(Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude()))
+
+
+def test_finds_angles_focal_length_and_k1_without_any_angle() -> None:
+    result = resect(scattered(), START, POSE.position, bend=BEND)
+    assert turn_between(result.pose, POSE) < 1e-6
+    assert result.camera.fx == pytest.approx(1850.0, abs=1e-4)
+    assert result.camera.distortion[0] == pytest.approx(-0.12, abs=1e-6)
+    assert result.residual_px.max() < 1e-5
+    assert result.fitted == ("focal", "k1")
+    assert result.used.all()
+    assert not result.held
+
+
+def test_finds_the_position_too() -> None:
+    start = POSE.position + np.array([14.0, -9.0, 6.0])
+    result = resect(scattered(), START, start, free=("focal", "k1", "position"), bend=BEND)
+    assert np.abs(result.pose.position - POSE.position).max() < 1e-3
+    assert turn_between(result.pose, POSE) < 1e-4
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        (-80.0, 75.0, 60.0),
+        pytest.param((420.0, -430.0, -50.0), marks=pytest.mark.slow),
+        (-1500.0, 4700.0, 300.0),
+    ],
+)
+def test_a_free_position_is_found_from_far_away(start: tuple[float, float, float]) -> None:
+    points = moved(scattered(9, noise=0.5), {4: (200.0, -80.0)})
+    camera = replace(CAMERA, fx=1500.0, fy=1500.0)
+    result = resect(points, camera, POSE.position + start, free=("focal", "position"), bend=BEND)
+    assert result.fitted == ("focal", "position")
+    assert np.linalg.norm(result.pose.position - POSE.position) < 3.0
+    assert turn_between(result.pose, POSE) < 0.1
+    assert result.outliers == ("p4",)
+
+
+def test_of_poses_that_explain_the_points_alike_the_nearest_is_taken() -> None:
+    # Four points on a plane, seen from either side of it, look alike: the wanted side is that of the stated position.
+    plane = np.array([[-80.0, 300.0, 0.0], [90.0, 320.0, 0.0], [60.0, 500.0, 0.0], [-120.0, 480.0, 0.0]])
+    camera = replace(CAMERA, distortion=(0.0,) * 5)
+    pose = Pose.from_angles((0.0, 0.0, 150.0), 0.0, -20.0)
+    points = ControlPoints(
+        tuple("abcd"), plane, camera.project(line_of_sight_vectors(pose.position, plane, 0.0) @ pose.rotation)
+    )
+    for shift in ((30.0, -40.0, 10.0), (-60.0, 20.0, -30.0)):
+        found = resect(points, camera, pose.position + shift, free=("position",))
+        assert np.abs(found.pose.position - pose.position).max() < 1e-3
+
+
+def test_sigmas_are_those_that_noise_makes() -> None:
+    # The mean normalised squared error of the fitted values is their number, 5; over 24 runs its sigma is 0.7.
+    normalised = []
+    for seed in range(24):
+        result = resect(scattered(seed=seed, noise=2.0), START, POSE.position, (203.0, -8.0, 3.0), bend=BEND)
+        turn = Rotation.from_matrix(POSE.rotation @ result.pose.rotation.T).as_rotvec()
+        error = np.array([*turn, np.log(1850.0 / result.camera.fx), -0.12 - result.camera.distortion[0]])
+        normalised.append(error @ np.linalg.solve(result.covariance, error))
+    # The pixel's sigma is estimated from 19 spare observations, which raises the mean to 5 x 19 / 17.
+    assert 3.7 < np.mean(normalised) < 8.0
+
+
+def test_pose_covariance_holds_position_and_rotation() -> None:
+    points = scattered(noise=1.0)
+    free = resect(points, START, POSE.position, free=("focal", "position"), bend=BEND)
+    assert np.linalg.eigvalsh(free.pose_covariance).min() > 0
+    assert np.sqrt(free.pose_covariance[0, 0]) == pytest.approx(free.sigmas["x"])
+    held = resect(points, START, POSE.position, bend=BEND, position_sigma=(2.0, 3.0, 4.0))
+    assert np.diag(held.pose_covariance)[:3] == pytest.approx([4.0, 9.0, 16.0])
+    assert held.sigmas["fx"] > 0
+    assert "x" not in held.sigmas
+
+
+def test_azimuth_sigma_is_that_of_the_vertical_rotation() -> None:
+    level = Pose.from_angles((0.0, 0.0, 500.0), 90.0)
+    result = resect(scattered(noise=1.0, pose=level), START, level.position, bend=BEND)
+    assert result.sigmas["azimuth_deg"] == pytest.approx(np.degrees(np.sqrt(result.pose_covariance[5, 5])), rel=1e-2)
+    # Looking east, roll turns about the map's x axis and pitch about its y axis.
+    assert result.sigmas["roll_deg"] == pytest.approx(np.degrees(np.sqrt(result.pose_covariance[3, 3])), rel=1e-2)
+    assert result.sigmas["pitch_deg"] == pytest.approx(np.degrees(np.sqrt(result.pose_covariance[4, 4])), rel=1e-2)
+
+
+def test_a_known_position_pulls_by_its_sigma() -> None:
+    points = scattered(noise=3.0)
+    wrong = POSE.position + np.array([6.0, 0.0, 0.0])
+    loose = resect(points, START, wrong, free=("focal", "k1", "position"), bend=BEND, position_sigma=100.0)
+    tight = resect(points, START, wrong, free=("focal", "k1", "position"), bend=BEND, position_sigma=0.01)
+    assert np.linalg.norm(tight.pose.position - wrong) < 0.1
+    assert np.linalg.norm(loose.pose.position - wrong) > 1.0
+    assert tight.sigmas["x"] < 0.011 < loose.sigmas["x"]
+
+
+def test_gross_errors_are_named_and_left_out() -> None:
+    points = moved(scattered(noise=1.0), {3: (-300.0, 20.0), 8: (40.0, 60.0)})
+    result = resect(points, START, POSE.position, bend=BEND)
+    assert result.outliers == ("p3", "p8")
+    assert turn_between(result.pose, POSE) < 0.1
+    assert result.residual_px[3] > 250
+
+
+def test_a_point_behind_the_camera_is_an_outlier() -> None:
+    points = scattered(noise=0.5)
+    places = points.places.copy()
+    places[5] = 2 * POSE.position - places[5]
+    result = resect(replace(points, places=places), START, POSE.position, bend=BEND)
+    assert result.outliers == ("p5",)
+    assert np.isnan(result.residuals[5]).all()
+    assert np.isinf(result.residual_px[5])
+
+
+def test_curvature_matters_and_is_accounted_for() -> None:
+    rng = np.random.default_rng(3)
+    pixels = np.column_stack([rng.uniform(20, 1580, 10), rng.uniform(20, 1080, 10)])
+    points = marked(pixels, rng.uniform(15_000, 20_000, 10))
+    assert turn_between(resect(points, START, POSE.position, bend=BEND).pose, POSE) < 1e-5
+    assert turn_between(resect(points, START, POSE.position, bend=0.0).pose, POSE) > 0.02
+
+
+def test_held_parameters_keep_their_values() -> None:
+    result = resect(scattered(), CAMERA, POSE.position, free=(), bend=BEND)
+    assert result.camera == CAMERA
+    assert np.array_equal(result.pose.position, POSE.position)
+    assert turn_between(result.pose, POSE) < 1e-6
+
+
+@pytest.mark.parametrize(("count", "held"), [(3, {"k1"}), (4, set())])
+def test_few_points_hold_k1(count: int, held: set[str]) -> None:
+    pixels = np.array([[80.0, 90.0], [1500.0, 200.0], [700.0, 1000.0], [1420.0, 930.0]])[:count]
+    points = marked(
+        pixels, np.array([700.0, 900.0, 1400.0, 1100.0])[:count], camera=replace(CAMERA, distortion=(0,) * 5)
+    )
+    result = resect(points, START, POSE.position, bend=BEND)
+    assert set(result.held) == held
+    assert all("too few" in reason for reason in result.held.values())
+
+
+def test_k1_is_held_where_all_points_are_central() -> None:
+    rng = np.random.default_rng(5)
+    pixels = np.column_stack([rng.uniform(650, 950, 8), rng.uniform(430, 660, 8)])
+    points = marked(pixels + rng.normal(0, 1, (8, 2)), rng.uniform(500, 2500, 8))
+    result = resect(replace(points, pixels=pixels), replace(CAMERA, fx=1800.0, fy=1800.0), POSE.position, bend=BEND)
+    assert "px at the image's corner" in result.held["k1"]
+    assert result.camera.distortion == CAMERA.distortion
+    assert "k1" not in result.sigmas
+
+
+def in_line() -> ControlPoints:
+    """Seven points in one line, which no position follows from."""
+    at = np.linspace(0, 1, 7)[:, None]
+    start = POSE.position + 900 * POSE.rotation @ [-0.35, 0.1, 1]
+    end = POSE.position + 1500 * POSE.rotation @ [0.35, -0.1, 1]
+    places = start + at * (end - start)
+    pixels = CAMERA.project(line_of_sight_vectors(POSE.position, places, BEND) @ POSE.rotation)
+    return ControlPoints(tuple("abcdefg"), places, pixels)
+
+
+def test_position_is_held_where_the_points_lie_in_one_line() -> None:
+    points = in_line()
+    result = resect(points, CAMERA, POSE.position, free=("position",), bend=BEND)
+    assert "one line" in result.held["position"]
+    assert turn_between(result.pose, POSE) < 1e-6
+    assert np.array_equal(result.pose.position, POSE.position)
+    rejected = result.rejected["position"]
+    assert set(rejected.values) == set(rejected.sigmas) == {"x", "y", "z"}
+    assert max(rejected.sigmas.values()) > 10
+    forced = resect(points, CAMERA, POSE.position, free=("position",), bend=BEND, force=("position",))
+    assert forced.fitted == ("position",)
+    assert not forced.held
+    assert dict(zip("xyz", forced.pose.position, strict=True)) == pytest.approx(rejected.values, abs=0.5)
+    assert forced.sigmas["x"] == pytest.approx(rejected.sigmas["x"], rel=0.1)
+
+
+def test_what_is_held_is_told_with_what_it_would_have_been() -> None:
+    start = POSE.position + np.array([3.0, -2.0, 1.0])
+    result = resect(in_line(), CAMERA, start, free=("position",), bend=BEND)
+    (note,) = held_notes(result, start, FRAME)
+    x, y, z = (result.rejected["position"].values[axis] for axis in "xyz")
+    assert note.startswith("position is held: its sigma would be ")
+    assert f"Fitted, it would be x {x + FRAME.x_origin:.2f} +- " in note
+    assert f"y {y + FRAME.y_origin:.2f} +- " in note
+    assert f"({np.linalg.norm(np.array([x, y, z]) - start):.1f} m from the given place)" in note
+    assert "--force position" in note
+    assert np.array_equal(result.pose.position, start)
+
+
+WALL = GridGeometry(-60.0, 305.0, 1.0, 121, 310)
+"""Level ground at 10 m around a wall of 40 m, from y = 120 to 125."""
+
+
+def test_what_the_dem_says_of_each_point() -> None:
+    _, y = WALL.to_map(np.arange(310)[:, None] + np.zeros((1, 121)), np.arange(121)[None] + np.zeros((310, 1)))
+    dem = Dem(np.where((y > 120) & (y < 125), 40.0, 10.0).astype(np.float32), WALL)
+    pose = Pose.from_angles((0.0, 5.0, 60.0), 0.0, -15.0)
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    places = {
+        "on the ground": (-20.0, 80.0, 10.0),
+        "in the ground": (22.0, 100.0, 2.0),
+        "behind the wall": (10.0, 130.0, 10.0),
+        "buried behind the wall": (-15.0, 131.0, 4.0),
+        "on a pole on the wall": (-30.0, 122.0, 52.0),
+        "beyond the raster": (40.0, 420.0, 70.0),
+    }
+    xyz = np.array(list(places.values()))
+    pixels = camera.project(line_of_sight_vectors(pose.position, xyz, 0.0) @ pose.rotation)
+    result = resect(ControlPoints(tuple(places), xyz, pixels), camera, pose.position, free=())
+    traced = traced_errors(result, TerrainTracer(dem, curvature=False))
+    said = dict(zip(places, map(str, traced.states), strict=True))
+    assert said == {
+        "on the ground": "seen",
+        "in the ground": "below its surface",
+        "behind the wall": "hidden",
+        "buried behind the wall": "hidden",
+        "on a pole on the wall": "above its surface",
+        "beyond the raster": "beside the DEM",
+    }
+    assert traced.visible.tolist() == [True] + [False] * 5
+    assert traced.above_ground[:5] == pytest.approx([0, -8, 0, -6, 12], abs=0.01)
+    assert np.isnan(traced.above_ground[5])
+    assert not traced.met[5]
+
+
+def test_too_few_points() -> None:
+    two = scattered(2)
+    with pytest.raises(PoseError, match="at least 3 control points, got 2: p0, p1"):
+        resect(two, START, POSE.position)
+
+
+def test_points_outside_the_image_are_named() -> None:
+    with pytest.raises(PoseError, match=r"outside the image of 1600 x 1100 pixels: p2 \(.*pixels counted from 0 or 1"):
+        resect(moved(scattered(), {2: (2000.0, 0.0)}), START, POSE.position)
+
+
+def test_crowded_points_are_refused() -> None:
+    pixels = np.array([[800.0, 500.0], [806.0, 503.0], [803.0, 509.0], [799.0, 506.0]])
+    with pytest.raises(PoseError, match="p0, p1, p2, p3 crowd in one place"):
+        resect(marked(pixels, np.array([500.0, 900.0, 700.0, 800.0])), START, POSE.position)
+
+
+def test_points_in_one_direction_are_refused() -> None:
+    # Marks that stand apart, of places that all lie on one ray: no angle follows.
+    places = POSE.position + np.outer([300.0, 500.0, 900.0, 1500.0], POSE.rotation[:, 2])
+    pixels = np.array([[100.0, 200.0], [1400.0, 300.0], [800.0, 900.0], [300.0, 800.0]])
+    with pytest.raises(PoseError, match="p, q, r, s crowd in one place"):
+        resect(ControlPoints(tuple("pqrs"), places, pixels), START, POSE.position)
+
+
+def test_many_wrong_points_are_named() -> None:
+    points = moved(scattered(noise=1.0), {1: (-250.0, 90.0), 4: (150.0, 60.0), 6: (30.0, 200.0), 9: (190.0, -90.0)})
+    with pytest.raises(PoseError, match="4 of 12 control points fit no common pose") as caught:
+        resect(points, START, POSE.position, bend=BEND)
+    assert all(name in str(caught.value) for name in ("p1 (off by", "p4 (off by", "p6 (off by", "p9 (off by"))
+
+
+def test_a_wrong_survey_has_no_pose() -> None:
+    points = scattered()
+    shuffled = replace(points, places=points.places[::-1].copy())
+    with pytest.raises(PoseError, match=r"p\d+ \((off by|behind)"):
+        resect(shuffled, START, POSE.position, bend=BEND)
+
+
+def test_points_given_twice_or_not_finite_are_named() -> None:
+    points = scattered(4)
+    with pytest.raises(PoseError, match="same name: a, a"):
+        replace(points, names=("a", "b", "a", "c"))
+    with pytest.raises(PoseError, match="same pixel: p0, p3"):
+        replace(points, pixels=points.pixels[[0, 1, 2, 0]])
+    places = points.places.copy()
+    places[2, 1] = np.nan
+    with pytest.raises(PoseError, match="finite coordinates: p2"):
+        replace(points, places=places)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"free": ("k2",)}, "cannot fit k2"),
+        ({"sigma_px": 0.0}, "must be positive"),
+        ({"position_sigma": -1.0}, "positive metres"),
+        ({"position": (0.0, np.nan, 0.0)}, "three finite metres"),
+    ],
+)
+def test_bad_arguments(change: dict[str, object], message: str) -> None:
+    with pytest.raises(PoseError, match=message):
+        resect(scattered(), START, **({"position": POSE.position} | change))  # type: ignore[arg-type]
+
+
+def test_a_camera_on_a_control_point_is_refused() -> None:
+    points = scattered()
+    with pytest.raises(PoseError, match="within 1 m of the camera: p7"):
+        resect(points, START, points.places[7])
+
+
+FRAME = SiteFrame("EPSG:32611", 400_000.0, 3_799_000.0)
+
+
+def test_reads_control_points_by_their_column_names(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("\ufeffName,Easting,Northing,Height,u,v\nrock,400010.5,3799020.25,812.5,33,44\n")
+    points = read_control_points(path, FRAME, first_pixel=1.0)
+    assert points.names == ("rock",)
+    assert points.places.tolist() == [[10.5, 20.25, 812.5]]
+    assert points.pixels.tolist() == [[32.0, 43.0]]
+
+
+def test_reads_longitude_and_latitude(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    lon, lat = FRAME.to_lonlat(123.0, 456.0)
+    path.write_text(f"id,lon,lat,z,u,v\na,{lon:.10f},{lat:.10f},5,1,2\n")
+    assert read_control_points(path, FRAME).places[0] == pytest.approx([123.0, 456.0, 5.0], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("id,x,y,z,u\na,1,2,3,4\n", "no column 'v'"),
+        ("id,x,y,z,u,v\na,1,2,3,4,5\nb,1,2,high,4,5\n", "line 3: z is 'high', not a number .point b"),
+        ("id,x,y,z,u,v\na,1,2,3,4\n", "line 2: v is None"),
+        ("id,x,y,z,u,v\n", "holds no control point"),
+        ("", "no column 'x'"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(PoseError, match=message):
+        read_control_points(path, FRAME)
+
+
+GUESS = """
+position: [400120.5, 3799880.25]
+height_above_ground: 30
+camera: {width: 320, height: 200, fx: 260}
+"""
+
+
+def pose_command(**options: object) -> None:
+    """`ltm pose` with these options."""
+    given: list[str] = []
+    for name, value in options.items():
+        given += [f"--{name.replace('_', '-')}"] + ([] if value is True else [str(value)])
+    result = CliRunner().invoke(cli, ["pose", *given])
+    print(result.output)
+    if result.exception is not None:
+        raise result.exception
+
+
+def test_the_command_writes_a_pose_that_trace_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    terrain = Dem(rough_terrain(61).elevation, GridGeometry(400_000.0, 3_800_000.0, 1.0, 263, 181, "EPSG:32611"))
+    terrain.save(tmp_path / "dem.tif")
+    camera = Camera(320, 200, 300.0, 300.0, 159.5, 99.5)
+    position = np.array([400120.5, 3799880.25, float(terrain.elevation_at(400120.5, 3799880.25)) + 30.0])
+    truth = Pose.from_angles(position, 312.0, -20.0, 2.0)
+    pixels = np.array([[20.0, 150.0], [290.0, 160.0], [150.0, 60.0], [40.0, 40.0], [280.0, 30.0], [160.0, 180.0]])
+    points = marked(pixels, np.array([50.0, 60.0, 90.0, 140.0, 150.0, 45.0]), camera, truth)
+    names = ("[/cairn]", *points.names[1:])  # as somebody may write it, no markup of tables
+    lines = [
+        f"{name},{x},{y},{z},{u + 1},{v + 1}"
+        for name, (x, y, z), (u, v) in zip(names, points.places.tolist(), pixels.tolist(), strict=True)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    (tmp_path / "guess.yaml").write_text(GUESS)
+    fitted, dem = tmp_path / "pose.yaml", tmp_path / "dem.tif"
+    pose_command(
+        gcps=tmp_path / "points.csv",
+        pose_guess=tmp_path / "guess.yaml",
+        out=fitted,
+        dem=dem,
+        first_pixel=1.0,
+        report=tmp_path / "report.json",
+    )
+    config = load_picture_config(fitted)
+    assert (config.pose.azimuth_deg, config.pose.pitch_deg, config.pose.roll_deg) == pytest.approx(
+        (312.0, -20.0, 2.0), abs=1e-3
+    )
+    assert config.calibration.fx == pytest.approx(300.0, abs=0.01)
+    stated = json.loads((tmp_path / "report.json").read_text())["sigmas"]
+    assert config.pose.azimuth_sigma_deg == pytest.approx(stated["azimuth_deg"], rel=0.01)
+    assert config.pose.position_sigma is None
+    assert (config.pose.x, config.pose.y, config.pose.z) == pytest.approx(tuple(position), abs=1e-3)
+    said = capsys.readouterr().out
+    assert "traced against surveyed" in said
+    assert "[/cairn]" in said
+    assert "inf" not in said.lower().replace("info", "")
+    assert "median residual 0.00 px" in said
+    assert '"pose_covariance"' in (tmp_path / "report.json").read_text()
+    trace_command(dem=[dem], pose=fitted, out=tmp_path / "traced")
+    assert (tmp_path / "traced" / "depth.tif").exists()
+
+
+def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
+    (tmp_path / "guess.yaml").write_text("position: [1, 2, 3]\ncamera: {width: 320, height: 200, fx: 260}\n")
+    with pytest.raises(ConfigError, match="--crs"):
+        pose_command(gcps=tmp_path / "no.csv", pose_guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
+
+
+def test_the_command_tells_of_what_is_held_before_its_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    points = in_line()
+    lines = [
+        f"{name},{x + FRAME.x_origin},{y + FRAME.y_origin},{z},{u},{v}"
+        for name, (x, y, z), (u, v) in zip(points.names, points.places.tolist(), points.pixels.tolist(), strict=True)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    x, y, z = np.add(POSE.position, (FRAME.x_origin, FRAME.y_origin, 0.0))
+    (tmp_path / "guess.yaml").write_text(
+        f"pose: {{x: {x}, y: {y}, z: {z}, crs: EPSG:32611}}\n"
+        "calibration: {width: 1600, height: 1100, fx: 1850, cx: 801, cy: 547, k1: -0.12}\ncurvature: true\n"
+    )
+    files = {"gcps": tmp_path / "points.csv", "pose_guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
+    pose_command(**files, free="position", report=tmp_path / "report.json")
+    said = capsys.readouterr().out
+    assert said.index("position is held") < said.index("parameter")
+    assert "--force position" in said
+    rejected = json.loads((tmp_path / "report.json").read_text())["rejected"]["position"]
+    assert rejected["values"]["x"] == pytest.approx(x, abs=500)
+    pose_command(**files, free="none", force="position", overwrite=True)
+    assert "position is held" not in capsys.readouterr().out
+    assert ", x " in (tmp_path / "pose.yaml").read_text()  # a sigma of its own

@@ -1,0 +1,77 @@
+"""What a photo shows of its pose: its skyline and its edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.mountain_view import CAMERA, eye, view
+
+from ltm_core.base.errors import ImageError
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.image_edges import image_skyline
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.vision.labels import Label
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+
+
+def test_a_caption_and_a_corner_do_not_cover_the_sky_and_a_mast_is_no_skyline() -> None:
+    photo, labels = view(TRUE)
+    plain = picture_evidence(photo, labels, CAMERA).skyline
+    assert plain is not None
+    rows, cols = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    caption = rows < CAMERA.height // 20
+    corner = rows + cols < CAMERA.height // 4
+    mast = (np.abs(cols - 3 * CAMERA.width // 4) < CAMERA.width // 20) & (rows > CAMERA.height // 10)
+    hidden = caption | corner | mast
+    spoilt = np.where(hidden, np.uint8(Label.TREE), labels)
+    found = picture_evidence(photo, spoilt, CAMERA, hidden=hidden).skyline
+    assert found is not None
+    assert len(found.covered_u) == len(plain.covered_u) == 0
+    behind_mast = np.abs(plain.u - 3 * CAMERA.width // 4) < CAMERA.width // 20 - 1
+    beside = ~np.isin(plain.u, plain.u[np.abs(plain.u - 3 * CAMERA.width // 4) < CAMERA.width // 20 + 1])
+    assert not np.isin(found.u, plain.u[behind_mast]).any()
+    assert np.isin(plain.u[beside], found.u).mean() > 0.98
+    both = np.isin(found.u, plain.u)
+    np.testing.assert_allclose(found.v[both], plain.v[np.isin(plain.u, found.u)], atol=0.6)
+
+
+def test_the_photo_s_skyline_is_found_to_a_part_of_a_pixel() -> None:
+    rows, cols = np.mgrid[0:200, 0:320]
+    true = 90.0 + 0.11 * cols[0] + 6 * np.sin(cols[0] / 23.0)
+    ground = np.clip(rows - true + 0.5, 0, 1)[..., None]
+    photo = (ground * [60.0, 70.0, 40.0] + (1 - ground) * [180.0, 200.0, 230.0]).astype(np.uint8)
+    rough = np.where(rows < true + 2.4, np.uint8(Label.SKY), np.uint8(Label.SHRUB)).astype(np.uint8)
+    found = image_skyline(photo, rough)
+    away = found.v - true[found.u.astype(int)]
+    assert len(found.u) > 200
+    assert np.median(np.abs(away)) < 0.15
+    assert np.percentile(np.abs(away), 90) < 0.4
+    assert (found.cover == Label.SHRUB).all()
+
+
+def test_edges_are_found_once_for_a_picture_with_and_without_its_skyline() -> None:
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    assert replace(evidence, skyline=None).edges is evidence.edges
+    assert evidence.unseen.edges is not evidence.edges
+
+
+def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:
+    photo, labels = view(TRUE)
+    skyline = picture_evidence(photo, labels, CAMERA).skyline
+    assert skyline is not None
+    cloud = slice(int(skyline.v.min()) - 40, int(skyline.v.min()) - 25)
+    photo[cloud] = 120
+    response = picture_evidence(photo, labels, CAMERA).edges.response.max(axis=0)
+    assert response.shape == labels.shape
+    assert not response[: cloud.stop + 5].any()
+    at = response[np.rint(skyline.v).astype(int), skyline.u.astype(int)]
+    assert np.median(at) > 1.0
+
+
+def test_labels_of_another_size_are_told() -> None:
+    photo, labels = view(TRUE)
+    with pytest.raises(ImageError, match="must be of one size"):
+        picture_evidence(photo, labels[:-1], CAMERA)

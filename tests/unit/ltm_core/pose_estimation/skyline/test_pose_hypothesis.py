@@ -1,0 +1,261 @@
+"""Poses of almost the same cost gap_by_ridges the best: how sure it is, and what is made of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.skyline.find_pose import judge
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import (
+    UNKNOWN_DEG,
+    Hypothesis,
+    PosePrior,
+    angles_between,
+    mean_of_both,
+    merged_with_others,
+    turned,
+    widened_by_others,
+)
+from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
+
+CONFIG = VerdictConfig(
+    alternative_deg=2.5,
+    agreement=2.0,
+    same_deg=0.1,
+    most_sigma_deg=0.6,
+    close_azimuth_sigma_deg=0.4,
+)
+
+
+def hypothesis(azimuth_deg: float, cost: float, variance: float = 1.0) -> Hypothesis:
+    """Of a level camera, its angles sure to 0.1, 0.05 and 0.2 degrees, on a skyline that fits."""
+    pose = Pose.from_angles((10.0, 20.0, 300.0), azimuth_deg, 0.0)
+    covariance = np.zeros((7, 7))
+    covariance[:6, :6] = pose_covariance(pose, 0.0, 0.0, 0.1, 0.05, 0.2)
+    camera = Camera.from_fov(640, 360, 50.0)
+    return Hypothesis(
+        RefinedPose(pose, camera, covariance, cost, SkylineFit(support=0.95, variance=variance)), cost, 1.0
+    )
+
+
+def moved(by_azimuth_deg: float, sigmas_deg: tuple[float, float, float]) -> Hypothesis:
+    """`hypothesis(60)` so far to the right and so sure, its place within (2, 3, 4) metres."""
+    one = hypothesis(60.0 + by_azimuth_deg, -100.0)
+    covariance = np.diag([4.0, 9.0, 16.0, 0.0, 0.0, 0.0, 0.0])
+    covariance[3:6, 3:6] = pose_covariance(one.refined.pose, 0.0, 0.0, *sigmas_deg)[3:, 3:]
+    return replace(one, refined=replace(one.refined, covariance=covariance))
+
+
+def word_of(
+    sigmas_deg: tuple[float, float, float], seen: SkylineFit, plants: float = 0.3, gap_by_ridges: float | None = None
+) -> str:
+    """The verdict on a pose by a skyline, so sure and so seen, which nothing else is like."""
+    best = moved(0.0, sigmas_deg).refined
+    found = [Hypothesis(replace(best, skyline=seen), best.cost, 1.0)]
+    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), plants, gap_by_ridges).word
+
+
+def azimuth_sigma_deg(best: Hypothesis) -> float:
+    return math.degrees(math.sqrt(best.refined.covariance[5, 5]))
+
+
+@pytest.mark.parametrize("variance", [0.5, 1.0, 2.0])
+def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> None:
+    others = [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0), hypothesis(70.0, -99.9)]
+    best, *rest = merged_with_others([hypothesis(60.0, -100.0, variance), *others], CONFIG)
+    weight = math.exp(-2.0 / (2.0 * variance))  # the one 10 degrees off is an alternative
+    mean = (1.2 + weight * 0.6) / (2 + weight)
+    spread = (mean**2 + (1.2 - mean) ** 2 + weight * (0.6 - mean) ** 2) / (2 + weight)
+    assert best.refined.pose.angles_deg[0] == pytest.approx(60.0 + mean, abs=1e-6)
+    assert azimuth_sigma_deg(best) == pytest.approx(math.sqrt(0.1**2 + spread), rel=1e-4)
+    assert rest == others
+
+
+def test_starts_that_end_in_one_place_count_once() -> None:
+    apart = [hypothesis(60.0, -100.0), hypothesis(61.2, -100.0)]
+    (once, *_), (thrice, *_) = (
+        merged_with_others(found, CONFIG)
+        for found in (apart, [*apart, hypothesis(61.21, -99.999), hypothesis(61.19, -99.998)])
+    )
+    assert thrice.refined.pose.angles_deg[0] == pytest.approx(once.refined.pose.angles_deg[0], abs=1e-6)
+    assert azimuth_sigma_deg(thrice) == pytest.approx(azimuth_sigma_deg(once))
+
+
+def test_poses_that_cost_much_more_change_nothing() -> None:
+    first = hypothesis(60.0, -100.0)
+    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], CONFIG)
+    assert np.abs(angles_between(first.refined.pose, best.refined.pose)).max() < 1e-6
+    assert azimuth_sigma_deg(best) == pytest.approx(0.1, rel=1e-3)
+    (alone,) = merged_with_others([first], CONFIG)
+    assert azimuth_sigma_deg(alone) == pytest.approx(0.1)
+    assert merged_with_others([], CONFIG) == []
+
+
+def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
+    first, other = hypothesis(60.0, -100.0), hypothesis(60.4, -100.0)
+    pose = Pose(other.refined.pose.position + np.array([4.0, -2.0, 1.0]), other.refined.pose.rotation)
+    camera = replace(other.refined.camera, fx=other.refined.camera.fx * 1.02, fy=other.refined.camera.fy * 1.02)
+    other = replace(other, refined=replace(other.refined, pose=pose, camera=camera))
+    best, _ = merged_with_others([first, other], CONFIG)
+    np.testing.assert_allclose(best.refined.pose.position, (12.0, 19.0, 300.5), atol=1e-9)
+    assert best.refined.camera.fx == pytest.approx(first.refined.camera.fx * math.sqrt(1.02))
+    assert best.refined.covariance[0, 0] == pytest.approx(4.0)
+    assert best.refined.covariance[6, 6] == pytest.approx((math.log(1.02) / 2) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("second", "plants", "word"),
+    [
+        (60.7, 0.9, "accepted"),
+        (60.8, 0.9, "ambiguous"),  # half of 0.8 degrees besides 0.1 is 0.41
+        (60.8, 0.8, "accepted"),
+        (61.2, 0.0, "ambiguous"),  # but 0.61 is too much whatever is seen
+    ],
+)
+@pytest.mark.parametrize("stated_deg", [1.5, UNKNOWN_DEG])
+def test_an_open_azimuth_is_not_accepted(second: float, plants: float, word: str, stated_deg: float) -> None:
+    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], CONFIG)
+    prior = PosePrior(found[0].refined.pose, stated_deg, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), plants).word == word
+
+
+@pytest.mark.parametrize(
+    ("gap", "variance", "word"),
+    [
+        (3.9, 1.0, "ambiguous"),
+        (4.1, 1.0, "accepted"),
+        (2.1, 0.5, "accepted"),  # small misfits tell poses apart by more
+        (1.9, 0.5, "ambiguous"),
+        (4.1, 3.0, "accepted"),  # large ones have made the pose unsure already
+    ],
+)
+def test_an_alternative_must_cost_more_than_misfits_explain(gap: float, variance: float, word: str) -> None:
+    found = [hypothesis(60.0, -100.0, variance), hypothesis(75.0, gap - 100.0)]
+    prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == word
+
+
+@pytest.mark.parametrize(("variance", "word"), [(1.0, "accepted"), (1.5, "ambiguous")])
+def test_ridges_do_not_speak_for_terrain_in_the_sky(variance: float, word: str) -> None:
+    found = [hypothesis(60.0, -100.0, variance)]
+    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
+    assert judge(found, True, prior, PicturePoseConfig(), 0.3).word == word
+
+
+@pytest.mark.parametrize(("away_deg", "word"), [(20.0, "accepted"), (22.0, "contradicts_prior")])
+def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: str) -> None:
+    """A compass good to 6 degrees is searched to 24."""
+    found = [hypothesis(60.0, -100.0)]
+    prior = PosePrior(turned(found[0].refined.pose, np.radians([0.0, 0.0, away_deg])), 6.0, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
+
+
+@pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
+def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) -> None:
+    """60.0 and 60.6 make 60.3, from which 62.6 is less than 2.5 degrees away, but it is no part of it."""
+    apart = [hypothesis(60.0, -100.0), hypothesis(60.6, -100.0), hypothesis(third, -99.9)]
+    found = merged_with_others(apart, CONFIG)
+    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == "ambiguous"
+
+
+@pytest.mark.parametrize(
+    ("support", "turn_deg", "open_share", "word"),
+    [
+        (0.6, 0.2, 0.0, "accepted"),
+        (0.6, 0.4, 0.0, "ambiguous"),
+        (0.7, 0.4, 0.0, "accepted"),
+        (0.45, 0.2, 0.0, "ambiguous"),
+        (0.6, 0.2, 0.5, "ambiguous"),
+    ],
+)
+def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
+    support: float, turn_deg: float, open_share: float, word: str
+) -> None:
+    assert word_of((0.1, 0.05, turn_deg), SkylineFit(support=support, open=open_share)) == word
+
+
+def test_a_pose_on_its_edges_stays_there_as_unsure_as_others_lie_away() -> None:
+    best, others = hypothesis(60.0, -100.0), [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0)]
+    weight = math.exp(-2.0 / 2.0)
+    wider, *rest = widened_by_others([best, *others], CONFIG)
+    np.testing.assert_array_equal(wider.refined.pose.rotation, best.refined.pose.rotation)
+    away = (1.2**2 + weight * 0.6**2) / (2 + weight)
+    assert azimuth_sigma_deg(wider) == pytest.approx(math.sqrt(0.1**2 + away), rel=1e-3)
+    assert rest == others
+    assert widened_by_others([best], CONFIG) == [best]
+    assert azimuth_sigma_deg(widened_by_others([best, hypothesis(64.0, -100.0)], CONFIG)[0]) == pytest.approx(0.1)
+
+
+def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
+    skyline, ridges = moved(0.0, (0.6, 0.05, 0.2)), moved(0.5, (0.3, 0.05, 0.2))
+    both = mean_of_both(skyline, ridges, CONFIG)
+    assert both is not None
+    # Of 1 / 0.36 and 1 / 0.09 halves: (0 + 4 * 0.5) / 5 degrees to the right.
+    assert both.refined.pose.angles_deg[0] == pytest.approx(60.4, abs=1e-3)
+    assert azimuth_sigma_deg(both) == pytest.approx(math.sqrt(2 / (1 / 0.36 + 1 / 0.09)), rel=1e-3)
+    np.testing.assert_allclose(np.diag(both.refined.covariance)[:3], (4.0, 9.0, 16.0), rtol=1e-6)
+    assert both.refined.covariance[6, 6] == 0.0
+    assert both.refined.camera == skyline.refined.camera
+
+
+def test_what_both_know_alike_is_known_once() -> None:
+    one = moved(0.0, (0.6, 0.05, 0.2))
+    both = mean_of_both(one, one, CONFIG)
+    assert both is not None
+    np.testing.assert_allclose(both.refined.covariance, one.refined.covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize(("apart_deg", "agree"), [(1.8, True), (2.0, False)])
+def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: float, agree: bool) -> None:
+    """Their difference has a sigma of 0.67 degrees: 7.8 is 2.79 of it, squared, 1.87 degrees."""
+    both = mean_of_both(moved(0.0, (0.6, 0.05, 0.2)), moved(apart_deg, (0.3, 0.05, 0.2)), CONFIG)
+    assert (both is not None) == agree
+
+
+@pytest.mark.parametrize(
+    ("variance", "turn_deg", "open_share", "word"),
+    [
+        (2.4, 0.4, 0.0, "ambiguous"),
+        (2.1, 0.4, 0.0, "accepted"),
+        (2.4, 0.2, 0.0, "accepted"),
+        (2.4, 0.2, 0.5, "ambiguous"),
+    ],
+)
+def test_large_misfits_are_another_skyline_s_where_no_pose_is_sharp(
+    variance: float, turn_deg: float, open_share: float, word: str
+) -> None:
+    seen = SkylineFit(support=0.95, variance=variance, open=open_share)
+    assert word_of((0.1, 0.05, turn_deg), seen) == word
+
+
+@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
+def test_what_ridges_hold_against_an_alternative_counts(gap_by_ridges: float | None, word: str) -> None:
+    found = [hypothesis(60.0, -100.0), hypothesis(75.0, -97.0)]
+    prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
+    verdict = judge(found, False, prior, PicturePoseConfig(), 0.3, gap_by_ridges)
+    assert verdict.word == word
+    assert verdict.gap == pytest.approx(3.0 + (gap_by_ridges or 0.0))
+
+
+@pytest.mark.parametrize(
+    ("support", "gap_by_ridges", "word"), [(0.6, None, "ambiguous"), (0.6, 0.0, "accepted"), (0.45, 0.0, "ambiguous")]
+)
+@pytest.mark.parametrize("open_share", [0.0, 0.5])
+def test_where_ridges_agree_half_of_the_skyline_will_do(
+    support: float, gap_by_ridges: float | None, word: str, open_share: float
+) -> None:
+    seen = SkylineFit(support=support, open=open_share)
+    assert word_of((0.25, 0.05, 0.4), seen, gap_by_ridges=gap_by_ridges) == word
+
+
+@pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.0, "accepted")])
+def test_of_what_is_overgrown_ridges_that_agree_tell_as_of_any_other(gap_by_ridges: float | None, word: str) -> None:
+    assert word_of((0.5, 0.05, 0.2), SkylineFit(support=0.95), 0.9, gap_by_ridges) == word

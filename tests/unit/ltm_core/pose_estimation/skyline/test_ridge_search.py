@@ -1,0 +1,52 @@
+"""A pose by ridges alone, where land beyond the DEM may be what stands against the sky."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
+
+from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis, PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_search import search_ridges
+from ltm_core.tracing.holes import PossibleGround
+from ltm_core.vision.labels import Label
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
+OPEN = Terrain(mountains(), BEND, PossibleGround())
+CONFIG = PicturePoseConfig()
+
+
+def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
+    evidence = picture_evidence(*picture, CAMERA)
+    horizon = OPEN.horizon_for(evidence.camera, PRIOR, CONFIG)
+    return search_ridges(replace(evidence, skyline=None), horizon, PRIOR, CONFIG, 0.0)[0]
+
+
+def off_deg(hypothesis: Hypothesis) -> np.ndarray:
+    return np.degrees(np.abs(angles_between(TRUE, hypothesis.refined.pose)))
+
+
+def test_a_crest_against_the_sky_is_laid_on_its_own_edge_and_not_on_what_is_below() -> None:
+    photo, labels = view(TRUE)
+    for u in range(CAMERA.width):  # a pale band along the crest: its lower margin is an edge as long
+        top = int(np.argmax(labels[:, u] != Label.SKY))
+        photo[top : top + 5, u] = np.minimum(photo[top : top + 5, u].astype(int) + 25, 255)
+    found = best_of((photo, labels))
+    assert off_deg(found)[:2].max() < 0.1
+    assert found.ridge_score > CONFIG.verdict.plants_score
+
+
+def test_among_plants_crests_stand_over_the_dem_by_what_labels_say() -> None:
+    x, y, z = TRUE.position
+    photo, bare = view(Pose.from_angles((x, y, z - 3.0), 63.0, 2.5, 1.2))  # as if all the land stood 3 m higher
+    wooded = np.where(bare == Label.SKY, bare, np.uint8(Label.TREE)).astype(np.uint8)
+    by_trees, by_ground = off_deg(best_of((photo, wooded)))[1], off_deg(best_of((photo, bare)))[1]
+    assert by_trees < 0.1
+    assert by_ground > 0.15

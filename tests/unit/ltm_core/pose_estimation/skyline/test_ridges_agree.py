@@ -1,0 +1,108 @@
+"""Where a skyline by itself leaves a pose open, or one crest is all that it is by: are ridges alone of the same?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes.mountain_view import CAMERA, eye, terrain, view
+
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis, PosePrior, angles_between, turned
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
+
+
+@cache
+def evidence() -> PictureEvidence:
+    return picture_evidence(*view(TRUE), CAMERA)
+
+
+@cache
+def by_skyline() -> PictureSearch:
+    search = find_pose(evidence(), terrain(), PRIOR)
+    assert search.verdict.word == "accepted", search.verdict.reason
+    return search
+
+
+def with_verdict(**limits: float) -> PicturePoseConfig:
+    config = PicturePoseConfig()
+    return config.model_copy(update={"verdict": config.verdict.model_copy(update=limits)})
+
+
+LONE = {"lone_score": 1e6, "lone_sigma_deg": 1e-6}
+"""As if nothing but its skyline told any pose."""
+
+
+def search_with_ridges(
+    monkeypatch: pytest.MonkeyPatch, apart_deg: float, share: float, config: PicturePoseConfig
+) -> tuple[PictureSearch, int]:
+    """The search, where ridges alone lie so far to the left and are as unsure by a share; how often it asked them."""
+    best = by_skyline().hypotheses[0]
+    pose = turned(best.refined.pose, np.radians([0.0, 0.0, apart_deg]))
+    ridges = replace(best.refined, pose=pose, covariance=best.refined.covariance * share**2)
+    asked = []
+
+    def search_ridges(*_: object) -> list[Hypothesis]:
+        asked.append(True)
+        return [Hypothesis(ridges, best.cost, 9.0)]
+
+    monkeypatch.setattr(pose_from_picture, "search_ridges", search_ridges)
+    return find_pose(evidence(), terrain(), PRIOR, config), len(asked)
+
+
+def azimuth_off_deg(search: PictureSearch, pose: Pose) -> float:
+    return float(np.degrees(angles_between(pose, search.hypotheses[0].refined.pose)[0]))
+
+
+def test_a_clear_view_asks_no_ridges(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, asked = search_with_ridges(monkeypatch, 1.0, 1.0, PicturePoseConfig())
+    assert asked == 0
+    assert search.verdict.word == "accepted"
+
+
+def test_one_crest_that_ridges_are_not_on_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, asked = search_with_ridges(monkeypatch, 1.0, 1.0, with_verdict(**LONE))
+    assert asked == 1
+    assert search.verdict.word == "ambiguous"
+    assert "ridges alone do not lie there" in search.verdict.reason
+    assert azimuth_off_deg(search, by_skyline().hypotheses[0].refined.pose) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_where_ridges_agree_the_pose_is_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = by_skyline().verdict.sigma_deg[0]
+    search, _ = search_with_ridges(monkeypatch, apart, 0.5, with_verdict(**LONE))
+    assert search.verdict.word == "accepted", search.verdict.reason
+    # Ridges twice as sure count four times as much; a turn to the left lessens an azimuth.
+    off = azimuth_off_deg(search, by_skyline().hypotheses[0].refined.pose)
+    assert off == pytest.approx(-0.8 * apart, rel=0.05)
+    assert search.verdict.sigma_deg[0] == pytest.approx(apart * np.sqrt(2 / (1 + 4)), rel=0.05)
+
+
+@pytest.mark.parametrize(("room", "word"), [(1.1, "accepted"), (0.9, "ambiguous")])
+def test_what_is_between_must_lie_on_the_skyline_too(room: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = by_skyline().verdict.sigma_deg[0]
+    between, _ = search_with_ridges(monkeypatch, apart, 0.5, with_verdict(**LONE))
+    worse = between.hypotheses[0].refined.skyline.cost - by_skyline().hypotheses[0].refined.skyline.cost
+    assert worse > 0
+    search, _ = search_with_ridges(monkeypatch, apart, 0.5, with_verdict(**LONE, agree_cost=room * worse))
+    assert search.verdict.word == word, search.verdict.reason
+    if word == "ambiguous":
+        assert azimuth_off_deg(search, by_skyline().hypotheses[0].refined.pose) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("apart_deg", "word"), [(0.0, "accepted"), (1.0, "ambiguous")])
+def test_a_skyline_that_leaves_the_pose_open_is_enough_where_ridges_agree(
+    apart_deg: float, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strict = with_verdict(most_sigma_deg=0.8 * max(by_skyline().verdict.sigma_deg))
+    search, asked = search_with_ridges(monkeypatch, apart_deg, 0.25, strict)
+    assert asked == 1
+    assert search.verdict.word == word, search.verdict.reason

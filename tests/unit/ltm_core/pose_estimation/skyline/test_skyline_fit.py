@@ -1,0 +1,102 @@
+"""How sure a pose is, by what its skyline's misfits are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.mountain_view import CAMERA, eye, terrain, view
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_observations import skyline_observations
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 63.4, 2.3, 1.0), 1.5, 0.6, 0.6)
+
+
+@pytest.fixture(scope="module")
+def exact() -> PictureEvidence:
+    return picture_evidence(*view(TRUE), CAMERA)
+
+
+def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
+    """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
+    horizon = terrain().horizon_for(evidence.camera, PRIOR, PicturePoseConfig())
+    rows = skyline_observations(TRUE, evidence.camera, evidence, horizon, 1.0, PicturePoseConfig())
+    assert rows is not None
+    assert evidence.skyline is not None
+    v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma
+    return replace(evidence, skyline=replace(evidence.skyline, v=v, crest_v=v))
+
+
+def sigmas(search: PictureSearch) -> Float64Array:
+    return np.asarray(np.sqrt(np.diag(search.hypotheses[0].refined.covariance)[3:6]), np.float64)
+
+
+def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_a_pose_less_sure(
+    exact: PictureEvidence,
+) -> None:
+    found = {size: find_pose(uneven(exact, size), terrain(), PRIOR) for size in (0.0, 1.0, 2.0)}
+    variance = {size: search.hypotheses[0].refined.skyline.variance for size, search in found.items()}
+    assert variance[0.0] < 0.5
+    assert variance[1.0] == pytest.approx(1.0, abs=0.25)
+    assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
+    assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
+    assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()
+
+
+def test_the_more_places_a_skyline_has_of_its_own_the_surer_it_makes_a_pose(exact: PictureEvidence) -> None:
+    picture = uneven(exact, 1.0)
+    found = []
+    for places in (10.0, 40.0):
+        config = PicturePoseConfig(skyline=SkylineConfig(independent_fit=places))
+        found.append(find_pose(picture, terrain(), PRIOR, config))
+    few, many = found
+    assert (sigmas(many) < 0.8 * sigmas(few)).all()
+    assert many.hypotheses[0].refined.skyline.cost == pytest.approx(few.hypotheses[0].refined.skyline.cost, rel=0.1)
+
+
+def test_what_is_stated_counts_the_less_the_more_a_picture_shows(exact: PictureEvidence) -> None:
+    """A picture of few places, near a crest, is not believed at once."""
+    variances = []
+    for places in (1.0, 1000.0):
+        config = PicturePoseConfig(skyline=SkylineConfig(stated=places))
+        variances.append(find_pose(exact, terrain(), PRIOR, config).hypotheses[0].refined.skyline.variance)
+    assert variances[0] < 0.5
+    assert variances[1] == pytest.approx(1.0, abs=0.03)
+
+
+def with_two_edges(evidence: PictureEvidence, up_px: float, down_px: float) -> PictureEvidence:
+    """In the right third of its columns so much pale land seems to stand above its crest: the upper edge by `up_px`
+    above where the skyline is, the lower by `down_px` below it."""
+    skyline = evidence.skyline
+    assert skyline is not None
+    both = skyline.u > 2 * evidence.camera.width / 3
+    v, crest = np.where(both, skyline.v - up_px, skyline.v), np.where(both, skyline.v + down_px, skyline.v)
+    return replace(evidence, skyline=replace(skyline, v=v, crest_v=crest))
+
+
+@pytest.mark.parametrize(("up_px", "down_px"), [(0.0, 5.0), (5.0, 0.0)])
+def test_of_two_edges_that_which_fits_is_the_horizon(exact: PictureEvidence, up_px: float, down_px: float) -> None:
+    """The upper where it is a far range's, the lower where what stands above it is no land."""
+    search = find_pose(with_two_edges(exact, up_px, down_px), terrain(), PRIOR)
+    best = search.hypotheses[0].refined
+    assert np.degrees(np.abs(angles_between(TRUE, best.pose))).max() < 0.1
+    assert best.skyline.support > 0.9
+    assert search.verdict.word == "accepted"
+
+
+def test_an_upper_edge_that_is_believed_without_doubt_leads_away(exact: PictureEvidence) -> None:
+    doubted, believed = (
+        find_pose(with_two_edges(exact, 5.0, 0.0), terrain(), PRIOR, config).hypotheses[0].refined
+        for config in (PicturePoseConfig(), PicturePoseConfig(skyline=SkylineConfig(no_land=1e-9)))
+    )
+    off, led_away = (np.abs(angles_between(TRUE, found.pose)).max() for found in (doubted, believed))
+    assert led_away > 2 * off
+    assert believed.skyline.variance > 2 * doubted.skyline.variance

@@ -1,0 +1,80 @@
+"""What is kept of fixed views, and what rays pass over quickly, changes nothing of what is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.terrain_hillside import BARE, BEGIN, HOUR, LOWERED, PLACES, RAISED, RULES, SURE, frame, surface_map
+
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface import DepthFrame, Reference, SurfaceMap
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.expected_view import EXPECTED_PIXEL, ExpectedViews
+from ltm_core.tracing import TerrainTracer
+
+
+def layers(rules: TerrainConfig) -> dict[str, np.ndarray]:
+    """After cameras took turns over a surface with a pit and a mound."""
+    surface = surface_map(BARE.copy(), rules)
+    for hours in (0.0, 1.5, 3.0):
+        for source in PLACES:
+            surface.add(frame(np.where(BARE > 450.0, RAISED, LOWERED), source, hours))
+    surface.decide()
+    found = surface.layers()
+    return {name: getattr(found, name) for name in ("height", "sigma", "change", "frames", "last_seen")}
+
+
+def test_views_that_are_kept_and_views_that_are_not_give_the_same() -> None:
+    kept, anew = (layers(RULES.model_copy(update={"views_mb": size})) for size in (34.0, 0.0))
+    assert (kept["change"] > 0).sum() > 300
+    for name in kept:
+        np.testing.assert_array_equal(kept[name], anew[name], err_msg=name)
+
+
+def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = layers(RULES)
+    monkeypatch.setattr(
+        "ltm_core.surface.observation.block_maxima",
+        lambda surface: np.full([-(-n // 8) for n in surface.shape], np.inf, np.float32),
+    )
+    thorough = layers(RULES)
+    for name in quick:
+        np.testing.assert_array_equal(quick[name], thorough[name], err_msg=name)
+
+
+def test_the_views_that_are_kept_are_bounded_and_the_oldest_goes() -> None:
+    room = ExpectedViews(3 * 6 * 5 * EXPECTED_PIXEL.itemsize)
+    for key in "abc":
+        room.put(key, (6, 5))["place"] = ord(key)
+    assert room.get("a") is not None
+    room.put("d", (6, 5))["place"] = ord("d")
+    assert room.get("b") is None
+    for key in "acd":
+        pixels = room.get(key)
+        assert pixels is not None
+        assert (pixels["place"] == ord(key)).all()
+    # One that alone is too large is kept by itself.
+    assert room.put("large", (60, 50)).shape == (60, 50)
+    assert room.get("large") is not None
+    assert room.get("a") is None
+
+
+@pytest.mark.parametrize(("away", "sigma", "grown"), [(60.0, 1.0, True), (93.0, 10.0, False)], ids=["within", "rim"])
+def test_what_may_stand_beyond_the_terrain_is_no_growth_on_its_rim(away: float, sigma: float, grown: bool) -> None:
+    """A wall across the view of a camera over a plain that ends after 98 m: on the plain, or maybe behind it."""
+    plain = Dem(np.zeros((100, 80), np.float32), GridGeometry(0.0, 100.0, 1.0, 80, 100))
+    camera, pose = Camera.from_fov(160, 100, 50.0), Pose.from_angles((40.0, 2.0, 10.0), 0.0, 0.0)
+    depth = np.fmin(TerrainTracer(plain).trace(camera, pose).depth(), np.float32(away))
+    surface = SurfaceMap(Reference.of(plain, Dem(plain.elevation.copy(), plain.geometry)), RULES, ("only",))
+    for look in range(3):
+        stamp = BEGIN + 2 * look * HOUR
+        sure, seen = np.full(depth.shape, sigma, np.float32), np.ones(depth.shape, bool)
+        surface.add(DepthFrame(depth, sure, seen, camera, pose, stamp, "only", SURE))
+    surface.decide()
+    layers = surface.layers()
+    assert layers.observed.sum() > 1000
+    assert ((layers.change == ChangeKind.GROWN).sum() > 20) == grown

@@ -1,0 +1,227 @@
+"""Versions of the confirmed surface on disk: named by content, whole or not there, and taken back."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.base.errors import StoreError
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.surface_versions_io import KEPT, MANIFEST, SurfaceVersions
+
+GRID = GridGeometry(0.0, 60.0, 2.0, 40, 30)
+
+
+def felled(height: float) -> ConfirmedSurface:
+    rows, cols = np.array([4, 4, 9], np.int32), np.array([7, 8, 2], np.int32)
+    ground = np.array([np.nan, np.nan, 98.0], np.float32)
+    return ConfirmedSurface(GRID, rows, cols, np.array([height, height, 98.0], np.float32), ground)
+
+
+@pytest.fixture
+def versions(tmp_path: Path) -> SurfaceVersions:
+    return SurfaceVersions(tmp_path / "surfaces", "ridge", GRID)
+
+
+def test_what_was_written_is_read_again(versions: SurfaceVersions) -> None:
+    assert versions.manifest().current == ""
+    entry = versions.add(felled(101.0), 7_000, 300)
+    found = versions.load(entry)
+    assert not found.differs_from(felled(101.0), 0.0)
+    assert versions.manifest().entry(entry.version) == entry
+    assert (entry.cells, entry.seen, entry.changed, entry.lowered) == (1200, 300, 3, 1)
+    assert entry.changed_share == pytest.approx(0.01)
+    other = SurfaceVersions(versions.folder.parent / "other", "ridge", GRID)
+    assert other.add(felled(101.0), 7_000, 300).digest == entry.digest
+
+
+def test_versions_are_taken_back_one_by_one_and_the_former_return(versions: SurfaceVersions) -> None:
+    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
+    assert [versions.manifest().at(moment) for moment in (None, 1_500, 500)] == [second, first, None]
+    after = versions.take_back()
+    assert (after.current, after.held) == (first.version, True)
+    assert versions.take_back().current == ""
+    with pytest.raises(StoreError, match="nothing to take back"):
+        versions.take_back()
+    again = versions.add(felled(99.0), 3_000, 9)
+    assert (again.version, again.as_of_ns) == (second.version, 3_000)
+    assert not versions.manifest().held
+
+
+def test_a_surface_that_returns_follows_what_counted_meanwhile(versions: SurfaceVersions) -> None:
+    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
+    versions.add(felled(101.0), 3_000, 9)
+    found = versions.manifest()
+    at = [(one.version, one.as_of_ns) for m in (3_500, 2_500, 1_500) if (one := found.at(m)) is not None]
+    assert at == [(first.version, 3_000), (second.version, 2_000), (first.version, 1_000)]
+    assert len(found.versions) == 2
+    assert [versions.take_back().current for _ in range(3)] == [second.version, first.version, ""]
+
+
+def test_a_manifest_without_a_history_is_read_by_its_parents(versions: SurfaceVersions) -> None:
+    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
+    path = versions.folder / MANIFEST
+    content = json.loads(path.read_text())
+    del content["history"], content["forgotten"]
+    path.write_text(json.dumps(content))
+    assert [versions.manifest().at(moment) for moment in (None, 1_500, 500)] == [second, first, None]
+
+
+def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: SurfaceVersions) -> None:
+    for number in (1, 2):
+        entry = versions.add(felled(101.0), 1_000, 9)
+        (versions.folder / MANIFEST).write_text("{")
+        manifest, told = versions.manifest_of_writer()
+        aside = versions.folder.with_name(f"surfaces.{number}")
+        assert manifest.current == ""
+        assert f"put aside as {aside}" in told
+        assert (aside / versions.file(entry.version).name).is_file()
+    assert versions.manifest_of_writer() == (versions.manifest(), "")
+    versions.add(felled(101.0), 1_000, 9)
+    with pytest.raises(StoreError, match="is of site ridge, not valley"):
+        SurfaceVersions(versions.folder, "valley", GRID).manifest_of_writer()
+
+
+@pytest.mark.parametrize("when", ["file", "manifest"])
+def test_a_writer_that_dies_leaves_the_version_before(
+    versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    before = versions.add(felled(101.0), 1_000, 9)
+    whole, dies_at = Path.replace, MANIFEST if when == "manifest" else "surface-"
+
+    def replace(self: Path, target: Path) -> Path:
+        if Path(target).name.startswith(dies_at):
+            raise OSError(28, "No space left on device")
+        return whole(self, target)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "replace", replace)
+        with pytest.raises(StoreError, match="No space left"):
+            versions.add(felled(99.0), 2_000, 9)
+    assert versions.manifest().current == before.version
+    assert not versions.load(before).differs_from(felled(101.0), 0.0)
+    assert versions.add(felled(99.0), 2_000, 9).parent == before.version
+
+
+def test_a_file_that_is_not_what_was_written_is_refused(versions: SurfaceVersions) -> None:
+    entry = versions.add(felled(101.0), 1_000, 9)
+    path = versions.file(entry.version)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match="is not the file that was written"):
+        versions.load(entry)
+    path.unlink()
+    with pytest.raises(StoreError, match="cannot be read"):
+        versions.load(entry)
+
+
+def test_another_site_or_grid_is_refused(versions: SurfaceVersions) -> None:
+    entry = versions.add(felled(101.0), 1_000, 9)
+    with pytest.raises(StoreError, match="is of site ridge, not valley"):
+        SurfaceVersions(versions.folder, "valley", GRID).manifest()
+    with pytest.raises(StoreError, match="resolution has changed; move the folder away"):
+        SurfaceVersions(versions.folder, "ridge", GridGeometry(0.0, 60.0, 1.0, 80, 60)).load(entry)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"site": "ridge", "current": "../../etc/passwd"}',
+        '{"site": 3}',
+        '{"site": "ridge", "current": [], "versions": [{"version": {}}, 7]}',
+        '{"site": "ridge", "history": [{"version": "0123456789abcdef", "as_of_ns": 3}]}',
+    ],
+)
+def test_a_broken_manifest_is_told(versions: SurfaceVersions, text: str) -> None:
+    versions.add(felled(101.0), 1_000, 9)
+    (versions.folder / MANIFEST).write_text(text)
+    with pytest.raises(StoreError, match="cannot be read as a list of surfaces"):
+        versions.manifest()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"format": 2}, "it is of format 2, and this release reads 1"),
+        ({"format": 3, "current": {"version": 7}}, "it is of format 3"),
+        ({"confirmed_by": "ranger"}, "it has confirmed_by, which this release does not know"),
+    ],
+)
+def test_what_a_later_release_wrote_is_told_as_such_and_stays(
+    versions: SurfaceVersions, change: dict[str, object], told: str
+) -> None:
+    entry = versions.add(felled(101.0), 1_000, 9)
+    path = versions.folder / MANIFEST
+    later = json.dumps(json.loads(path.read_text()) | change)
+    path.write_text(later)
+    for asked in (versions.manifest, versions.manifest_of_writer, lambda: versions.add(felled(99.0), 2_000, 9)):
+        with pytest.raises(StoreError, match=f"a later release wrote this list of surfaces .{told}"):
+            asked()
+    assert path.read_text() == later
+    assert versions.file(entry.version).is_file()
+
+
+def test_an_unknown_key_does_not_excuse_damage(versions: SurfaceVersions) -> None:
+    versions.add(felled(101.0), 1_000, 9)
+    path = versions.folder / MANIFEST
+    content = json.loads(path.read_text())
+    content["stie"] = content.pop("site")  # as bytes that were spoiled
+    path.write_text(json.dumps(content))
+    _, told = versions.manifest_of_writer()
+    assert "it was put aside" in told
+
+
+def test_old_versions_make_room_but_not_the_one_that_counts(
+    versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    first = versions.add(felled(50.0), 0, 9)
+    for number in range(KEPT + 3):
+        versions.add(felled(51.0 + number), number, 9)
+    found = versions.manifest()
+    assert len(found.versions) == KEPT == len(list(versions.folder.glob("*.npz")))
+    assert found.entry(first.version) is None
+    assert found.entry(found.current) == found.versions[-1]
+    kept = found.at(KEPT)
+    assert kept is not None
+    assert kept.as_of_ns == KEPT
+    with pytest.raises(StoreError, match=f"is forgotten: {KEPT} are kept, the first of 1970-01-01"):
+        found.at(1)
+
+
+def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle(
+    versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first, whose follower had come again too and so outlived it: it follows what had followed that."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    for number in [0, 1, 2, 1, *range(3, KEPT + 1), 0]:
+        versions.add(felled(50.0 + number), 1_000 + number, 9)
+    with pytest.raises(StoreError, match="is forgotten"):
+        versions.manifest().at(500)
+    taken = 0
+    while versions.manifest().current:
+        taken, _ = taken + 1, versions.take_back()
+    assert KEPT - 5 <= taken <= KEPT
+    with pytest.raises(StoreError, match="is forgotten: none is kept"):
+        versions.manifest().at(500)
+    assert versions.manifest().at(None) is None
+
+
+def test_files_that_no_manifest_names_are_removed(versions: SurfaceVersions) -> None:
+    """A writer was killed after the file and before the manifest."""
+    versions.add(felled(101.0), 1_000, 9)
+    left, of_others = (versions.folder / name for name in (f"surface-{'0a' * 8}.npz", "surface-of-mine.npz"))
+    for path in (left, of_others):
+        path.write_bytes(b"")
+    entry = versions.add(felled(99.0), 2_000, 9)
+    assert (left.exists(), of_others.exists()) == (False, True)
+    assert not versions.load(entry).differs_from(felled(99.0), 0.0)
+    assert len(list(versions.folder.glob("*.npz"))) == 3

@@ -1,0 +1,259 @@
+"""Smoke and shadows of clouds before a camera, from photo to surface map: nothing that they hide or darken changes, and
+what has changed is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes.small_scenario import small_scenario
+
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.depth.topodepth import fuse
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface import DepthFrame, Reference, SurfaceMap
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import DEFAULT_MODEL
+from ltm_core.vision.segmenter import Segmenter
+
+pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")
+
+from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_lab.simulator.clouds import Clouds
+from ltm_lab.simulator.run import make_site, plan_shots, rasters_at, render_shots
+from ltm_lab.simulator.scenario import CloudConfig, SmokeConfig, SunConfig
+from ltm_lab.simulator.weather import smoke
+
+pytestmark = pytest.mark.slow
+
+HOUR = 3_600_000_000_000
+BEGIN = 1_700_000_000_000_000_000
+LOOKS = 4
+SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
+FIRES = {
+    "west": [(120, 122), (140, 140), (150, 120), (130, 150)],
+    "east": [(240, 125), (225, 140), (250, 150), (232, 115)],
+}
+"""Map x, y of the smoke's foot, look by look, in view of each camera."""
+SUN = SunConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A camera's clear photo, linear (H, W, 3), and slant range (H, W) to what it shows, +inf sky."""
+
+    name: str
+    camera: Camera
+    pose: Pose
+    radiance: Float64Array
+    range: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """A hillside with shrubs and trees whose surface is known, and two cameras that look at it."""
+
+    bare: Dem
+    surface: Dem
+    looks: list[Look]
+
+
+@pytest.fixture(scope="module")
+def slope() -> Slope:
+    rounds = {"azimuth_deg": [20.0], "pitch_deg": [-8.0]}
+    config = small_scenario(
+        image={"width": 384, "height": 216},
+        imaging={"samples": 4},
+        lakes=[],
+        changes=[],
+        dates=[{"name": "now"}],
+        vegetation={"detail_radius": 300.0, "grass_radius": 20.0, "tree": 0.15, "grass": 0.4},
+        cameras=[
+            {"name": "west", "x": 110.0, "y": 70.0, "mast": 25.0, "patrol": rounds},
+            {"name": "east", "x": 250.0, "y": 70.0, "mast": 25.0, "patrol": rounds | {"azimuth_deg": [345.0]}},
+        ],
+    )
+    site = make_site(config)
+    rasters = rasters_at(config, site)
+    x, y = config.origin
+    frame = rasters.fine.translated(-x, -y)
+    looks = [
+        Look(f.shot.camera_name, f.shot.camera, f.shot.pose, (f.image / 255.0) ** 2.2, f.truth.range_surface)
+        for f in render_shots(config, site, plan_shots(config, site))
+    ]
+    return Slope(Dem(rasters.bare_earth, frame), Dem(rasters.surface, frame), looks)
+
+
+def photo(radiance: NDArray[np.floating]) -> UInt8Array:
+    return (np.clip(radiance, 0, 1) ** (1 / 2.2) * 255).round().astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Veil:
+    """Smoke before a look: its light (H, W, 3), how much of each pixel it hides (H, W), and its distance in metres."""
+
+    light: NDArray[np.floating]
+    hidden: NDArray[np.floating]
+    away: float
+
+
+def veil(slope: Slope, look: Look, number: int) -> Veil:
+    """Smoke that rises before the slope, elsewhere for each number."""
+    x, y = FIRES[look.name][number]
+    column = SmokeConfig(x=x, y=y, height=70.0, drift=60.0, wind_deg=90.0 * number)
+    far = np.where(np.isfinite(look.range), look.range, np.float32(1e5))
+    light, hidden = smoke([column], [float(slope.bare.elevation_at(x, y))], look.camera, look.pose, far, 0.75, number)
+    return Veil(light, hidden, float(np.hypot(x - look.pose.position[0], y - look.pose.position[1])))
+
+
+def smoky(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
+    """Its photo with smoke before it, and the share of the land which that hides."""
+    before = veil(slope, look, number)
+    land = np.isfinite(look.range)
+    return photo(look.radiance * (1 - before.hidden[..., None]) + before.light), float(
+        ((before.hidden > 0.3) & land).mean()
+    )
+
+
+def shaded(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
+    """Its photo under clouds elsewhere at each look, and the share of the land in their shade."""
+    land = np.isfinite(look.range)
+    rays = look.camera.rays() @ look.pose.rotation.T
+    points = look.pose.position + rays * np.where(land, look.range, 0)[..., None]
+    sky = CloudConfig(cover=0.6, base=400.0, size=300.0, depth=300.0)
+    lit = Clouds(sky, float(np.mean(slope.bare.elevation)), SUN, look.pose.position, number).sunlight(points)
+    lit = np.where(land, cv2.GaussianBlur(lit, (0, 0), 1.0), 1.0)
+    return photo(look.radiance * (0.3 + 0.7 * lit[..., None])), float((lit[land] < 0.5).mean())
+
+
+Weather = Callable[[Slope, Look, int], tuple[UInt8Array, float]]
+
+
+class SharpEyes:
+    """In place of a network: the true inverse depth of one look after the other, at half its size, with 2 % of noise,
+    and that of smoke as far as smoke hides it."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(5)
+        self._next: Float64Array = np.zeros((2, 2))
+
+    def look(self, look: Look, before: Veil | None) -> None:
+        """What `predict` shall see next."""
+        cosines = look.camera.cosines()
+        inverse = np.where(np.isfinite(look.range), 1 / (look.range * cosines), 0.0)
+        if before is not None:
+            inverse = (1 - before.hidden) * inverse + before.hidden / (before.away * cosines)
+        self._next = inverse[::2, ::2]
+
+    def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
+        noise = 1 + 0.02 * self._rng.standard_normal(self._next.shape)
+        return NetworkDepth((self._next * noise).astype(np.float32), "relative_inverse")
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """A map of a slope as it is given, bare and with what grows there, to which photos come by way of fusion, as in the
+    graph, with their labels, under the rules of a site."""
+
+    given: tuple[Dem, Dem]
+    segmenter: Segmenter
+    classes: ClassPriors
+
+    def changed(
+        self, photos: Iterable[tuple[Look, UInt8Array]], network: DepthNetwork | SharpEyes
+    ) -> tuple[set[tuple[int, int]], int]:
+        """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
+        bare, surface = (TerrainTracer(dem) for dem in self.given)
+        rules = TerrainConfig()
+        gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
+        living = SurfaceMap(Reference.of(*self.given, rules.resolution), rules, sorted(FIRES), gone=gone)
+        for number, (look, rgb) in enumerate(photos):
+            ground, canopy = (tracer.trace(look.camera, look.pose) for tracer in (bare, surface))
+            seen, labels = network.predict(rgb, look.camera), self.segmenter.segment(rgb).labels
+            own = fuse(ground, seen, rgb, labels, self.classes, surface=canopy).measured()
+            stamp = BEGIN + number // 2 * 2 * HOUR + number
+            of = look.camera, look.pose, stamp, look.name, SURE
+            living.add(DepthFrame.of_photo(own.depth, own.sigma, *of, labels))
+        changed = living.decide()
+        looked = int(living.layers().observed.sum())
+        return {(int(r), int(c)) for r, c in zip(changed.rows, changed.cols, strict=True)}, looked
+
+
+@pytest.fixture(scope="module")
+def watch(slope: Slope) -> Watch:
+    return Watch((slope.bare, slope.surface), Segmenter.open(DEFAULT_MODEL), ClassPriors.of(LabelSet.load()))
+
+
+@pytest.fixture(scope="module")
+def shipped() -> DepthNetwork:
+    return DepthNetwork.open("landscape_lite0_depth")
+
+
+def sharply(slope: Slope, network: SharpEyes, in_smoke: bool) -> Iterator[tuple[Look, UInt8Array]]:
+    """Photos, clear or with smoke elsewhere each time, as the network gets to see them."""
+    for number in range(LOOKS):
+        for look in slope.looks:
+            network.look(look, veil(slope, look, number) if in_smoke else None)
+            yield look, smoky(slope, look, number)[0] if in_smoke else photo(look.radiance)
+
+
+@pytest.mark.parametrize("weather", [smoky, shaded], ids=["smoke", "shade"])
+def test_weather_before_the_shipped_network_changes_nothing(
+    slope: Slope, watch: Watch, shipped: DepthNetwork, weather: Weather
+) -> None:
+    shares: list[float] = []
+
+    def photos() -> Iterator[tuple[Look, UInt8Array]]:
+        for number in range(LOOKS):
+            for look in slope.looks:
+                rgb, share = weather(slope, look, number)
+                shares.append(share)
+                yield look, rgb
+
+    changed, looked = watch.changed(photos(), shipped)
+    assert np.mean(np.array(shares) > 0.02) >= 0.5, "the weather is seen"
+    assert looked > 3000  # in smoke the shipped network fits the terrain in half as many looks as in clear weather
+    assert not changed
+
+
+def test_a_network_that_errs_alike_in_each_look_changes_nothing(
+    slope: Slope, watch: Watch, shipped: DepthNetwork
+) -> None:
+    """The same photos twelve times over: errors that repeat are no evidence."""
+    changed, looked = watch.changed(((look, photo(look.radiance)) for _ in range(12) for look in slope.looks), shipped)
+    assert looked > 5000
+    assert not changed
+
+
+@pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
+def test_of_an_unchanged_slope_a_sharp_network_finds_nothing(slope: Slope, watch: Watch, in_smoke: bool) -> None:
+    """Nor of smoke that it sees where that is."""
+    network = SharpEyes()
+    changed, looked = watch.changed(sharply(slope, network, in_smoke), network)
+    assert looked > 5000
+    assert not changed
+
+
+@pytest.mark.parametrize("in_smoke", [False, True], ids=["clear", "smoke"])
+@pytest.mark.parametrize("rise", [6.0, -6.0])
+def test_what_has_changed_a_sharp_network_finds(slope: Slope, watch: Watch, in_smoke: bool, rise: float) -> None:
+    """The map is told of a slope that is 6 m lower, or higher, in one place."""
+    geometry = slope.surface.geometry
+    x, y = geometry.to_map(*np.mgrid[: geometry.height, : geometry.width])
+    place = np.hypot(x - 200.0, y - 140.0) < 20.0
+    bare, surface = (Dem((dem.elevation - rise * place).astype(np.float32), geometry) for dem in watch.given)
+    network = SharpEyes()
+    changed, _ = replace(watch, given=(bare, surface)).changed(sharply(slope, network, in_smoke), network)
+    inside = [place[cell] for cell in changed]
+    assert sum(inside) > 0.4 * place.sum()
+    assert np.mean(inside) > 0.85

@@ -1,0 +1,79 @@
+"""The graph benchmark's parts: a site that loads, and frames that its cameras' nodes can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.serialization import deserialize_message
+from typer.testing import CliRunner
+
+from ltm_core.base.resources import project_path
+from ltm_core.site.site_io import load_site
+from ltm_lab.bench.graph_site import SENT, Load, write_site
+from ltm_lab.bench.network_towers import stamped
+from ltm_lab.cli.bench import bench
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import compressed_size
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.launching.graph import describe
+
+STAMP = 1_800_000_000_000_000_007
+
+
+@pytest.mark.parametrize("fusion", [True, False])
+def test_every_camera_has_frames_of_a_tower(tmp_path: Path, fusion: bool) -> None:
+    traffic = write_site(tmp_path, project_path("bags/demo"), Load(3, fusion))
+    site = load_site(traffic.site)
+    assert tuple(site.cameras) == traffic.cameras
+    assert site.open_dem().geometry.width > 100
+    kinds = {node.name for node in describe(site, traffic.site)}
+    assert ("topodepth" in kinds) == fusion
+    places = set()
+    for camera in traffic.cameras:
+        for number in range(traffic.frames):
+            parts = {
+                part: deserialize_message(
+                    stamped((tmp_path / camera / f"{number:03d}.{part}.cdr").read_bytes(), STAMP), topic.type
+                )
+                for part, topic in SENT.items()
+            }
+            assert {stamp_of(message) for message in parts.values()} == {STAMP}
+            model = msg_to_camera(parts["info"])
+            assert compressed_size(parts["image"]) == (model.width, model.height) == (1920, 1080)
+        places.add((camera, *msg_to_pose(parts["pose"], "map").position))
+    assert len({place[1:] for place in places}) == 2, "two towers, the third camera looks from the first"
+
+
+def test_larger_photos_and_finer_terrain_show_the_same(tmp_path: Path) -> None:
+    demo = project_path("bags/demo")
+    plain, fine = tmp_path / "plain", tmp_path / "fine"
+    for folder, load in ((plain, Load(1)), (fine, Load(1, patrol=False, width=2400, dem_size=1000))):
+        folder.mkdir()
+        traffic = write_site(folder, demo, load)
+    assert traffic.frames == 1
+    before, now = (read(folder, "info") for folder in (plain, fine))
+    small, large = (read(folder, "image") for folder in (plain, fine))
+    model, larger = msg_to_camera(before), msg_to_camera(now)
+    assert compressed_size(large) == (larger.width, larger.height) == (2400, 1350)
+    assert larger == model.resized(2400, 1350)
+    assert compressed_size(small) == (1920, 1080)
+    site, original = load_site(fine / "site.yaml"), load_site(demo / "site.yaml")
+    finer, dem = site.open_dem(), original.open_dem()
+    assert finer.geometry.shape == (1000, 1000)
+    assert finer.geometry.bounds == dem.geometry.bounds
+    x, y = 1234.5, 2871.0
+    assert abs(float(finer.elevation_at(x, y)) - float(dem.elevation_at(x, y))) < 0.5
+
+
+def read(folder: Path, part: str) -> Any:
+    return deserialize_message((folder / "c00" / f"000.{part}.cdr").read_bytes(), SENT[part].type)
+
+
+@pytest.mark.parametrize("option", ["--cameras=two", "--rates=0", "--processes=one"])
+def test_numbers_that_make_no_run_are_refused(option: str) -> None:
+    result = CliRunner().invoke(bench, ["graph", option])
+    assert result.exit_code == 2
+    assert "numbers" in result.output or "site, node" in result.output

@@ -1,0 +1,273 @@
+"""Scores of a fuel map on a recording, and how a network's errors correlate, by cases that are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, grid_of, write_site
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import ConfigError, ImageError, RecordingError
+from ltm_core.base.resources import config_path
+from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.site.site_io import load_site
+from ltm_core.vision.label_confidence import Calibration, load_calibration
+from ltm_core.vision.labels import Label
+from ltm_core.vision.manifest import Manifest
+from ltm_lab.evaluation.fuel.false_changes import false_regions
+from ltm_lab.evaluation.fuel.label_correlation import label_correlation
+from ltm_lab.evaluation.fuel.map_score import score_map
+from ltm_lab.evaluation.fuel_score import score_fuel_bag
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.pointcloud import votes_to_msg
+from ltm_ros.cli.main import cli
+from ltm_ros.recordings.recorded_run import Recorded
+
+SIDE = 48
+FORMS = label_forms(LABELS)
+ERRORS = LabelErrors.assumed()
+
+
+def test_what_a_map_found_and_what_it_invented() -> None:
+    prior = np.array([[145, 145, 145, 102, 121], [145, 165, NODATA, 91, 145]], np.int16)
+    truth = np.array([[2, 3, 3, 1, 2], [2, 3, 1, 6, 255]], np.uint8)
+    mapped = np.array([[2, 3, 2, 3, 2], [1, 3, 2, 6, 2]], np.uint8)
+    seen = np.ones((2, 5), bool)
+    seen[1, 1] = False
+    score = score_map("ours", mapped, truth, prior, seen)
+    assert (score.right.count, score.right.of) == (4, 8)  # all but one unseen and one of no truth
+    assert (score.found.count, score.found.of) == (1, 2)
+    # Of five cells that still are what the prior says and one without any prior: grass to tree, shrub to grass.
+    assert (score.false_flips.count, score.false_flips.of) == (2, 6)
+    right, false = score.by_form["shrub"]
+    assert (right.count, right.of, false.count, false.of) == (2, 3, 1, 3)
+    assert "water" not in score.by_form
+
+
+def test_the_accuracy_of_reported_changes_at_any_prevalence() -> None:
+    """Ten cells of shrub, four of them felled: two found, one called grass, one missed; one of the others reported."""
+    prior = np.full((2, 5), 145, np.int16)
+    truth = np.array([[3, 3, 3, 3, 2], [2, 2, 2, 2, 2]], np.uint8)
+    mapped = np.array([[3, 3, 1, 2, 1], [2, 2, 2, 2, 2]], np.uint8)
+    score = score_map("ours", mapped, truth, prior, np.ones((2, 5), bool))
+    assert (score.found.count, score.mistaken.count, score.false_flips.of) == (2, 1, 6)
+    assert score.prevalence == 0.4
+    assert score.users_accuracy() == pytest.approx(2 / 4)
+    assert score.users_accuracy(0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
+    silent = score_map("prior", np.full((2, 5), 2, np.uint8), truth, prior, np.ones((2, 5), bool))
+    assert np.isnan(silent.users_accuracy(0.01))
+
+
+def test_what_false_changes_are() -> None:
+    """A stand that the network mislabels, and cells of right labels beside a felled patch."""
+    grid = GridGeometry(0.0, 240.0, 30.0, 11, 8)
+    prior = FuelPrior(np.full(grid.shape, 165, np.int16), grid)
+    truth = np.full(grid.shape, LifeForm.TREE, np.uint8)
+    truth[4:7, 7:9] = LifeForm.GRASS
+    mapped = truth.copy()
+    mapped[1:3, 1:4], mapped[5, 9] = LifeForm.SHRUB, LifeForm.GRASS
+    mapped[0, 10] = LifeForm.BARE  # nobody has seen it
+    layers = layers_of_classes(mapped, prior, FuelRegion.named("dry"))
+    cells = np.argwhere(np.arange(88).reshape(grid.shape) != 10)
+    rows, cols = cells.T.astype(np.int32)
+    counts = np.zeros((len(cells), len(LABELS)), np.uint32)
+    counts[:, Label.TREE] = 80
+    stand = (mapped[rows, cols] == LifeForm.SHRUB)[:, None] & (np.arange(len(LABELS)) == Label.SHRUB)
+    frames = [
+        CellVotes(
+            grid, rows, cols, np.where(stand, np.uint32(120), counts), np.zeros(len(cells), np.float32), 10**9, "north"
+        ),
+        CellVotes(
+            grid, rows[rows < 4], cols[rows < 4], counts[rows < 4], np.zeros((rows < 4).sum(), np.float32), 2, "east"
+        ),
+    ]
+    first, second = false_regions(layers, truth, frames, FORMS)
+    assert (first.cells, first.true, first.mapped, first.cameras) == (
+        6,
+        LifeForm.TREE,
+        LifeForm.SHRUB,
+        ("east", "north"),
+    )
+    assert first.labels[[LifeForm.SHRUB - 1, LifeForm.TREE - 1]] == pytest.approx([120 / 280, 160 / 280])
+    assert first.labelled_right
+    assert (first.row, first.col, first.beside_change) == (1, 2, False)
+    assert (second.cells, second.row, second.col, second.cameras) == (1, 5, 9, ("north",))
+    assert second.beside_change
+    assert np.isnan(second.footprint)
+    alone, _ = false_regions(layers, truth, frames[:1], FORMS)
+    assert alone.labels[[LifeForm.SHRUB - 1, LifeForm.TREE - 1]].tolist() == [0.6, 0.4]
+    assert not alone.labelled_right
+
+
+def drawn(wrong: np.ndarray, camera: str, second: int) -> CellVotes:
+    """Votes of shrub cells (SIDE, SIDE); `wrong`: their share of pixels that are called tree."""
+    grid = GridGeometry(0.0, 30.0 * SIDE, 30.0, SIDE, SIDE)
+    rows, cols = (index.ravel().astype(np.int32) for index in np.indices(wrong.shape))
+    counts = np.zeros((SIDE * SIDE, len(LABELS)), np.uint32)
+    counts[:, Label.TREE] = np.round(200 * wrong.ravel())
+    counts[:, Label.SHRUB] = 200 - counts[:, Label.TREE]
+    return CellVotes(grid, rows, cols, counts, np.zeros(SIDE * SIDE, np.float32), second * 10**9, camera)
+
+
+def known(wrong: float) -> LabelErrors:
+    shares = np.eye(7)
+    shares[1, 1:3] = 1 - wrong, wrong
+    return LabelErrors(shares, ERRORS.correlation)
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("pixels", {"cell": 0, "stand": 0, "view": 0, "network": 0}),
+        ("frames", {"cell": 1, "stand": 0, "view": 0, "network": 0}),
+        ("views", {"cell": 1, "stand": 0, "view": 1, "network": 0}),
+        ("network", {"cell": 1, "stand": 0, "view": 1, "network": 1}),
+        ("stands", {"cell": 1, "stand": 1, "view": 1, "network": 0}),
+    ],
+)
+def test_correlations_of_errors_that_are_known(kind: str, expected: dict[str, float]) -> None:
+    rng = np.random.default_rng(7)
+    truth = np.full((SIDE, SIDE), 2, np.uint8)
+    shape = (SIDE, SIDE)
+    one = rng.random(shape) < 0.3
+    halves = {"north": np.indices(shape)[0] < 0.3 * SIDE, "south": np.indices(shape)[1] < 0.3 * SIDE}
+    views = {camera: rng.random(shape) < 0.3 for camera in halves}
+    frames = []
+    for second in range(4):
+        for camera in halves:
+            wrong = {
+                "pixels": rng.binomial(200, 0.3, shape) / 200,
+                "frames": rng.random(shape) < 0.3,
+                "views": views[camera],
+                "network": one,
+                "stands": halves[camera],
+            }[kind]
+            frames.append(drawn(np.asarray(wrong, float), camera, second))
+    found, cells = label_correlation(frames, truth, FORMS, known(0.3), 3.0)
+    # Broad stands leave edges, where cells beside each other differ.
+    for name, value in expected.items():
+        assert getattr(found, name) == pytest.approx(value, abs=0.15), name
+    assert cells.sum() == 8 * SIDE * SIDE
+    assert not cells[[0, 2, 3, 4, 5, 6]].any()
+
+
+def test_errors_beyond_what_was_known_are_the_networks() -> None:
+    """A network that is wrong on each fifth pixel here and was known to be right on nine of ten."""
+    frames = [drawn(np.full((SIDE, SIDE), 0.2), camera, second) for camera in ("north", "south") for second in (1, 2)]
+    found, _ = label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.1), 3.0)
+    assert found.network == found.view
+    assert found.network == pytest.approx(2 * 0.1**2 / (1 - 0.9**2 - 0.1**2), abs=0.02)
+
+
+def test_one_camera_tells_nothing_of_two() -> None:
+    frames = [drawn(np.full((SIDE, SIDE), 0.5), "north", second) for second in (1, 2)]
+    with pytest.raises(ImageError, match="correlation of network"):
+        label_correlation(frames, np.full((SIDE, SIDE), 2, np.uint8), FORMS, known(0.3), 3.0)
+
+
+def test_shares_are_those_of_the_models_calibration() -> None:
+    calibration = load_calibration(Manifest.find("landscape_lite0"))
+    assert isinstance(calibration, Calibration)
+    shares = LabelErrors.of_model("landscape_lite0").shares
+    matrix, names = np.array(calibration.confusion), list(calibration.classes)
+    cover = [names.index(name) for name in ("grass", "shrub", "tree", "bare", "water", "built")]
+    for form, row in enumerate(cover):
+        expected = matrix[row, cover]
+        np.testing.assert_allclose(shares[form, :6], expected / expected.sum(), atol=1e-9)
+    for path in config_path("fuel/label_errors").glob("*.yaml"):
+        assert path.stem == "default" or "shares" not in yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def test_odds_that_a_label_shows_open_ground() -> None:
+    """Of a patch worth 2 / (1 + 0.5) cells, grass and bare ground as likely as shrubs and trees."""
+    shares = np.eye(len(LifeForm))
+    shares[:4, :4] = [[0.7, 0.1, 0.1, 0.1], [0.2, 0.6, 0.2, 0.0], [0.0, 0.2, 0.8, 0.0], [0.1, 0.2, 0.1, 0.6]]
+    correlation = LabelCorrelation(cell=0.8, stand=0.4, view=0.5, network=0.1)
+    odds = LabelErrors(shares, correlation).open_odds()
+    # A share of none counts as one in a hundred.
+    expected = np.log([0.4 / 0.105, 0.15 / 0.4, 0.1 / 0.5, 0.35 / 0.01]) * 2 / 1.5
+    np.testing.assert_allclose(odds[1:5], expected, atol=1e-6)
+    assert not odds[5:].any()
+    assert odds[0] == 0
+    shares[1] = np.nan
+    assert not LabelErrors(shares, correlation).open_odds().any()
+
+
+def test_label_errors_that_are_none(tmp_path: Path) -> None:
+    path = tmp_path / "errors.yaml"
+    for content, message in (
+        ("source: x\nshares: {heath: {grass: 1}}", "heath is no life form"),
+        ("source: x\ncorrelation: {cell: 0.2, stand: 0.1, view: 0.4, network: 0.1}", "must fall from cell"),
+        ("source: x\ncorrelation: {cell: 1.2, stand: 0.1, view: 0.4, network: 0.1}", "less than or equal to 1"),
+    ):
+        path.write_text(content, encoding="utf-8")
+        with pytest.raises(ConfigError, match=message):
+            LabelErrors.load(path)
+    path.write_text("source: x\ncorrelation: {cell: 0.4, stand: 0.1, view: 0.2, network: 0.1}", encoding="utf-8")
+    loaded = LabelErrors.load(path)
+    np.testing.assert_array_equal(loaded.shares, ERRORS.shares)
+    assert loaded.correlation == LabelCorrelation(cell=0.4, stand=0.1, view=0.2, network=0.1)
+
+
+def test_networks_with_more_and_fewer_errors() -> None:
+    half, many = ERRORS.scaled(0.5), ERRORS.scaled(99)
+    assert half.shares[1, 1] == pytest.approx(0.90)
+    assert many.shares[1, 1] == pytest.approx(0.10)
+    np.testing.assert_allclose(half.shares[:6].sum(axis=1), 1)
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Recorded:
+    """Two towers that see the same slope twice: trees where there is no prior, a third of it grass in truth."""
+    site = write_site(tmp_path)
+    grid = grid_of(site)
+    rows, cols = (index.ravel().astype(np.int32) for index in np.mgrid[5:25, 7:31])
+    truth = np.full(grid.shape, 3, np.uint8)
+    truth[5:25, 7:15] = 1
+    write_fuel_map(tmp_path / "fuel_truth.tif", truth, load_site(site).in_crs(grid), LABELS)
+    with BagWriter(tmp_path / "recording") as bag:
+        for second in range(2):
+            for camera in ("north", "east"):
+                counts = np.zeros((len(rows), len(LABELS)), np.uint32)
+                counts[:, Label.TREE] = 30
+                stamp = BEGIN_NS + second * 10**9
+                votes = CellVotes(grid, rows, cols, counts, np.zeros(len(rows), np.float32), stamp, camera)
+                bag.write(f"/{NAME}/{camera}/fuel/votes", votes_to_msg(votes, LABELS.names), stamp)
+    return Recorded.find(tmp_path / "recording", site)
+
+
+def test_a_recording_scored(recorded: Recorded, tmp_path: Path) -> None:
+    score = score_fuel_bag(recorded, 0.1)
+    assert score.frames == 4
+    assert [found.name for found in score.maps] == [
+        "evidence",
+        "evidence, 0.1 h of the same frames",
+        "the paper's vote",
+    ]
+    for found in score.maps:
+        assert (found.right.count, found.right.of) == (20 * 16, 20 * 24)
+    assert score.unjustified == 0
+    assert score.cells is not None
+    assert score.cells[0, 2] == 4 * 20 * 8
+    figures = tmp_path / "figures.json"
+    result = CliRunner().invoke(cli, ["eval", "fuel", str(recorded.bag), "--json", str(figures)])
+    assert result.exit_code == 0, result.output
+    assert "cells of grass are mostly labelled tree 100%" in result.output
+    assert json.loads(figures.read_text())["maps"][0]["right"] == pytest.approx(2 / 3)
+
+
+def test_a_recording_without_votes_or_truth(recorded: Recorded, tmp_path: Path) -> None:
+    (tmp_path / "fuel_truth.tif").unlink()
+    with pytest.raises(RecordingError, match="--truth"):
+        score_fuel_bag(Recorded.find(recorded.bag, recorded.site_path))

@@ -1,0 +1,110 @@
+"""Disturbed poses, and how trials of finding them again are summed up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.mountain_view import eye, mountains, terrain, view
+
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import angles_between
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_lab.evaluation.pose.disturbance import Sensor, disturbed
+from ltm_lab.evaluation.pose.mount_trial import run_mount_trial
+from ltm_lab.evaluation.pose.pose_score import PoseScore, Spread, inside, open_ones
+from ltm_lab.evaluation.pose.pose_trial import PoseTrial, PreparedFrame, prepared, run_trial
+from ltm_lab.evaluation.truth_frames_io import TruthFrame
+
+SMALL = Camera.from_fov(320, 200, 50.0)
+
+
+def frame(azimuth: float) -> PreparedFrame:
+    pose = Pose.from_angles(eye(), azimuth, 1.5, 0.5)
+    photo, labels = view(pose, SMALL)
+    depth = TerrainTracer(mountains(), possible=NOTHING_BEYOND).trace(SMALL, pose).depth()
+    truth = TruthFrame("mast", 0, SMALL, pose, photo, depth, depth, labels, np.zeros(labels.shape, np.bool_))
+    return prepared(f"mast/{azimuth:.0f}", truth, labels, terrain(), PicturePoseConfig())
+
+
+def test_disturbances_are_as_their_sensors_have_them() -> None:
+    pose = Pose.from_angles(eye(), 350.0, 1.0, 2.0)
+    rng = np.random.default_rng(3)
+    drawn = {s: [disturbed(pose, s, mountains(), rng) for _ in range(400)] for s in Sensor}
+    away = {s: np.degrees([angles_between(pose, p.pose) for p in priors]) for s, priors in drawn.items()}
+    np.testing.assert_allclose(away[Sensor.mount].std(axis=0), [1.5, 0.5, 0.5], rtol=0.12)
+    assert 6.0 < away[Sensor.phone][:, 0].std() < 8.0
+    assert np.abs(away[Sensor.phone][:, 0]).max() <= 15.0 + 1e-9
+    assert away[Sensor.unknown][:, 0].std() > 80
+    assert all((p.pose.position == pose.position).all() for p in drawn[Sensor.mount])
+    places = np.array([p.pose.position - pose.position for p in drawn[Sensor.phone]])
+    np.testing.assert_allclose(places[:, :2].std(axis=0), 5.0, rtol=0.12)
+    clear = [p.pose.position[2] - mountains().elevation_at(*p.pose.position[:2]) for p in drawn[Sensor.phone]]
+    assert min(clear) >= 1.5 - 1e-6
+    assert not drawn[Sensor.unknown][0].heading_known
+
+
+def test_a_trial_says_how_far_pose_and_places_are_off() -> None:
+    tracer = TerrainTracer(mountains(), possible=NOTHING_BEYOND)
+    rng = np.random.default_rng(11)
+    trial, search, prior = run_trial(frame(75.0), Sensor.mount, terrain(), tracer, PicturePoseConfig(), rng)
+    assert trial.accepted, search.verdict.reason
+    assert trial.open_share == 0.0
+    before = np.degrees(angles_between(Pose.from_angles(eye(), 75.0, 1.5, 0.5), prior.pose))
+    np.testing.assert_allclose(trial.before, before, atol=1e-9)
+    assert np.abs(trial.after).max() < 0.15
+    assert trial.traced < trial.traced_before
+    assert trial.hypotheses[0][2] == pytest.approx(trial.after[0])
+
+
+def test_presets_are_scored_together() -> None:
+    frames = [frame(a) for a in (30.0, 160.0, 280.0)]
+    trial = run_mount_trial("mast", frames, terrain(), PicturePoseConfig(), np.random.default_rng(4))
+    assert trial.verdict == "accepted"
+    assert np.abs(trial.errors).max() < 0.15
+    assert np.shape(trial.z) == (3, 3)
+
+
+def trial_of(azimuth: float, verdict: str = "accepted", open_share: float = 0.0) -> PoseTrial:
+    off = (azimuth, 0.1, -0.2)
+    z = (azimuth / 0.5, 1.0, 1.0)
+    return PoseTrial(
+        "f",
+        Sensor.mount,
+        verdict,
+        (1.5, 0, 0),
+        off,
+        z,
+        9.0,
+        0.9,
+        0.02,
+        (0.5, 0.1, 0.2),
+        open_share,
+        25.0,
+        4.0,
+        1.01,
+        0.3,
+        (),
+    )
+
+
+def test_only_accepted_poses_count_as_wrong() -> None:
+    trials = [trial_of(0.2), trial_of(-1.5), trial_of(2.5), trial_of(30.0, "ambiguous"), trial_of(0.1, open_share=0.8)]
+    score = PoseScore.of(inside(trials))
+    assert (score.trials, score.accepted) == (4, 3)
+    assert (score.wrong_by_1, score.wrong_by_2) == (2, 1)
+    assert score.azimuth.median == pytest.approx(1.5)
+    assert score.azimuth.greatest == pytest.approx(2.5)
+    assert score.z[0] == pytest.approx(1.4826 * 3.0)
+    assert score.verdicts == {"accepted": 3, "ambiguous": 1}
+    assert score.focal_percent.median == pytest.approx(1.0)
+    assert len(open_ones(trials)) == 1
+
+
+def test_nothing_accepted_is_no_number() -> None:
+    score = PoseScore.of([trial_of(3.0, "no_skyline")])
+    assert score.accepted == 0
+    assert np.isnan(score.azimuth.median)
+    assert str(Spread.of([0.1, -0.3])) == "0.20 / 0.28 / 0.30"

@@ -1,0 +1,169 @@
+"""The report: self-contained, complete, and true to the figures it is given."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes.depth_score import score_depth
+
+from ltm_core.vision.labels import LabelSet
+from ltm_lab.evaluation.metrics.fuel import FuelScore
+from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
+from ltm_lab.evaluation.run_report import (
+    NOTHING,
+    CameraPictures,
+    ReportData,
+    Table,
+    render_report,
+    write_report,
+)
+from ltm_ros.runtime.diagnostics import NodeRow
+
+LABELS = LabelSet.load()
+VOID = {"meta", "img", "input", "br"}
+
+
+class Page(HTMLParser):
+    """Checks nesting; keeps the text and what the page would fetch."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.rows: list[list[str]] = []
+        self.tags: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self.open == [], f"not closed: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in ("td", "th", "code", "span") and {"td", "th"} & set(self.open):
+            self.rows[-1][-1] += data.strip()
+
+
+def full() -> ReportData:
+    rng = np.random.default_rng(4)
+    photo = np.full((90, 160, 3), (90, 120, 60), np.uint8)
+    truth = rng.uniform(20, 3000, (90, 160)).astype(np.float32)
+    labels = rng.integers(0, 4, (90, 160)).astype(np.uint8)
+    confusion = np.zeros((7, 7), np.int64)
+    confusion[1, 1], confusion[1, 2], confusion[3, 3] = 30, 10, 60
+    pixels = SegmentationScore.empty(7).plus(labels, np.where(labels == 2, 255, labels).astype(np.uint8))
+    return ReportData(
+        title="Ridge <demo>",
+        summary="Two cameras & twenty frames.",
+        conditions=[("bag", "bags/ridge"), ("machine", "2 cores")],
+        nodes=[
+            NodeRow.of(
+                "/ridge/north/depth",
+                {
+                    "frames_in": "61",
+                    "frames_out": "20",
+                    "received": "183",
+                    "dropped": "3",
+                    "dropped.pose": "1",
+                    "dropped.overload": "2",
+                }
+                | {"latency_p50_ms": "64.2", "latency_p95_ms": "89.9", "work_p50_ms": "40.0", "queue": "0"},
+            ),
+            NodeRow.of("/ridge/fuel_map", {"frames_in": "40", "frames_out": "12345", "dropped": "0"}),
+        ],
+        cameras=[CameraPictures.of("north", photo, truth, labels, LABELS, "frame 1")],
+        fuel_map=np.full((60, 80, 3), 200, np.uint8),
+        depth=score_depth([truth + 2.0], [truth]),
+        labels=pixels,
+        fuel=FuelScore(5000, 100, 90, confusion),
+        label_set=LABELS,
+        tables=[Table("Control points", ["point", "error, m"], [["gcp 1", 3.25], ["gcp 2", float("nan")]], "By hand.")],
+        recording="out/demo/demo.rrd",
+        files=[("fuel_map.tif", "class of each cell")],
+    )
+
+
+def test_report_is_one_wellformed_file_without_outside_resources(tmp_path: Path) -> None:
+    path = write_report(tmp_path / "deep" / "report.html", full())
+    html = path.read_text(encoding="utf-8")
+    page = Page(html)
+    assert len(page.sources) == 5, "a legend, three pictures of a camera, a map"
+    assert all(source.startswith("data:image/jpeg;base64,") for source in page.sources)
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert not re.search(r"https?://|url\(|@import", html)
+    for source in page.sources:
+        data = np.frombuffer(base64.b64decode(source.split(",")[1]), np.uint8)
+        assert cv2.imdecode(data, cv2.IMREAD_COLOR) is not None
+
+
+def test_report_shows_the_figures_it_was_given() -> None:
+    html = render_report(full())
+    rows = {row[0]: row[1:] for row in Page(html).rows if row}
+    assert rows["/ridge/north/depth"] == ["61", "20", "3(pose 1, overload 2)", "64.2", "89.9", "40.0"]
+    assert rows["/ridge/fuel_map"] == ["40", "12\u202f345", "0", NOTHING, NOTHING, NOTHING]
+    assert rows["gcp 1"] == ["3.25"]
+    assert rows["gcp 2"] == [NOTHING]
+    depth = score_depth([np.float32([[52.0]])], [np.float32([[50.0]])])
+    assert [score.pixels for score in depth] == [1, 0, 0, 0, 1]
+    assert [name for name in rows if name.endswith(" m") or name == "all"] == [
+        "0 to 100 m",
+        "100 to 300 m",
+        "300 to 1,000 m",
+        "over 1,000 m",
+        "all",
+    ]
+    assert rows["all"][0] == "14\u202f400"
+    assert rows["all"][1] == "2.00"
+    assert "90.0 %" in html, "fuel cells right"
+    assert "64.2" in html
+    assert "ltm view --rrd out/demo/demo.rrd" in html
+
+
+def test_confusion_leaves_out_absent_classes_and_counts_unlabelled() -> None:
+    rows = [row for row in Page(render_report(full())).rows if row]
+    labels = next(row for row in rows if row[0].startswith("truth") and "label" in row[0])
+    assert labels[1:] == ["sky", "grass", "shrub", "tree", "unlabelled", "right"]
+    fuel = rows.index(next(row for row in rows if row[0].startswith("truth") and "map" in row[0]))
+    assert rows[fuel][1:] == ["grass", "shrub", "tree", "right"]
+    assert rows[fuel + 1] == ["grass", "30", "10", "0", "75.0 %"]
+    assert rows[fuel + 2] == ["shrub", "0", "0", "0", NOTHING]
+    assert rows[fuel + 3] == ["tree", "0", "0", "60", "100.0 %"]
+
+
+def test_text_is_escaped() -> None:
+    html = render_report(full())
+    assert "Ridge &lt;demo&gt;" in html
+    assert "cameras &amp; twenty" in html
+    assert "<demo>" not in html
+
+
+@pytest.mark.parametrize("nodes", [[], [NodeRow("/a/b", 1, 0, 0)]])
+def test_sections_without_data_are_left_out(nodes: list[NodeRow]) -> None:
+    html = render_report(ReportData("Small", "Nothing yet.", [("bag", "x")], nodes))
+    Page(html)
+    for heading in ("Fuel map", "Depth against truth", "What the cameras saw", "See it move", "Files", "NaN", "nan"):
+        assert heading not in html
+    assert ("Messages dropped" in html) == bool(nodes)
+
+
+def test_wide_pictures_are_embedded_smaller() -> None:
+    wide = np.zeros((20, 4000, 3), np.uint8)
+    page = Page(render_report(ReportData("Small", "", [], [], fuel_map=wide)))
+    data = np.frombuffer(base64.b64decode(page.sources[0].split(",")[1]), np.uint8)
+    assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape[1] == 1280

@@ -1,0 +1,320 @@
+"""A bag scored as a whole: every part that it has, by counted cases, and every part that it lacks, by name."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from std_msgs.msg import String
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.vision.labels import LabelSet
+from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
+from ltm_lab.evaluation.fuel.map_score import Share
+from ltm_lab.evaluation.run_score import SHARED, TRUTHS, BagScore, score_bag
+from ltm_lab.evaluation.score_tables import as_json, rich_table, tables
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.grid import classes_to_msg
+from ltm_msgs_py.image import depth_to_msg, image_to_msg
+from ltm_msgs_py.pointcloud import columns_to_msg, votes_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.cli.main import cli
+from ltm_ros.recordings.recorded_run import Recorded
+
+CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)
+STEP = 2
+POSE = Pose.from_angles((10.0, 20.0, 30.0), 45.0, -5.0)
+GRID = GridGeometry(0.0, 120.0, 30.0, 5, 4)
+SECOND = 1_000_000_000
+
+
+def depth_image() -> np.ndarray:
+    """Sky in the two upper rows, then ground that comes nearer."""
+    depth = np.repeat(np.linspace(900, 60, 10, dtype=np.float32)[:, None], 18, axis=1)
+    depth[:2] = np.inf
+    return depth
+
+
+def labels_image() -> np.ndarray:
+    labels = np.where(np.isinf(depth_image()), 0, 1).astype(np.uint8)
+    labels[6:, :9] = 3
+    return labels
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Recorded:
+    """One camera with traced and fused depth, labels and truth; another whose frame has truth alone."""
+    truth = depth_image()[::STEP, ::STEP]
+    true_labels = labels_image()[::STEP, ::STEP].copy()
+    true_labels[4, :2] = 2
+    with BagWriter(tmp_path / "run/recording") as bag:
+        for camera in ("north", "east"):
+            for stamp in (5 * SECOND, 6 * SECOND):
+                messages: dict[str, Any] = {
+                    "camera_info": camera_to_msg(CAMERA, stamp, "c"),
+                    "pose": pose_to_msg(POSE, stamp),
+                    "truth/camera_info": camera_to_msg(CAMERA.scaled(STEP), stamp, "c"),
+                    "truth/depth": depth_to_msg(truth, stamp, "c"),
+                    "truth/ground_depth": depth_to_msg(truth + 3, stamp, "c"),
+                    "truth/labels": image_to_msg(true_labels, "mono8", stamp, "c"),
+                }
+                if camera == "north":
+                    messages |= {
+                        "depth/image": depth_to_msg(depth_image() + 3, stamp, "c"),
+                        "fused/depth": depth_to_msg(depth_image() - 1, stamp, "c"),
+                        "labels/image": image_to_msg(labels_image(), "mono8", stamp, "c"),
+                    }
+                for topic, message in messages.items():
+                    late = 200_000_000 if topic.startswith(("depth", "fused")) and stamp == 6 * SECOND else 0
+                    bag.write(f"/ridge/{camera}/{topic}", message, stamp + late)
+        classes = np.full(GRID.shape, 255, np.uint8)
+        classes[0], classes[1] = 1, 3
+        bag.write("/ridge/fuel_map", classes_to_msg(classes, GRID, 6 * SECOND), 6 * SECOND)
+    (tmp_path / "run/site.yaml").write_text(
+        "name: ridge\ncrs: EPSG:32611\norigin: [1000, 2000]\ndem: {path: dem.tif}\ncameras: {north: {}, east: {}}\n"
+    )
+    true_classes = np.full(GRID.shape, 1, np.uint8)
+    true_classes[3] = 255
+    write_fuel_map(
+        tmp_path / "run/fuel_truth.tif", true_classes, GRID.translated(1000, 2000, "EPSG:32611"), LabelSet.load()
+    )
+    return Recorded.find(tmp_path / "run/recording")
+
+
+def test_every_part(recorded: Recorded) -> None:
+    score = score_bag(recorded)
+    assert score.frames == 4
+    rows = {(row.source, row.against): row for row in score.depth}
+    assert set(rows) == {(s, a) for s in ("traced", "fused") for a in (*TRUTHS, SHARED)}
+    traced, fused = rows["traced", "visible surface"], rows["fused", "visible surface"]
+    assert (traced.frames, traced.coverage) == (2, 1.0)
+    assert (traced.scores[-1].pixels, traced.scores[-1].bias) == (2 * 4 * 9, pytest.approx(3, abs=1e-4))
+    assert fused.scores[-1].rmse == pytest.approx(1, abs=1e-4)
+    assert rows["traced", "bare ground"].scores[-1].rmse == pytest.approx(0, abs=1e-4)
+    assert score.labels is not None
+    assert score.labels.pixels == 2 * 5 * 9
+    assert score.labels.confusion[2, 3] == 2 * 2
+    assert score.labels.right.sum() == score.labels.pixels - 4
+    lines = dict(score.skylines)
+    # Truth's first row below the sky is its second, row 2 of the image: the line lies at 1.5 to 2, taken as 1.5.
+    assert (lines["labels"].columns, lines["labels"].bias, lines["traced"].bias) == (18, 0.5, 0.5)
+    assert score.fuel is not None
+    assert (score.fuel.seen, score.fuel.right, score.fuel.confusion[1, 3]) == (10, 5, 5)
+    assert {(row.topic, row.max_ms) for row in score.latency} == {("depth/image", 200.0), ("fused/depth", 200.0)}
+    assert [reason.split(":")[0] for reason in score.lacking] == ["depth, network", "terrain"]
+
+
+def test_changes_of_the_prior_map(tmp_path: Path) -> None:
+    """A prior of shrubs; in truth the west is trees by now. The map has found two of its six cells that frames voted
+    in, and has changed one of the other nine; votes are for all but the last row."""
+    rows, cols = (index.ravel().astype(np.int32) for index in np.indices((3, 5)))
+    counts = np.zeros((15, len(LabelSet.load())), np.uint32)
+    counts[:, 2] = 40
+    votes = CellVotes(GRID, rows, cols, counts, np.zeros(15, np.float32), 5 * SECOND, "north")
+    classes, true = np.full(GRID.shape, 2, np.uint8), np.full(GRID.shape, 2, np.uint8)
+    true[:, :2] = 3
+    classes[:2, 0] = classes[0, 4] = classes[3, :] = 3
+    with BagWriter(tmp_path / "run/recording") as bag:
+        bag.write("/ridge/north/fuel/votes", votes_to_msg(votes, LabelSet.load().names), 5 * SECOND)
+        bag.write("/ridge/fuel_map", classes_to_msg(classes, GRID, 6 * SECOND), 6 * SECOND)
+    grid = GRID.translated(1000, 2000, "EPSG:32611")
+    write_fuel_map(tmp_path / "run/fuel_truth.tif", true, grid, LabelSet.load())
+    write_geotiff(tmp_path / "run/prior.tif", np.full(GRID.shape, 145, np.int16), grid, nodata=-9999)
+    (tmp_path / "run/site.yaml").write_text(
+        "name: ridge\ncrs: EPSG:32611\norigin: [1000, 2000]\ndem: {path: dem.tif}\nfuel: {prior: prior.tif}\n"
+        "cameras: {north: {}}\n"
+    )
+    score = score_bag(Recorded.find(tmp_path / "run/recording"))
+    assert score.fuel_changes is not None, score.lacking
+    assert (score.fuel_changes.found, score.fuel_changes.false_flips) == (Share(2, 6), Share(1, 9))
+    assert "6 cells that are no more what the prior says the map has found 2" in str(tables(score))
+    assert as_json(score)["fuel"]["changes"]["false_flips"] == {"count": 1, "of": 9}
+
+
+def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded, tmp_path: Path) -> None:
+    half = depth_image() + 9
+    half[:, 8:] = np.nan
+    (tmp_path / "half/north").mkdir(parents=True)
+    np.save(tmp_path / f"half/north/{5 * SECOND}.npy", half)  # of one of the two frames
+    score = score_bag(recorded, [DepthMapFolder.open("half", tmp_path / "half")])
+    rows = {row.source: row for row in score.depth if row.against == SHARED}
+    assert set(rows) == {"traced", "fused", "half"}
+    for source, bias in (("traced", 3), ("fused", -1), ("half", 9)):
+        whole = rows[source].scores[-1]
+        assert (whole.pixels, whole.bias) == (4 * 4, pytest.approx(bias, abs=1e-4))
+
+
+def test_depth_maps_of_others(recorded: Recorded, tmp_path: Path) -> None:
+    folder = tmp_path / "maps"
+    (folder / "north").mkdir(parents=True)
+    np.save(folder / f"north/{5 * SECOND}.npy", depth_image() + 7)
+    np.save(folder / f"east_{6 * SECOND}.npy", depth_image() + 7)
+    ranges, relative, foreign = tmp_path / "ranges", tmp_path / "relative", tmp_path / "foreign"
+    for other in (ranges, relative, foreign):
+        other.mkdir()
+    np.save(ranges / f"north_{5 * SECOND}.npy", depth_image() / CAMERA.rays()[..., 2])
+    (ranges / "depth_maps.yaml").write_text("along: ray\n")
+    np.save(relative / f"north_{5 * SECOND}.npy", np.where(np.isinf(depth_image()), 0, 40 / depth_image() + 2))
+    (relative / "depth_maps.yaml").write_text("kind: relative_inverse\n")
+    np.save(foreign / "south_7.npy", depth_image())
+    folders = [DepthMapFolder.open(p.name, p) for p in (folder, ranges, relative, foreign)]
+    score = score_bag(recorded, folders)
+    rows = {row.source: row for row in score.depth if row.against == "visible surface"}
+    assert (rows["maps"].frames, rows["maps"].scores[-1].bias) == (2, pytest.approx(7, abs=1e-4))
+    assert rows["ranges"].scores[-1].rmse == pytest.approx(0, abs=1e-3)
+    assert rows["relative"].scores[-1].rmse == pytest.approx(0, abs=0.05)
+    assert f"depth, ranges: {ranges} has maps of 1 of the {score.frames} frames with truth" in score.lacking
+    missed = next(reason for reason in score.lacking if reason.startswith("depth, foreign: "))
+    assert f"no map of any frame with truth; the first would be north/{5 * SECOND}.npy" in missed
+
+
+def test_depth_maps_without_numbers_are_named_and_tell_nothing(recorded: Recorded, tmp_path: Path) -> None:
+    np.save(tmp_path / f"north_{5 * SECOND}.npy", np.full((10, 18), np.nan))
+    score = score_bag(recorded, [DepthMapFolder.open("hollow", tmp_path)])
+    assert "depth, hollow: its 1 maps have no number where a true depth is known" in score.lacking
+    assert not [row for row in score.depth if row.source == "hollow"]
+    assert not [row for row in score.depth if row.against == SHARED], "nothing is shared with no number"
+    assert any(reason.startswith("depth, shared: no pixel") for reason in score.lacking)
+
+
+@pytest.mark.parametrize("name", ["traced", "mine"])
+def test_two_sources_of_one_name_are_refused(recorded: Recorded, tmp_path: Path, name: str) -> None:
+    np.save(tmp_path / f"north_{5 * SECOND}.npy", depth_image())
+    given = [part for other in (name, "mine") for part in ("--depth-maps", f"{other}={tmp_path}")]
+    result = CliRunner().invoke(cli, ["eval", "bag", str(recorded.bag), *given])
+    assert "another source is called" in str(result.exception)
+
+
+def test_tables_and_json(recorded: Recorded) -> None:
+    score = score_bag(recorded)
+    console = Console(width=200, record=True)
+    console.print(rich_table(tables(score), "scores"))
+    text = console.export_text()
+    for word in (
+        "traced, surface",
+        "100-300 m",
+        "macro mean",
+        "confusion",
+        "skyline",
+        "fuel cells",
+        "latency",
+        "fused",
+    ):
+        assert word in text
+    content = json.loads(json.dumps(as_json(score), allow_nan=False))
+    assert content["fuel"]["right"] == 5
+    assert content["depth"][0]["scores"][0]["near"] == 0
+    assert content["labels"]["macro_f1"] == pytest.approx(np.mean(_true_f1(score)))
+
+
+def _true_f1(score: BagScore) -> list[float]:
+    assert score.labels is not None
+    confusion = score.labels.confusion[:, :-1]
+    values = []
+    for k in range(len(confusion)):
+        if confusion[k].sum():
+            precision = confusion[k, k] / confusion[:, k].sum() if confusion[:, k].sum() else 0.0
+            recall = confusion[k, k] / confusion[k].sum()
+            values.append(2 * precision * recall / (precision + recall) if precision + recall else 0.0)
+    return values
+
+
+def test_what_is_lacking(tmp_path: Path, recorded: Recorded) -> None:
+    with BagWriter(tmp_path / "bare") as bag:
+        bag.write("/ridge/north/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
+    score = score_bag(Recorded.find(tmp_path / "bare", recorded.site_path, tmp_path))
+    named = " | ".join(score.lacking)
+    for part in (
+        "no truth/depth",
+        "depth, traced",
+        "depth, network",
+        "depth, fused",
+        "labels: ",
+        "latency: ",
+        "skyline",
+    ):
+        assert part in named
+    assert "fuel cells: the bag has no fuel_map" in named
+    assert [table.title for table in tables(score)] == ["lacking"]
+    result = CliRunner().invoke(cli, ["eval", str(tmp_path / "bare"), "--site", str(recorded.site_path)])
+    assert isinstance(result.exception, RecordingError)
+    assert "could not be scored" in str(result.exception)
+
+
+def test_command(recorded: Recorded, tmp_path: Path) -> None:
+    out = tmp_path / "scores/all.json"
+    result = CliRunner().invoke(cli, ["eval", str(recorded.bag), "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "lacking depth, network" in " ".join(result.output.split())
+    assert json.loads(out.read_text())["frames_with_truth"] == 4
+    wrong = CliRunner().invoke(cli, ["eval", str(recorded.bag), "--depth-maps", "unnamed"])
+    assert "give NAME=FOLDER" in str(wrong.exception)
+
+
+def test_site_is_found_or_asked_for(recorded: Recorded, tmp_path: Path) -> None:
+    assert recorded.site_path == tmp_path / "run/site.yaml"
+    with BagWriter(tmp_path / "a/b/c") as bag:
+        bag.write("/demo/tower_north/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
+    assert Recorded.find(tmp_path / "a/b/c").site.name == "demo"
+    with BagWriter(tmp_path / "a/b/d") as bag:
+        bag.write("/nowhere/x/camera_info", camera_to_msg(CAMERA, 5, "c"), 5)
+    with pytest.raises(RecordingError, match="none ships for nowhere: give --site"):
+        Recorded.find(tmp_path / "a/b/d")
+    assert math.isfinite(score_bag(recorded).depth[0].coverage)
+
+
+def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
+    grid = GridGeometry(0.0, 20.0, 2.0, 12, 10)
+    folder = recorded.truth / "truth"
+    before = np.full((20, 24), 100.0, np.float32)
+    after = before.copy()
+    after[4:8, 6:12] += 6  # 2 x 3 cells of the terrain's grid
+    after[15, 20] += 4  # a quarter of a cell: its mean moves 1 m, below the threshold
+    for date, surface in (("before", before), ("after", after)):
+        (folder / date).mkdir(parents=True)
+        Dem(surface, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(folder / date / "surface.tif")
+    Dem(after - before, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(
+        folder / "change_before_after.tif"
+    )
+    kinds = np.zeros(grid.shape, np.uint8)
+    kinds[2, 3:6], kinds[9, 0] = 2, 1  # three of the six, and a false alarm
+    kinds[0] = 255
+    rows, cols = np.nonzero(kinds % 255)
+    x, y = grid.to_map(rows, cols)
+    columns = {
+        "x": x.astype(np.float32),
+        "y": y.astype(np.float32),
+        "z": np.array([105, 105, 107, 98], np.float32),
+        "shift": np.array([5, 5, 7, -2], np.float32),
+    }
+    with BagWriter(tmp_path / "dated") as bag:
+        bag.write("/ridge/terrain/update", columns_to_msg(columns, 7, "map"), 7)
+        bag.write("/ridge/terrain/change", classes_to_msg(kinds, grid, 8), 8)
+        bag.write("/ridge/terrain/info", String(data=json.dumps({"threshold": 1.5})), 8)
+    with pytest.raises(RecordingError, match="after, before: name the bag's date with --date"):
+        Recorded.find(tmp_path / "dated", recorded.site_path)
+    with pytest.raises(RecordingError, match="no truth of 'later'"):
+        Recorded.find(tmp_path / "dated", recorded.site_path, date="later")
+    score = score_bag(Recorded.find(tmp_path / "dated", recorded.site_path, date="after"))
+    assert score.terrain is not None
+    change = score.terrain.change
+    assert change is not None
+    assert (change.hits, change.misses, change.false_alarms, change.cells) == (3, 3, 1, 9 * 12)
+    assert score.terrain.updated.rmse == pytest.approx(np.sqrt((1 + 1 + 1 + 4) / 4))
+    assert score.terrain.reference.rmse == pytest.approx(np.sqrt(3 * 36 / 4))
+    assert {"change", "surface"} <= {table.title for table in tables(score)}
+    assert as_json(score)["terrain"]["change"]["hits"] == 3

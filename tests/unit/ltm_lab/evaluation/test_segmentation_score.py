@@ -1,0 +1,171 @@
+"""`ltm eval segmentation`: a network whose answers are known, scored on frames with truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes.networks import COLORS, changed, write_classifier
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
+from ltm_lab.evaluation.segmentation.network_score import score_frames
+from ltm_lab.training.labelled_frames import read_frames
+from ltm_lab.training.temperature_scaling import balanced, fit_temperature
+from ltm_ros.cli import main
+
+
+def _frame(folder: Path, name: str, shift: int = 0) -> None:
+    """Blue over lime with a red block; in the truth the skyline lies `shift` rows lower than the picture has it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    photo = np.empty((128, 256, 3), np.uint8)
+    photo[:] = COLORS["lime"]
+    photo[:48] = COLORS["blue"]
+    photo[80:112, 160:208] = COLORS["red"]
+    truth = np.full((128, 256), Label.GRASS, np.uint8)
+    truth[: 48 + shift] = Label.SKY
+    truth[80:112, 160:208] = Label.BUILT
+    truth[:, :16] = UNLABELLED
+    cv2.imwrite(str(folder / f"{name}.png"), photo[..., ::-1])
+    cv2.imwrite(str(folder / f"{name}_labels.png"), truth)
+
+
+def test_scores_of_two_networks_are_those_of_their_answers(tmp_path: Path) -> None:
+    _frame(tmp_path / "frames" / "near", "0001")
+    _frame(tmp_path / "frames" / "low", "0001", shift=8)
+    right = write_classifier(tmp_path, stride=1)
+    blind = changed(right, name="blind", mapping={"blue": "sky"}).rename(tmp_path / "blind.yaml")
+    right = write_classifier(tmp_path, stride=1)
+    arguments = ["eval", "segmentation", str(tmp_path / "frames"), "--model", str(right), "--model", str(blind)]
+    result = CliRunner().invoke(main.cli, [*arguments, "--json", str(tmp_path / "s.json")], env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    assert "skyline, median px of 512" in result.output
+    scores = json.loads((tmp_path / "s.json").read_text())
+    assert scores["conditions"]["threads"] == 1
+    near, low = scores["near"], scores["low"]
+    assert near["colors"]["sky_iou"] > 0.97
+    assert near["colors"]["macro_f1"] > 0.97
+    assert near["colors"]["skyline_median_px"] <= 2.0
+    assert low["colors"]["skyline_median_px"] == pytest.approx(16.0, abs=2.0)  # 8 rows of 256 are 16 of 512
+    assert low["colors"]["sky_iou"] == pytest.approx(48 / 56, abs=0.03)
+    assert near["blind"]["f1"]["grass"] == 0.0
+    assert near["blind"]["unlabelled"] == pytest.approx(80 / 128, abs=0.02)
+    assert near["colors"]["f1"]["tree"] is None
+
+
+def test_skylines_are_compared_where_only_every_fourth_pixel_has_truth(tmp_path: Path) -> None:
+    _frame(tmp_path, "0001", shift=8)
+    labels = cv2.imread(str(tmp_path / "0001_labels.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(tmp_path / "0001_labels.png"), labels[::4, ::4])
+    (frame,) = read_frames(tmp_path, 7, sampled=True)
+    score = score_frames(Segmenter.open(write_classifier(tmp_path, stride=1)), [frame])
+    assert score.skyline.columns == 60  # of 64, four of them unlabelled
+    assert score.skyline.median == pytest.approx(16.0, abs=3.0)
+
+
+def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    result = CliRunner().invoke(main.cli, ["eval", "segmentation", str(tmp_path)])
+    assert isinstance(result.exception, RecordingError)
+    assert "NAME_labels.png" in str(result.exception)
+
+
+def test_calibration_error_is_the_gap_between_confidence_and_right() -> None:
+    truth = np.zeros((4, 25), np.uint8)
+    found = truth.copy()
+    found[0] = 1  # a quarter is wrong
+    sure = np.full((4, 25), 255, np.uint8)
+    score = CalibrationScore.empty().plus(truth, found, sure, 2)
+    assert score.ece == pytest.approx(0.25)
+    honest = CalibrationScore.empty().plus(truth, found, np.full((4, 25), 191, np.uint8), 2)
+    assert honest.ece == pytest.approx(0.0, abs=2e-3)
+    assert np.isnan(CalibrationScore.empty().ece)
+
+
+def test_the_temperature_that_was_applied_is_found() -> None:
+    rng = np.random.default_rng(8)
+    logits = rng.normal(0.0, 2.0, (6000, 4)).astype(np.float32)
+    weights = np.exp(logits / 2.5)
+    edges = np.cumsum(weights / weights.sum(axis=1, keepdims=True), axis=1)
+    labels = (rng.random((6000, 1)) > edges).sum(axis=1).astype(np.uint8)
+    assert fit_temperature(logits, labels) == pytest.approx(2.5, rel=0.08)
+
+
+def test_sets_count_alike_in_the_confusion() -> None:
+    many = np.array([[900, 100, 0], [0, 50, 0]])
+    few = np.array([[5, 5, 0], [0, 0, 0]])
+    matrix = balanced([many, few])
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
+    np.testing.assert_allclose(matrix[0], [0.7, 0.3], atol=2e-3)
+    assert 0.0 < matrix[1, 0] < 2e-3
+    nothing = balanced([np.zeros((3, 4), np.int64)])
+    assert np.all(np.diagonal(nothing) > 0.5)
+
+
+def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: Path) -> None:
+    folder, colors = tmp_path / "photos", np.full((40, 60, 3), COLORS["lime"], np.uint8)
+    folder.mkdir()
+    colors[:15] = COLORS["blue"]
+    cv2.imwrite(str(folder / "b.jpg"), colors[..., ::-1])
+    areas = [
+        {"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [59, 0], [59, 14], [0, 14]]},
+        {"image": "b.jpg", "class": "shrub", "polygon": [[10, 20], [29, 20], [29, 34], [10, 34]]},
+        {"image": "b.jpg", "class": "structure", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
+        {"image": "gone.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]},
+    ]
+    (folder / "polygons.json").write_text(json.dumps(areas))
+    (frame,) = read_frames(folder, 7)
+    expected = np.full((40, 60), UNLABELLED, np.uint8)
+    expected[:15] = Label.SKY
+    expected[20:35, 20:30] = Label.SHRUB
+    np.testing.assert_array_equal(frame.labels, expected)
+    arguments = ["eval", "segmentation", str(folder), "--model", str(write_classifier(tmp_path, stride=1))]
+    options = ["--ignore", "shrub", "--macro", "sky,shrub", "--overlays", str(tmp_path / "drawn")]
+    result = CliRunner().invoke(main.cli, [*arguments, *options, "--json", str(tmp_path / "s.json")])
+    assert result.exit_code == 0, result.output
+    score = json.loads((tmp_path / "s.json").read_text())["photos"]["colors"]
+    assert score["f1"]["shrub"] is None
+    assert score["macro_f1"] == pytest.approx(score["f1"]["sky"])
+    assert score["pixels"] == 15 * 60
+    assert cv2.imread(str(tmp_path / "drawn" / "photos_b_colors.png")).shape[1] == 2 * 60
+
+
+@pytest.mark.parametrize(
+    ("areas", "said"),
+    [
+        ([{"image": "b.jpg", "class": "moss", "polygon": [[0, 0], [5, 0], [5, 5]]}], "'moss'"),
+        ([{"image": "../b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]}], "image"),
+        ([{"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0]]}], "polygon"),
+        ({"image": "b.jpg"}, "list"),
+    ],
+)
+def test_areas_that_cannot_be_taken_are_refused_in_words(tmp_path: Path, areas: object, said: str) -> None:
+    (tmp_path / "polygons.json").write_text(json.dumps(areas))
+    with pytest.raises((ConfigError, RecordingError), match=said):
+        read_frames(tmp_path, 7)
+
+
+def test_risk_at_a_coverage_is_that_of_the_surest_pixels() -> None:
+    truth = np.array([[1, 1, 1, 1, 1, 1, 1, 1, 1, UNLABELLED]], np.uint8)
+    given = np.array([[1, 1, 1, 1, 2, 1, 2, 2, UNLABELLED, 2]], np.uint8)
+    sure = np.array([[250, 250, 200, 200, 100, 100, 50, 50, 0, 255]], np.uint8)
+    risk = RiskCoverage.empty().plus(truth, given, sure, 7)
+    assert risk.risk(1.0) == pytest.approx(3 / 8)
+    assert risk.risk(0.5) == 0.0
+    assert risk.risk(0.75) == pytest.approx(1 / 6)
+    assert risk.risk(0.625) == pytest.approx(0.1)  # of two pixels alike in confidence, one wrong: half of each counts
+    assert np.isnan(RiskCoverage.empty().risk(0.8))
+
+
+def test_a_diagram_shows_each_network_s_confidence(tmp_path: Path) -> None:
+    _frame(tmp_path / "near", "0001")
+    command = ["eval", "segmentation", str(tmp_path / "near"), "--model", str(write_classifier(tmp_path, stride=1))]
+    result = CliRunner().invoke(main.cli, [*command, "--confidence", "0.9", "--diagram", str(tmp_path / "d.png")])
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 800

@@ -1,0 +1,116 @@
+"""Simulated frames as a recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from ltm_core.base.errors import RecordingError
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.range_image import RangeImage
+from ltm_lab.evaluation.simulated_bag import write_simulated_bag
+from ltm_lab.simulator.scenario import LAST_NS
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import LATEST_NS, stamp_of
+
+CAMERA = Camera(30, 18, 25.0, 26.0, 14.0, 9.0, (-0.1, 0.02, 0.0, 0.001, 0.0))
+STEP = 4
+STAMP = 1_700_000_000_123_456_789
+
+
+@pytest.fixture
+def simulated(tmp_path: Path) -> Path:
+    """A folder as `ltm simulate` writes it, with one frame of each of two cameras."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    entries = []
+    shape = (CAMERA.scaled(STEP).height, CAMERA.scaled(STEP).width)
+    for number, name in enumerate(("north", "east")):
+        image = np.full((18, 30, 3), (200, 60, 20 + number), np.uint8)  # RGB
+        cv2.imwrite(str(folder / f"{number:04d}.png"), image[..., ::-1])
+        surface = 100 + 321.7 * np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
+        surface[0] = np.inf
+        np.savez(
+            folder / f"{number:04d}_truth.npz",
+            range_surface=surface,
+            range_ground=surface + 7,
+            labels=np.arange(np.prod(shape)).reshape(shape).astype(np.uint8) % 7,
+        )
+        camera = {k: getattr(CAMERA, k) for k in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+        entries.append(
+            {
+                "image": f"{number:04d}.png",
+                "truth": f"{number:04d}_truth.npz",
+                "camera_name": name,
+                "stamp_ns": STAMP + number,
+                "camera": camera,
+                "position": [10.0, 20.0, 300.0],
+                "azimuth_deg": 214.0,
+                "pitch_deg": -4.0,
+                "roll_deg": 1.5,
+            }
+        )
+    (folder / "frames.json").write_text(json.dumps({"truth_step": STEP, "frames": entries}))
+    return folder
+
+
+def test_a_frame_as_its_messages(simulated: Path, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    assert write_simulated_bag(simulated, tmp_path / "bag", "ridge", 95, lambda *n: seen.append(n)) == 2
+    assert seen == [(1, 2), (2, 2)]
+    reader = BagReader(tmp_path / "bag")
+    messages: dict[str, Any] = {m.topic: reader.decode(m) for m in reader.messages()}
+    assert len(messages) == 16
+    assert {stamp_of(m) for t, m in messages.items() if t.startswith("/ridge/north/")} == {STAMP}
+    of = {topic.removeprefix("/ridge/north/"): m for topic, m in messages.items() if topic.startswith("/ridge/north/")}
+    assert msg_to_camera(of["camera_info"]) == CAMERA
+    assert msg_to_camera(of["truth/camera_info"]) == CAMERA.scaled(STEP)
+    np.testing.assert_allclose(msg_to_pose(of["pose"]).angles_deg, [214.0, -4.0, 1.5])
+    assert np.abs(compressed_to_rgb(of["image_raw/compressed"]).astype(int) - [200, 60, 20]).max() < 8
+    with np.load(simulated / "0000_truth.npz") as truth:
+        np.testing.assert_array_equal(msg_to_array(of["truth/labels"]), truth["labels"])
+        for topic, name in (("truth/depth", "range_surface"), ("truth/ground_depth", "range_ground")):
+            # Ranges became depths along the optical axis, within the rounding that the recording states.
+            exact = RangeImage(truth[name], CAMERA.scaled(STEP), Pose.from_angles((0, 0, 0), 0)).depth()
+            assert np.isinf(exact[0]).all()
+            np.testing.assert_allclose(msg_to_depth(of[topic]), exact, rtol=6.2e-5)
+            assert not np.allclose(truth[name][1:], exact[1:], rtol=1e-3)
+
+
+def test_a_folder_without_index(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"frames\.json: no index of simulated frames.*ltm simulate"):
+        write_simulated_bag(tmp_path, tmp_path / "bag", "ridge")
+
+
+def test_a_missing_picture(simulated: Path, tmp_path: Path) -> None:
+    (simulated / "0001.png").unlink()
+    with pytest.raises(RecordingError, match=r"0001\.png: the frame's picture is missing"):
+        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+    assert not (tmp_path / "bag").exists(), "half a recording looks like a whole one"
+
+
+def test_truth_that_is_broken(simulated: Path, tmp_path: Path) -> None:
+    (simulated / "0001_truth.npz").write_bytes(b"PK but no archive")
+    with pytest.raises(RecordingError, match=r"0001_truth\.npz: no truth of the frame"):
+        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+
+
+def test_what_stands_there_already_is_kept(simulated: Path, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious.txt").write_text("keep")
+    with pytest.raises(RecordingError, match="exists already"):
+        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+    assert (tmp_path / "bag" / "precious.txt").read_text() == "keep"
+
+
+def test_the_simulator_refuses_dates_that_no_stamp_holds() -> None:
+    assert LAST_NS == LATEST_NS

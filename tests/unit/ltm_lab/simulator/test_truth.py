@@ -1,0 +1,177 @@
+"""The simulator's truth against outside tools: ranges against the tracer, canopies against embreex, classes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.small_scenario import small_scenario
+from scipy import ndimage
+
+pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
+
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
+from ltm_core.tracing import TerrainTracer
+from ltm_lab.simulator.appearance import palette
+from ltm_lab.simulator.canopy import canopy_height
+from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, SKY, TREE, UNLABELLED, WATER
+from ltm_lab.simulator.mitsuba_scene import SceneBuilder
+from ltm_lab.simulator.render import render_range
+from ltm_lab.simulator.run import SimulatedSite, make_site, plan_shots, rasters_at, render_shots, site_at
+from ltm_lab.simulator.vegetation import LATTICE, Placement, Planting
+from ltm_lab.simulator.works import Houses
+
+CONFIG = small_scenario()
+
+
+@pytest.fixture(scope="module")
+def site() -> SimulatedSite:
+    return make_site(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def slid(site: SimulatedSite) -> SimulatedSite:
+    return site_at(CONFIG, site, CONFIG.dates[1])
+
+
+@pytest.fixture(scope="module")
+def natural() -> SimulatedSite:
+    return make_site(small_scenario(lakes=[]))
+
+
+def _errors(site: SimulatedSite, resolution: float) -> Float64Array:
+    """|rendered - traced| range of bare ground (N,) away from silhouettes, the tracer's DEM at `resolution`."""
+    shot = plan_shots(CONFIG, site)[0]
+    # Bare all over: what grows there is no part of the ground, and most of the work of a scene.
+    bare = replace(site.cover, classes=np.full_like(site.cover.classes, BARE), houses=Houses.none())
+    view = SceneBuilder(CONFIG, site.terrain, bare).view(shot.pose.position)
+    rendered = render_range(view.ground, shot.camera, shot.pose)
+    ground = site.terrain.site
+    geometry = GridGeometry(0.0, 400.0, resolution, round(400 / resolution), round(400 / resolution))
+    elevation = ground.at(*geometry.to_map(*np.mgrid[0 : geometry.height, 0 : geometry.width])).astype(np.float32)
+    if resolution == ground.geometry.resolution:
+        np.testing.assert_array_equal(elevation, ground.elevation)
+    traced = TerrainTracer(Dem(elevation, geometry)).trace(shot.camera, shot.pose).range
+    both = np.isfinite(rendered) & np.isfinite(traced)
+    nearest = ndimage.minimum_filter(np.where(both, traced, 0), 3)
+    smooth = both & (ndimage.maximum_filter(np.where(both, traced, 1e6), 3) - nearest < 0.06 * traced)
+    assert smooth.mean() > 0.85
+    return np.abs(rendered[smooth].astype(np.float64) - traced[smooth])
+
+
+@pytest.mark.slow
+def test_bare_ground_agrees_with_the_tracer(slid: SimulatedSite) -> None:
+    """p99.9 within 0.3 m away from silhouettes, with a dam's wall, a twelve-metre cliff in one cell, filling a third of
+    the view."""
+    steepest = np.abs(np.diff(slid.terrain.site.elevation, axis=0)).max()
+    assert steepest > 8.0
+    error = _errors(slid, 2.0)
+    assert np.quantile(error, 0.999) < 0.12
+    assert error.max() < 0.3
+    assert np.median(error) < 0.01
+
+
+def test_the_bare_earth_raster_is_that_ground(natural: SimulatedSite) -> None:
+    """The 1 m raster of a ground with 2 m cells rounds its edges, which natural slopes do not show."""
+    error = _errors(natural, 1.0)
+    assert np.quantile(error, 0.999) < 0.2
+    assert error.max() < 0.3
+
+
+def _soup(placements: list[Placement]) -> Float64Array:
+    return np.concatenate(
+        [p.prototype.soup.triangles @ m[:3, :3].T + m[:3, 3] for p in placements for m in p.transforms]
+    )
+
+
+def test_canopy_is_what_embreex_sees_from_above(site: SimulatedSite) -> None:
+    mesh_construction = pytest.importorskip("embreex.mesh_construction", reason="needs embreex")
+    from embreex.rtcore_scene import EmbreeScene
+
+    planting = Planting(site.terrain, site.cover, CONFIG.vegetation, palette(0.2, 1), CONFIG.seed)
+    window = GridGeometry(280.0, 350.0, 1.0, 40, 30)
+    canopy = canopy_height(planting.everywhere(), site.terrain.site, window)
+    near = []
+    for p in planting.everywhere():
+        x, y = p.transforms[:, 0, 3], p.transforms[:, 1, 3]
+        chosen = (x > 265) & (x < 335) & (y > 305) & (y < 365)
+        if np.any(chosen):
+            near.append(Placement(p.prototype, p.transforms[chosen]))
+    scene = EmbreeScene(robust=True)
+    mesh_construction.TriangleMesh(scene, np.ascontiguousarray(_soup(near), np.float32))
+    n = round(1 / LATTICE)
+    x, y = np.meshgrid(280.0 + (np.arange(40 * n) + 0.5) * LATTICE, 350.0 - (np.arange(30 * n) + 0.5) * LATTICE)
+    origins = np.stack([x.ravel(), y.ravel(), np.full(x.size, 2000.0)], axis=1).astype(np.float32)
+    down = np.tile(np.array([[0.0, 0.0, -1.0]], np.float32), (x.size, 1))
+    hit = scene.run(origins, down, output=True)
+    height = 2000.0 - hit["tfar"].astype(np.float64) - site.terrain.site.at(x, y).ravel()
+    height = np.where(hit["geomID"] >= 0, np.maximum(height, 0), 0).reshape(x.shape)
+    seen = height.reshape(30, n, 40, n).max(axis=(1, 3))
+    difference = np.abs(seen - canopy)
+    assert np.mean(canopy > 1.0) > 0.1
+    assert np.mean(difference < 0.02) > 0.995
+    assert difference.mean() < 0.01
+
+
+def test_edges_are_planted_shrub_by_shrub_and_slides_strewn_with_stones(slid: SimulatedSite) -> None:
+    planting = Planting(slid.terrain, slid.cover, CONFIG.vegetation, palette(0.2, 1), CONFIG.seed)
+    placed = planting.around(np.array([180.0, 180.0, 600.0]))
+
+    def places(*words: str) -> Float64Array:
+        chosen = [p.transforms for p in placed if any(word in p.prototype.name for word in words)]
+        return np.concatenate([np.zeros((0, 4, 4)), *chosen])
+
+    single = places("_one")
+    x, y = single[:, 0, 3], single[:, 1, 3]
+    assert len(single) > 100
+    assert np.mean(np.isin(slid.cover.at(x, y), (SHRUB, TREE))) > 0.7, "they keep to their side, but for a few metres"
+    patches = places("chaparral@", "scrub@", "chaparral_half", "scrub_half")
+    to_patch = np.hypot(x[:, None] - patches[None, :, 0, 3], y[:, None] - patches[None, :, 1, 3]).min(axis=1)
+    assert to_patch.min() > 4.0, "no shrub stands in a patch of shrubs"
+    for name, apart in (("rubble", 12.0), ("boulder", 4.0)):
+        stones = places(name)
+        assert len(stones) > 30
+        assert np.mean(slid.cover.sample(slid.cover.stand.rubble, stones[:, 0, 3], stones[:, 1, 3])) > 0.8
+        assert np.std(stones[:, 0, 3] % apart) > 0.2 * apart, "not in rows"
+    sizes = places("boulder")[:, 2, 2]
+    assert sizes.max() > 4 * np.median(sizes), "few are large"
+
+
+@pytest.mark.slow
+def test_rasters_and_frames_of_both_dates(site: SimulatedSite) -> None:
+    truths, frames = [], []
+    for date in CONFIG.dates:
+        dated = site_at(CONFIG, site, date)
+        truths.append(rasters_at(CONFIG.at(date), dated))
+        shots = plan_shots(CONFIG, site, date)
+        frames += render_shots(CONFIG.at(date), dated, shots if date.years == 0 else shots[1:])
+    before, after = truths
+    assert before.canopy.shape == (400, 400)
+    assert before.canopy.max() > 4.0
+    assert set(np.unique(before.classes)) >= {GRASS, SHRUB, TREE, WATER, BUILT}
+    untouched = np.ones((400, 400), bool)
+    untouched[0:190, 190:400] = False  # the burn
+    untouched[60:220, 40:200] = False  # the slide
+    np.testing.assert_array_equal(after.bare_earth[untouched], before.bare_earth[untouched])
+    assert np.mean(after.canopy[untouched] != before.canopy[untouched]) < 0.02, "the rest is unchanged"
+    assert np.abs(after.bare_earth - before.bare_earth).max() > 3.0
+    for frame in frames:
+        labels, truth, pose = frame.truth.labels, frame.truth, frame.shot.pose
+        assert set(np.unique(labels)) <= {SKY, GRASS, SHRUB, TREE, BARE, WATER, BUILT, UNLABELLED}
+        np.testing.assert_array_equal(labels == SKY, np.isinf(truth.range_surface))
+        # No unexplained pixel: unlabelled is only what lies beyond the land cover
+        reach = np.where(np.isfinite(truth.range_surface), truth.range_surface, 0)[..., None]
+        points = pose.position + truth.camera.rays() @ pose.rotation.T * reach
+        g = site.cover.geometry
+        on_map = g.contains(*g.cell_of(points[..., 0], points[..., 1])) & np.isfinite(truth.range_surface)
+        assert not np.any(labels[on_map] == UNLABELLED)
+        standing = np.isin(labels, (TREE, BUILT))
+        assert np.all(truth.range_surface[standing] < truth.range_ground[standing])
+        lying = labels == WATER
+        assert np.any(lying) or frame.shot.camera_name == "a"
+        np.testing.assert_array_equal(truth.range_surface[lying], truth.range_ground[lying])
+    assert [f.shot.camera_name for f in frames] == ["a", "b", "b"]
+    assert np.any(frames[1].truth.labels != frames[2].truth.labels)

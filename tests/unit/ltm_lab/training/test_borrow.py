@@ -1,0 +1,103 @@
+"""What photos and rendered frames lend each other for training: skies, patches of ground, a lake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.types import UInt8Array
+from ltm_core.vision.labels import Label
+from ltm_lab.training.augment import Lent, augmented
+from ltm_lab.training.borrow import photo_skies, photo_sky, with_ground, with_lake
+from ltm_lab.training.config import AugmentConfig
+from ltm_lab.training.labelled_frames import UNKNOWN, Frame
+
+SIZE = (64, 96)
+NONE = dict.fromkeys(AugmentConfig.model_fields, 0.0)
+
+
+def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tuple[UInt8Array, UInt8Array]:
+    """Blue sky, brighter to the right, above ground of one class and colour, darker downwards."""
+    photo = np.empty((*SIZE, 3), np.float32)
+    photo[:] = np.array([90, 140, 200]) + np.linspace(0, 40, SIZE[1])[None, :, None]
+    photo[skyline:] = np.array(colour) - np.linspace(0, 25, SIZE[0] - skyline)[:, None, None]
+    labels = np.full(SIZE, ground, np.uint8)
+    labels[:skyline] = Label.SKY
+    return photo.astype(np.uint8), labels
+
+
+def _photo(skyline: int = 24) -> Frame:
+    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline)
+    return Frame(photo, labels, Path("photos/1.jpg"), np.ones(SIZE, np.float32), ordinal=True)
+
+
+def test_a_photo_lends_what_is_sky_from_side_to_side() -> None:
+    rendered = Frame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
+    (sky,) = photo_skies([rendered, _photo(), _photo(skyline=6)])  # the last has too little of it
+    assert sky.shape == (22, 96, 3)
+    np.testing.assert_array_equal(sky, _photo().image[:22])
+
+
+def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
+    grey = np.full((30, 50, 3), 128, np.uint8)
+    new = photo_sky(SIZE, 24, grey, np.random.default_rng(0))
+    assert new.shape == (*SIZE, 3)
+    np.testing.assert_allclose(new, 128 / 255, atol=1e-6)
+    frame = Frame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
+    lent = Lent(np.zeros((0, 2, 3), np.float32), [grey])
+    changed, labels, _ = augmented(
+        frame, SIZE, AugmentConfig(**{**NONE, "photo_sky": 1.0}), np.random.default_rng(0), lent
+    )
+    np.testing.assert_array_equal(labels, frame.labels)
+    np.testing.assert_array_equal(changed[28:], frame.image[28:])
+    np.testing.assert_array_equal(changed[:20], 128)
+
+
+def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
+    photo, labels = _scene(Label.GRASS, (200, 180, 90))
+    labels[:, :5] = UNKNOWN
+    frame = Frame(photo, labels, Path("oak/1.png"), np.full(SIZE, 0.01, np.float32))
+    config = AugmentConfig(**{**NONE, "lake": 1.0})
+    shares = []
+    for seed in range(12):
+        changed, found, inverse = augmented(frame, SIZE, config, np.random.default_rng(seed))
+        water = found == Label.WATER
+        assert not water[labels != Label.GRASS].any()
+        np.testing.assert_array_equal(found[~water], labels[~water])
+        np.testing.assert_array_equal(np.isnan(inverse), water)
+        far = ~np.pad(water, 4, mode="edge")[:-8, 4:-4] & ~np.pad(water, 4, mode="edge")[8:, 4:-4] & ~water
+        np.testing.assert_array_equal(changed[:22][far[:22]], photo[:22][far[:22]])
+        shares.append(water.mean())
+    assert 0.05 < np.mean(shares) < 0.5
+    assert np.ptp(shares) > 0.05
+
+
+def test_a_picture_without_land_gets_no_lake() -> None:
+    photo, labels = _scene(Label.GRASS, (200, 180, 90), skyline=60)
+    unit = photo.astype(np.float32) / 255
+    same, found = with_lake(unit, labels, np.random.default_rng(0))
+    assert same is unit
+    assert found is labels
+
+
+def test_lent_ground_brings_its_labels_and_comes_towards_the_photos_colours() -> None:
+    photo, labels = _scene(Label.TREE, (60, 90, 50))
+    sand, other = _scene(Label.SHRUB, (210, 190, 150), skyline=30)
+    host, donor = (photo, labels, np.ones(SIZE, np.float32)), (sand, other, np.ones(SIZE, np.float32))
+    for seed in range(6):
+        mixed, found, inverse = with_ground(host, donor, np.random.default_rng(seed))
+        patch = found == Label.SHRUB
+        assert 0.01 < patch.mean() < 0.6
+        assert not patch[:30].any()  # the donor's sky is not lent
+        np.testing.assert_array_equal(found[~patch], labels[~patch])
+        np.testing.assert_array_equal(np.isnan(inverse), patch)
+        own, before, after = photo[30:].mean(axis=(0, 1)), sand[patch].mean(axis=0), mixed[patch].mean(axis=0)
+        assert np.abs(after - own).sum() < 0.8 * np.abs(before - own).sum()
+
+
+def test_ground_is_lent_to_ground_alone() -> None:
+    photo, labels = _scene(Label.TREE, (60, 90, 50), skyline=64)
+    host = (photo, labels, np.ones(SIZE, np.float32))
+    donor = (*_scene(Label.SHRUB, (210, 190, 150)), np.ones(SIZE, np.float32))
+    assert with_ground(host, donor, np.random.default_rng(1)) is host

@@ -1,0 +1,266 @@
+"""Teaching a head: it learns what the maps tell apart, is judged by sites held out, and refused if worse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+from scenes.networks import write_classifier
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import ImageError, ModelError, RecordingError
+from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.vision.head_choice_io import heads_to_choose
+from ltm_core.vision.label_head import find_head, read_head
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.training.area_folds import by_area
+from ltm_lab.training.decoder_maps import with_decoder_maps
+from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
+from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_lab.training.head_trial import teach_head
+from ltm_lab.training.labelled_frames import Frame, read_frames
+from ltm_ros.cli.main import cli
+
+
+def _samples(features: list[list[float]], labels: list[int], shares: list[float]) -> PhotoSamples:
+    values = np.array(features)
+    return PhotoSamples("a", np.array(labels, np.uint8), np.zeros((len(labels), 2)), values, np.array(shares))
+
+
+def _scores(head: FittedHead, samples: PhotoSamples) -> Float64Array:
+    return samples.scores + samples.features @ head.weights + head.bias
+
+
+def test_a_head_tells_apart_what_its_map_does() -> None:
+    samples = _samples([[1.0, 9.0], [1.2, 9.0], [-1.0, 9.0], [-1.1, 9.0]], [0, 0, 1, 1], [0.3, 0.3])
+    head = fit_head([samples], {"last": 1, "s2": 1})
+    assert head.weights[0, 0] > 0 > head.weights[0, 1]
+    np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
+    np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
+    np.testing.assert_array_equal(_scores(head, samples).argmax(axis=1), [0, 0, 1, 1])
+
+
+def test_a_weaker_ridge_lets_coarse_maps_say_more_and_rarity_says_what_a_rare_class_weighs() -> None:
+    rng = np.random.default_rng(5)
+    labels = np.repeat(np.array([0, 1], np.uint8), (90, 30))
+    features = np.stack([rng.normal(size=120), np.where(labels == 0, 1.0, -1.0) + rng.normal(0.0, 0.8, 120)], axis=1)
+    photo = PhotoSamples("a", labels, np.zeros((120, 2)), features, np.array([0.6, 0.02]))
+
+    def fitted(**changes: float) -> FittedHead:
+        return fit_head([photo], {"last": 1, "s2": 1}, HeadFitConfig(rarity=0.5).model_copy(update=changes))
+
+    assert abs(fitted(ridge=0.03).weights[1, 0]) > 3 * abs(fitted().weights[1, 0])
+    called = [(_scores(fitted(ridge=0.03, rarity=power), photo).argmax(axis=1) == 1).sum() for power in (1.0, 0.5, 0.0)]
+    assert called[0] < called[1] < called[2]
+
+
+def test_what_one_photo_alone_says_is_left_out_of_a_third_of_the_mean() -> None:
+    rng = np.random.default_rng(7)
+    labels = np.repeat(np.array([0, 1], np.uint8), (90, 60))
+    shares = np.array([0.6, 0.4])
+
+    def photo(told_by: int) -> PhotoSamples:
+        features = rng.normal(0.0, 0.5, (150, 2))
+        features[:, told_by] += np.where(labels == 0, 1.0, -1.0)
+        return PhotoSamples("a", labels, np.zeros((150, 2)), features, shares)
+
+    usual, odd, channels = photo(0), photo(1), {"last": 1, "s2": 1}
+    both = PhotoSamples(
+        "a", np.tile(labels, 2), np.zeros((300, 2)), np.concatenate([usual.features, odd.features]), shares
+    )
+    without, with_odd = fit_head([usual], channels), fit_head([both], channels)
+    found = fit_head([usual, usual, odd], channels)
+    np.testing.assert_allclose(found.weights, (without.weights + 2 * with_odd.weights) / 3, atol=1e-3)
+    assert with_odd.weights[1, 0] > 0.1  # so that the mean has less of it
+    of_one_view = fit_head([usual, odd], channels, one_view=True)  # areas of one photo are no photos
+    np.testing.assert_allclose(of_one_view.weights, with_odd.weights, atol=1e-3)
+
+
+def test_scores_that_are_right_already_are_hardly_corrected() -> None:
+    rng = np.random.default_rng(2)
+    labels = rng.integers(0, 2, 300).astype(np.uint8)
+    scores = np.where(np.eye(2)[labels] > 0, 12.0, -12.0)
+    head = fit_head([PhotoSamples("a", labels, scores, rng.normal(size=(300, 3)), np.full(2, 0.4))], {"last": 3})
+    assert np.abs(head.weights).max() < 1e-6
+    with pytest.raises(ImageError, match="name areas"):
+        fit_head([], {"last": 3})
+
+
+def _striped(magenta_right: bool, seed: int) -> tuple[UInt8Array, UInt8Array]:
+    """Sky over two halves: magenta, which a person calls built, and brown earth."""
+    rng = np.random.default_rng(seed)
+    photo, labels = np.empty((176, 320, 3), np.uint8), np.full((176, 320), UNLABELLED, np.uint8)
+    photo[:60], photo[60:, :160], photo[60:, 160:] = (110, 160, 230), (200, 30, 200), (120, 90, 60)
+    if not magenta_right:
+        photo[60:] = photo[60:, ::-1]
+    built = (photo[..., 1] == 30) & (photo[..., 0] == 200)
+    labels[:50], labels[70:][~built[70:]], labels[70:][built[70:]] = Label.SKY, Label.BARE, Label.BUILT
+    return np.clip(photo + rng.normal(0, 12, photo.shape), 0, 255).astype(np.uint8), labels
+
+
+def _write_photos(folder: Path, spoiled: bool = False) -> Path:
+    folder.mkdir(parents=True)
+    for place, site in enumerate(("north", "south", "west")):
+        photo, labels = _striped(place % 2 == 0, place)
+        if spoiled:  # each site calls the same thing something else
+            labels[labels != UNLABELLED] = (labels[labels != UNLABELLED] + 1 + place * 2) % 7
+        cv2.imwrite(str(folder / f"{site}_1.png"), photo[..., ::-1])
+        cv2.imwrite(str(folder / f"{site}_1_labels.png"), labels)
+    return folder
+
+
+@pytest.mark.slow
+def test_the_command_installs_a_head_that_is_better_where_it_was_not_taught(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
+    command = ["train", "head", str(photos), "--out", str(out), "--also", str(photos), "--limit", "1"]
+    result = CliRunner().invoke(cli, [*command, "--json", str(tmp_path / "h.json")], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    assert "what the head forgets" in result.output
+    score = json.loads((tmp_path / "h.json").read_text())["photos"]
+    assert score["head pink"]["f1"]["built"] > 0.9
+    manifest = Manifest.find("landscape_lite0")
+    head, content = read_head(out, manifest)
+    assert out.stat().st_size < 20_000
+    assert content.calibration is not None
+    assert content.calibration.measured_on == "3 photos of 3 sites, held out by site"
+    photo, labels = _striped(True, 9)
+    found = Segmenter(manifest, head=head).segment(photo).labels
+    assert (found == labels)[labels != UNLABELLED].mean() > 0.9
+    assert (Segmenter.open().segment(photo).labels == Label.BUILT)[labels == Label.BUILT].mean() < 0.5
+
+
+@pytest.mark.slow
+def test_a_head_that_has_to_be_named_is_chosen_by_no_picture(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out), "--by-name"])
+    assert result.exit_code == 0, result.output
+    manifest = Manifest.find("landscape_lite0")
+    _, content = read_head(out, manifest)
+    assert content.by_name
+    assert content.domain is None
+    taken, passed = heads_to_choose(manifest, out.parent)
+    assert out not in {*taken, *passed}
+
+
+def test_the_near_head_fits_the_network_that_ships_and_is_chosen_by_no_picture() -> None:
+    manifest = Manifest.find("landscape_lite0")
+    file = find_head("near", manifest)
+    assert file is not None
+    head, content = read_head(file, manifest)
+    assert not head.doubt
+    assert content.by_name
+    taken, passed = heads_to_choose(manifest)
+    assert file not in {*taken, *passed}
+
+
+@pytest.mark.slow
+def test_a_head_that_is_worse_is_not_installed(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos", spoiled=True), tmp_path / "heads" / "noise.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out)])
+    assert isinstance(result.exception, ModelError)
+    assert "not installed" in str(result.exception) or "no class is named" in str(result.exception)
+    assert not list(out.parent.glob("*")) if out.parent.is_dir() else True
+
+
+def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
+    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
+    with pytest.raises(ModelError, match="one photo"):
+        teach_head(Segmenter.open(), frames[:1], "x", "")
+    with pytest.raises(ModelError, match="no decoder maps"):
+        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
+    with pytest.raises(ModelError, match="classes are the labels"):
+        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")
+
+
+def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> None:
+    nothing = np.zeros((2, 3), np.uint8)
+    frames = [Frame(np.zeros((2, 3, 3), np.uint8), nothing, tmp_path / n) for n in ("peak_n_1.jpg", "b.jpg", "c_1.jpg")]
+    assert sites_of(frames) == ["peak", "b", "c"]
+    (tmp_path / "sites.csv").write_text("image,site\nb.jpg,peak\n")
+    assert sites_of(frames) == ["peak", "peak", "c"]
+    (tmp_path / "sites.csv").write_text("photo,place\nb.jpg,peak\n")
+    with pytest.raises(RecordingError, match="expected image, site"):
+        sites_of(frames)
+
+
+def test_samples_are_the_network_s_own_at_named_pixels(tmp_path: Path) -> None:
+    photo, labels = _striped(True, 4)
+    segmenter = Segmenter.open()
+    frame = Frame(photo, labels, tmp_path / "a.png")
+    samples = photo_samples(segmenter, frame, "a", np.random.default_rng(0))
+    assert samples.features.shape == (len(samples.labels), 32 + 64 + 64)
+    assert set(np.unique(samples.labels)) == {Label.SKY, Label.BARE, Label.BUILT}
+    assert samples.shares[Label.SKY] == pytest.approx(50 / 176)
+    own = segmenter.scores_and_maps(photo)[0].reshape(7, -1).T
+    assert all((own == row.astype(np.float32)).all(axis=1).any() for row in samples.scores[::400])
+
+
+def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path) -> None:
+    write_classifier(tmp_path)
+    with pytest.raises(ModelError, match="no convolution of network"):
+        with_decoder_maps(onnx.load(tmp_path / "colors.onnx"))
+    model, channels = with_decoder_maps(onnx.load(Manifest.find("landscape_lite0").model_file()))
+    assert channels == {"last": 32, "s2": 64, "s1": 64}
+    assert [output.name for output in model.graph.output].count("last") == 1
+
+
+def _one_view(folder: Path) -> tuple[Path, UInt8Array]:
+    """A photo with two strokes of each of three classes, and what it shows in truth."""
+    photo, truth = _striped(True, 5)
+    strokes = np.full_like(truth, UNLABELLED)
+    for rows, cols in ((slice(10, 40), slice(20, 80)), (slice(10, 40), slice(200, 260))):
+        strokes[rows, cols] = Label.SKY
+    for rows in (slice(80, 105), slice(130, 160)):
+        strokes[rows, 20:80], strokes[rows, 200:260] = Label.BUILT, Label.BARE
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / "mast_1.png"), photo[..., ::-1])
+    cv2.imwrite(str(folder / "mast_1_labels.png"), strokes)
+    return folder, truth
+
+
+def test_areas_of_one_photo_are_in_folds_of_all_classes(tmp_path: Path) -> None:
+    folder, _ = _one_view(tmp_path / "view")
+    (frame,) = read_frames(folder, 7)
+    parts, names = by_area([frame])
+    assert names == [f"areas {k}" for k in (1, 2, 3, 4)]
+    for label in (Label.SKY, Label.BARE, Label.BUILT):
+        assert sum(bool((part.labels == label).any()) for part in parts) >= 2
+    assert (np.sum([part.labels != UNLABELLED for part in parts], axis=0) == (frame.labels != UNLABELLED)).all()
+    for part in parts:
+        np.testing.assert_array_equal(part.image, frame.image)
+        known = part.labels != UNLABELLED
+        np.testing.assert_array_equal(part.labels[known], frame.labels[known])
+    wide = np.full_like(frame.labels, UNLABELLED)
+    wide[:20] = Label.SKY  # one area across the picture still teaches and judges
+    assert len(by_area([Frame(frame.image, wide, frame.path)])[0]) == 4
+    small = np.full_like(frame.labels, UNLABELLED)
+    small[4:20, 4:20] = Label.SKY
+    with pytest.raises(ModelError, match="in two areas"):
+        teach_head(Segmenter.open(), [Frame(frame.image, small, frame.path)], "x", "", one_view=True)
+
+
+@pytest.mark.slow
+def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> None:
+    """It labels the view, is judged by areas that did not teach it, and no picture chooses it."""
+    folder, truth = _one_view(tmp_path / "view")
+    out = tmp_path / "heads" / "mast.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(folder), "--out", str(out), "--one-view"])
+    assert result.exit_code == 0, result.output
+    manifest = Manifest.find("landscape_lite0")
+    head, content = read_head(out, manifest)
+    assert content.one_view
+    assert content.calibration is not None
+    assert content.calibration.measured_on == "1 photos of 1 sites, held out by area, all of one view"
+    assert content.calibration.photographs == 1
+    photo, _ = _striped(True, 11)
+    found = Segmenter(manifest, head=head).segment(photo).labels
+    assert (found == truth)[truth != UNLABELLED].mean() > 0.9
+    taken, passed = heads_to_choose(manifest, out.parent)
+    assert not taken
+    assert "for one view alone" in passed[out]

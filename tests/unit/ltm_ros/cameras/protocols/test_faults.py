@@ -1,0 +1,306 @@
+"""What cameras do wrong, one test a fault: each ends in the right state within its time, publishes nothing wrong, and
+is over by itself when the camera is well again. A real server; the source's pauses are skipped, not waited for."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import pytest
+from scenes.http_camera import HttpCamera, running
+from scenes.source_under_test import CALIBRATION, Sourced, settings
+from scenes.timed_picture import jpeg, scene, time_in, with_time
+
+from ltm_core.base.types import UInt8Array
+from ltm_msgs_py.image import decode_rgb
+from ltm_ros.cameras.camera_source import Gaze
+from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
+from ltm_ros.runtime.clocks import SystemClock
+
+PASSWORD = "NORTH_PASSWORD"
+STALL_S, STUCK_S, SILENT_S = 30.0, 60.0, 1.0
+LARGE = jpeg(scene(3840, 2160))
+
+
+class SkippingClock(SystemClock):
+    """This computer's clock, with the pauses that a test skips."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.skipped = 0.0
+        self.known_synchronised: bool | None = True
+
+    def wall(self) -> float:
+        return super().wall() + self.skipped
+
+    def monotonic(self) -> float:
+        return super().monotonic() + self.skipped
+
+    def synchronised(self) -> bool | None:
+        return self.known_synchronised
+
+
+@dataclass
+class Head:
+    """A pan-tilt head; `speed`: degrees between two readings; `turn`: from one picture to the next."""
+
+    pan: float = 10.0
+    speed: float = 0.0
+    turn: float = 0.0
+    readings: int = 0
+    error: SourceError | None = None
+
+    def read(self) -> Reading:
+        if self.error is not None:
+            raise self.error
+        self.pan += self.speed + (self.turn if self.readings % 2 == 0 else 0.0)
+        self.readings += 1
+        return Reading(self.pan, -2.0, 1.0, None, 0.0)
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass
+class Bench:
+    """A camera that a source asks, with all that can be broken."""
+
+    camera: HttpCamera
+    sourced: Sourced
+    clock: SkippingClock
+    head: Head
+    monkeypatch: pytest.MonkeyPatch
+    server: contextlib.ExitStack
+    undo: list[Callable[[], None]] = field(default_factory=list)
+
+    def behave(self, **changes: Any) -> None:
+        former = {name: getattr(self.camera.behaviour, name) for name in changes}
+        for name, value in changes.items():
+            setattr(self.camera.behaviour, name, value)
+        self.undo.append(lambda: [setattr(self.camera.behaviour, n, v) for n, v in former.items()])  # type: ignore[func-returns-value]
+
+    def render(self, picture: Callable[[float], bytes]) -> None:
+        self.behave(render=picture)
+
+    def power_off(self) -> None:
+        self.server.close()
+        self.undo.append(lambda: self.server.enter_context(running(self.camera)))  # type: ignore[arg-type, return-value]
+
+    def replace_by(self, speak: Callable[[socket.socket], None]) -> None:
+        """Another program at the camera's port."""
+        self.power_off()
+        listener = socket.create_server(("127.0.0.1", self.camera.port))
+        listener.settimeout(0.05)
+        stopping = threading.Event()
+
+        def serve() -> None:
+            while not stopping.is_set():
+                with contextlib.suppress(OSError):
+                    connection, _ = listener.accept()
+                    with connection:
+                        speak(connection)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+
+        def end() -> None:
+            stopping.set()
+            thread.join()
+            listener.close()
+
+        self.undo.append(end)
+
+    def mend(self) -> None:
+        for action in reversed(self.undo):
+            action()
+        self.undo.clear()
+
+    def step(self) -> float:
+        """When it was done, before the pause."""
+        pause = self.sourced.source.step()
+        done = self.clock.monotonic()
+        self.clock.skipped += pause
+        return done
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setenv(PASSWORD, "tower-%7 secret")
+    clock, head = SkippingClock(), Head()
+    with contextlib.ExitStack() as server:
+        camera = server.enter_context(running())
+        config = settings(
+            kind="snapshot",
+            url=camera.url(),
+            every=10,
+            timeout=SILENT_S,
+            user="viewer",
+            password={"environment": PASSWORD},
+            unsynchronised="hold",
+            stalled_after=STALL_S,
+            stuck_after=STUCK_S,
+        )
+        sourced = Sourced(config, clock, gaze=Gaze(direction=head))
+        yield Bench(camera, sourced, clock, head, monkeypatch, server)
+        sourced.source.close()
+
+
+def painted(change: Callable[[UInt8Array], UInt8Array], mode: str = "RGB") -> Callable[[float], bytes]:
+    return lambda moment: jpeg(change(with_time(scene(), moment)), mode)
+
+
+def frozen_with_caption() -> Callable[[float], bytes]:
+    """An encoder whose sensor has stopped, while its caption's clock goes on."""
+    still = scene(1280, 720)
+
+    def render(moment: float) -> bytes:
+        image = still.copy()
+        cv2.putText(image, f"{moment:.0f}"[-5:], (10, 715), cv2.FONT_HERSHEY_PLAIN, 0.8, (255, 255, 255))
+        return jpeg(image)
+
+    return render
+
+
+def corrupt(moment: float) -> bytes:
+    """Whole by its markers, of no use within: the tables are gone."""
+    whole = jpeg(with_time(scene(), moment))
+    return whole[:2] + whole[whole.index(b"\xff\xc0") :]
+
+
+def not_http(connection: socket.socket) -> None:
+    connection.sendall(b"220 FTP ready\r\n")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """`state`: what it ends in, within so many seconds; `said`: in what words."""
+
+    name: str
+    happen: Callable[[Bench], object]
+    state: str
+    within: float
+    said: str
+    frames: int = 0
+    """Published meanwhile, at most."""
+    mend: Callable[[Bench], object] = lambda bench: None
+    """What a person must do beside mending the camera."""
+
+
+def right_password(bench: Bench) -> None:
+    bench.monkeypatch.setenv(PASSWORD, "tower-%7 secret")
+
+
+def unset_password(bench: Bench) -> None:
+    bench.monkeypatch.delenv(PASSWORD)
+    bench.power_off()
+    bench.step()
+    bench.mend()
+
+
+def set_head(**changes: Any) -> Callable[[Bench], None]:
+    def happen(bench: Bench) -> None:
+        former = {name: getattr(bench.head, name) for name in changes}
+        for name, value in changes.items():
+            setattr(bench.head, name, value)
+        bench.undo.append(lambda: [setattr(bench.head, n, v) for n, v in former.items()])  # type: ignore[func-returns-value]
+
+    return happen
+
+
+def turning_frozen(bench: Bench) -> None:
+    """The head turns from picture to picture; what it shows does not, but for its noise."""
+    bench.render(lambda _: jpeg(scene()))
+    set_head(turn=30.0)(bench)
+
+
+def turning_seen(bench: Bench) -> None:
+    bench.head.turn = 30.0
+    bench.camera.behaviour.render = lambda moment: jpeg(with_time(scene(seed=int(bench.head.pan)), moment))
+
+
+def unsynchronised(bench: Bench) -> None:
+    bench.clock.known_synchronised = False
+    bench.undo.append(lambda: setattr(bench.clock, "known_synchronised", True))
+
+
+REFUSED = ("unauthorised", 15, "HTTP 401")
+FAULTS = (
+    Fault("power off", Bench.power_off, "stalled", 15, "no connection"),
+    Fault("hangs up", lambda b: b.behave(hang_up=True), "stalled", 15, "breaks off"),
+    Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 15, "silent"),
+    Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 15, "silent"),
+    Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "breaks off"),
+    Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
+    Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
+    Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "neither"),
+    Fault("empty picture", lambda b: b.render(lambda _: b""), "stalled", 50, "of 0 bytes"),
+    Fault("not found", lambda b: b.behave(status=404), "stalled", 15, "HTTP 404"),
+    Fault("broken", lambda b: b.behave(status=500), "stalled", 15, "HTTP 500"),
+    Fault("busy", lambda b: b.behave(status=503), "stalled", 15, "HTTP 503"),
+    Fault("sends elsewhere", lambda b: b.behave(status=302, location="http://127.0.0.1:1/"), "stalled", 15, "address"),
+    Fault("wrong password, digest", lambda b: b.behave(authentication="digest", password="x"), *REFUSED),
+    Fault("wrong password, basic", lambda b: b.behave(authentication="basic", password="x"), *REFUSED),
+    Fault("forbidden", lambda b: b.behave(status=403), "unauthorised", 15, "HTTP 403"),
+    Fault("account locked", lambda b: b.behave(status=423), "unauthorised", 15, "HTTP 423"),
+    Fault("password not set", unset_password, "unauthorised", 15, PASSWORD, mend=right_password),
+    Fault("no HTTP", lambda b: b.replace_by(not_http), "stalled", 15, "no HTTP"),
+    Fault("silent port", lambda b: b.replace_by(lambda c: c.recv(1) and None), "stalled", 15, "camera"),
+    Fault("same bytes", lambda b: b.behave(frozen=True), "stuck", 85, "same picture", frames=1),
+    Fault("says unchanged", lambda b: b.behave(frozen=True, tags=True), "stuck", 85, "same picture", frames=1),
+    Fault("dark", lambda b: b.render(painted(lambda i: i // 16)), "night", 15, "dark"),
+    Fault("infrared", lambda b: b.render(painted(lambda i: i, "L")), "night", 15, "colour"),
+    Fault("other size", lambda b: b.render(lambda t: jpeg(scene(640, 360))), "stalled", 50, "640 x 360 pixels"),
+    Fault("4K", lambda b: b.render(lambda t: LARGE), "stalled", 50, "for 320 x 180"),
+    Fault("too large", lambda b: b.render(lambda t: b"\xff\xd8\xff" * 2_000_000), "stalled", 50, "image_bytes"),
+    Fault("head slews", set_head(speed=1.0), "moved", 15, "moves"),
+    Fault("head silent", set_head(error=SourceError("no answer")), "stalled", 15, "no answer"),
+    Fault("head refuses", set_head(error=UnauthorisedError("no entry")), "unauthorised", 15, "no entry"),
+    Fault("head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),
+    Fault("own clock not set", unsynchronised, "alive", 15, ""),
+    Fault("camera's clock set by an hour", lambda b: b.behave(clock_ahead=3600.0), "alive", 15, "", frames=1000),
+    Fault("camera's clock in 1970", lambda b: b.behave(clock_ahead=-1.7e9), "alive", 15, "", frames=1000),
+)
+
+
+def test_there_are_thirty() -> None:
+    assert len({fault.name for fault in FAULTS}) == len(FAULTS) >= 30
+
+
+@pytest.mark.parametrize(
+    "begins", [pytest.param(False, id="midway"), pytest.param(True, id="begins", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
+    sourced = bench.sourced
+    if not begins:
+        bench.step()
+        assert (sourced.state, len(sourced.frames)) == ("alive", 1), sourced.source.why
+    before, began = len(sourced.frames), bench.clock.monotonic()
+    fault.happen(bench)
+    while True:
+        taken = bench.step() - began
+        reached = sourced.state == fault.state and fault.said in sourced.source.why
+        assert taken <= fault.within or reached, (sourced.state, sourced.source.why)
+        if reached and (fault.state != "alive" or taken > fault.within):
+            break
+    published = sourced.frames[before:]
+    assert len(published) <= fault.frames
+    bench.mend()
+    fault.mend(bench)
+    before = len(sourced.frames)
+    for _ in range(6):
+        bench.step()
+    assert sourced.state == "alive", sourced.source.why
+    assert len(sourced.frames) > before
+    for frame in published + sourced.frames[before:]:
+        shown = decode_rgb(frame.jpeg or b"")
+        assert shown.shape == (CALIBRATION.height, CALIBRATION.width, 3)
+        if frame not in published or fault.name != "head turns, picture stays":
+            late = frame.stamp_ns / 1e9 - time_in(shown)
+            assert abs(late) <= frame.uncertainty + 0.05, (frame.told_by, frame.uncertainty)

@@ -1,0 +1,244 @@
+"""What a picture shows (night, the same again), how long to wait, and what this computer's clock says of itself."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import random
+import time
+
+import cv2
+import numpy as np
+import pytest
+from scenes.source_under_test import Sourced, TurnedClock, settings
+from scenes.timed_picture import jpeg, scene
+
+from ltm_core.vision.dirty_lens import AGREEING, APART_S, LEAST_HISTORY
+from ltm_ros.cameras.backoff import Backoff
+from ltm_ros.cameras.lens_watch import LensWatch
+from ltm_ros.cameras.protocols.direction import Reading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.picture import (
+    CameraTime,
+    Nothing,
+    Picture,
+    StuckPicture,
+    Timing,
+    difference_hash,
+    is_night,
+    same_share,
+    thumbnail_of_bytes,
+    thumbnail_of_rgb,
+)
+from ltm_ros.runtime.clocks import SystemClock
+
+
+def test_thumbnails_of_bytes_and_of_pixels_show_the_same() -> None:
+    image = scene(640, 360)
+    small, picked = thumbnail_of_bytes(jpeg(image)), thumbnail_of_rgb(image)
+    assert small.shape == picked.shape == (45, 80, 3)
+    assert np.abs(small.astype(int) - picked).mean() < 8
+    assert (difference_hash(small) ^ difference_hash(picked)).bit_count() <= 2
+
+
+def test_night_is_dark_but_for_lamps_or_without_colour() -> None:
+    image = scene(640, 360)
+    lamps = image // 20
+    lamps[100:120, 200:240] = 255
+    for picture, night in ((image, False), (image // 20, True), (lamps, True), (image // 2, False)):
+        assert is_night(thumbnail_of_bytes(jpeg(picture))) is night
+    assert is_night(thumbnail_of_bytes(jpeg(image, "L")))
+    fog = np.clip(200 + (image.astype(int) - 128) // 20, 0, 255).astype(np.uint8)
+    assert not is_night(thumbnail_of_bytes(jpeg(fog)))
+
+
+def test_two_exposures_are_never_equal_and_a_frozen_one_is() -> None:
+    first, second = (thumbnail_of_bytes(jpeg(scene(640, 360))) for _ in range(2))
+    assert same_share(first, second) < 0.8
+    assert same_share(first, first) == 1.0
+    assert same_share(first, first[:, :-1]) == 0.0
+
+
+def test_stuck_after_so_long_and_well_again_at_the_first_change() -> None:
+    stuck, same = StuckPicture(60.0), thumbnail_of_bytes(jpeg(scene(640, 360)))
+    for now in (0.0, 30.0, 59.0):
+        stuck.look(same, None, now)
+        assert not stuck.said(now)
+    stuck.repeated(61.0)
+    assert stuck.said(61.0) == "the same picture for 61 s"
+    stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360))), None, 70.0)
+    assert not stuck.said(70.0)
+
+
+def test_fog_that_stays_the_same_is_not_stuck() -> None:
+    stuck = StuckPicture(60.0)
+    for now in range(0, 600, 10):
+        stuck.look(np.full((45, 80, 3), (200, 205, 210), np.uint8), None, float(now))
+        assert not stuck.said(float(now))
+
+
+def test_a_turn_that_the_picture_does_not_show() -> None:
+    def look(stuck: StuckPicture, pan: float, seed: int) -> str:
+        stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360, seed))), Reading(pan, 0.0, 1.0, None, 0.0), pan)
+        return stuck.said(pan)
+
+    frozen, turning, still = StuckPicture(1e9), StuckPicture(1e9), StuckPicture(1e9)
+    assert [bool(look(frozen, 30.0 * i, 3)) for i in range(4)] == [False, False, True, True]
+    assert not any(look(turning, 30.0 * i, i) for i in range(6))
+    assert not any(look(still, 1.0, 3) for _ in range(6))
+
+
+def test_rest_is_two_equal_readings_of_a_head_that_does_not_say_that_it_moves() -> None:
+    base = Reading(359.99, -3.0, 100.0, None, 0.0)
+    for pan, tilt, zoom, moving, rests in (
+        (0.01, -3.0, 100.0, None, True),
+        (359.99, -3.02, 100.5, False, True),
+        (0.10, -3.0, 100.0, None, False),
+        (359.99, -2.9, 100.0, None, False),
+        (359.99, -3.0, 102.0, None, False),
+        (359.99, -3.0, 100.0, True, False),
+    ):
+        assert at_rest(base, Reading(pan, tilt, zoom, moving, 1.0), Tolerance()) is rests, (pan, tilt, zoom, moving)
+
+
+def test_backoff_doubles_to_a_minute_and_begins_anew() -> None:
+    backoff = Backoff(random.Random(1))
+    waits = [backoff.failed() for _ in range(12)]
+    assert all(1.0 <= wait <= min(60.0, 2.0**i) for i, wait in enumerate(waits) if i)
+    assert all(30.0 <= wait <= 60.0 for wait in waits[6:])
+    assert len(set(waits[6:])) == 6
+    backoff.succeeded()
+    assert backoff.failed() == 1.0
+    assert 600.0 <= backoff.unauthorised() <= 630.0
+
+
+def test_the_kernels_word_on_the_clock() -> None:
+    clock = SystemClock()
+    assert clock.synchronised() in (True, False)
+    # Against a buffer that is larger than any kernel's: nothing was written beyond ours.
+    buffer = ctypes.create_string_buffer(1024)
+    assert (ctypes.CDLL(None).adjtimex(buffer) != 5) is clock.synchronised()
+    assert not any(buffer.raw[208:])
+    assert clock.wall() == pytest.approx(time.time(), abs=1.0)
+
+
+class Pictures:
+    """A reader that gives what a test has put there."""
+
+    pause = 10.0
+
+    def __init__(self) -> None:
+        self.next: Picture | Nothing = Nothing.YET
+
+    def read(self) -> Picture | Nothing:
+        return self.next
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("policy", "frames", "told"), [("hold", 0, None), ("mark", 1, False), ("ignore", 1, None)], ids=str
+)
+def test_frames_of_a_clock_that_is_not_synchronised(policy: str, frames: int, told: bool | None) -> None:
+    clock, reader = TurnedClock(), Pictures()
+    clock.known_synchronised = False
+    config = settings(kind="snapshot", url="http://127.0.0.1/", unsynchronised=policy)
+    sourced = Sourced(config, clock, reader=lambda: reader)
+    reader.next = Picture(Timing(clock.monotonic()), jpeg=jpeg(scene()))
+    sourced.steps(1)
+    assert [frame.synchronised for frame in sourced.frames] == [told] * frames
+    assert sourced.health.dropped == ({"unsynchronised": 1} if policy == "hold" else {})
+    clock.known_synchronised = True
+    reader.next = Picture(Timing(clock.monotonic()), jpeg=jpeg(scene()))
+    sourced.steps(1)
+    assert sourced.frames[-1].synchronised is (None if policy == "ignore" else True)
+
+
+def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is_set() -> None:
+    clock, reader = TurnedClock(), Pictures()
+    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
+    for step in (0.0, 0.0, 3600.0, -1.0, -7200.0, 0.0):
+        clock.set(step)
+        reader.next = Picture(Timing(clock.monotonic(), oldest=0.0), jpeg=jpeg(scene()))
+        sourced.steps(1)
+    first, second, third, fourth, fifth, sixth = (frame.stamp_ns for frame in sourced.frames)
+    assert second == first + 1
+    assert third - first == pytest.approx(3600e9, abs=1e4)
+    assert fourth == third + 1, "a little back is no other time"
+    assert fifth - first == pytest.approx(-3601e9, abs=1e4), "frames of the right time, not of one hours ahead"
+    assert sixth == fifth + 1
+
+
+def test_a_stamp_that_keeps_its_order_says_what_that_costs() -> None:
+    clock, reader = TurnedClock(wall=1_790_000_000.95), Pictures()
+    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
+    # Asked just before and just after the camera's second turned: its clock is known by the second picture, of which
+    # the first was put half a second behind where it belongs.
+    taken = []
+    for pause in (0.0, 0.1, 0.2, 2.0):
+        clock.turn(pause)
+        now, wall = clock.monotonic(), clock.wall()
+        taken.append(wall - 20.0)
+        stated, answered = CameraTime(taken[-1], 0.0, "list"), CameraTime(math.floor(wall), 1.0, "date")
+        reader.next = Picture(Timing(now, now, 30.0, stated, answered), jpeg=jpeg(scene()))
+        sourced.steps(1)
+    stamps = np.array([frame.stamp_ns for frame in sourced.frames])
+    late = stamps / 1e9 - taken
+    assert (np.diff(stamps) > 0).all()
+    assert late == pytest.approx([0.45, 0.35, 0.15, 0.0], abs=0.06)
+    told = np.array([frame.uncertainty for frame in sourced.frames])
+    assert (np.abs(late) <= told + 1e-3).all(), (late, told)
+    assert told[-1] < 0.1
+
+
+def detailed(wet: bool, seed: int = 1) -> bytes:
+    """A coloured scene with detail everywhere, with the noise of a sensor; `wet`: a drop on the lens."""
+    rng = np.random.default_rng(seed)
+    fixed = cv2.resize(rng.uniform(60.0, 160.0, (9, 16, 3)), (320, 180)) + rng.normal(0.0, 14.0, (180, 320, 1))
+    if wet:
+        fixed[90:160, 40:110] = cv2.GaussianBlur(fixed, (0, 0), 5.0)[90:160, 40:110]
+    return jpeg(np.clip(fixed + np.random.default_rng().normal(0.0, 2.0, fixed.shape), 0, 255).astype(np.uint8))
+
+
+def test_a_wet_lens_is_told_and_its_pictures_go_on_being_published() -> None:
+    clock, reader = TurnedClock(), Pictures()
+    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/", every=600), clock, reader=lambda: reader)
+
+    def take(count: int, wet: bool) -> list[str]:
+        states = []
+        for _ in range(count):
+            reader.next = Picture(Timing(clock.monotonic()), jpeg=detailed(wet))
+            sourced.steps(1)
+            states.append(sourced.state)
+            clock.turn(APART_S)
+        return states
+
+    assert set(take(2 * LEAST_HISTORY + 1, wet=False)) == {"alive"}
+    states = take(AGREEING, wet=True)
+    assert states[: AGREEING // 2] == ["alive"] * (AGREEING // 2)
+    assert states[-1] == "dirty"
+    sourced.source.report()
+    said = sourced.health.summary()
+    assert "lower part, left: the lens is dirty or wet" in said["state_why"]
+    assert said["noted.became_dirty"] == "1"
+    assert len(sourced.frames) == 2 * LEAST_HISTORY + 1 + AGREEING
+    assert take(AGREEING, wet=False)[-1] == "alive"
+    assert sourced.source.why == ""
+
+
+def test_each_preset_of_a_head_is_compared_with_itself() -> None:
+    """Two views whose detail lies elsewhere are no dirty lens; presets are met again to some hundredths of a degree."""
+    watch, now = LensWatch(), 0.0
+
+    def patrol(turns: int, wet: tuple[int, ...]) -> None:
+        nonlocal now
+        for turn in range(turns):
+            for seed, pan in ((1, 30.0), (2, 120.0)):
+                reading = Reading(pan + 0.02 * (-1) ** turn, 0.0, 1.0, None, now)
+                watch.look(Picture(Timing(now), jpeg=detailed(seed in wet, seed)), 320, reading, now)
+            now += APART_S
+
+    patrol(2 * LEAST_HISTORY + AGREEING, wet=(2,))
+    assert not watch.said()
+    # Where the second view never had detail it has no say.
+    patrol(AGREEING, wet=(1, 2))
+    assert "lower part, left" in watch.said()

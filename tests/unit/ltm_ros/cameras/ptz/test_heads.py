@@ -1,0 +1,238 @@
+"""Each maker's head asked and driven over HTTP, against a camera that knows where it looks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter
+from scenes.http_camera import HttpCamera, running
+from scenes.ptz_camera import FakeHead, ptz_camera
+from scenes.waiting import wait_for
+
+from ltm_core.site.ptz_config import PtzConfig
+from ltm_core.site.source_config import RtspConfig, SnapshotConfig
+from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
+from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
+from ltm_ros.cameras.ptz.head import Head, tolerance_of
+from ltm_ros.cameras.ptz.isapi_vapix import VapixHead
+from ltm_ros.cameras.ptz.onvif import OnvifHead
+from ltm_ros.cameras.ptz.opening import open_head
+
+KINDS: dict[str, dict[str, Any]] = {
+    "vapix": {"kind": "vapix"},
+    "isapi tenths": {"kind": "isapi", "units": "tenths"},
+    "isapi degrees": {"kind": "isapi", "units": "degrees"},
+    "onvif": {"kind": "onvif"},
+    "reolink": {"kind": "reolink"},
+}
+DOWNWARDS = ("isapi tenths", "isapi degrees")
+PASSWORD = "tower-%7 <&> secret"
+
+
+def config(**given: Any) -> Any:
+    adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
+    return adapter.validate_python(given)
+
+
+def opened(camera: HttpCamera, kind: str, **given: Any) -> Head:
+    return open_head(config(**KINDS[kind], url=camera.url(""), **given), None)
+
+
+@pytest.fixture
+def turning() -> Iterator[tuple[FakeHead, HttpCamera]]:
+    head = FakeHead(place=(123.4, -7.2, 500.0))
+    with running(ptz_camera(head)) as camera:
+        yield head, camera
+
+
+Turning = tuple[FakeHead, HttpCamera]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_head_says_where_it_looks(turning: Turning, kind: str) -> None:
+    reading = opened(turning[1], kind).read()
+    assert reading.pan_deg == pytest.approx(123.4, abs=0.06)
+    assert reading.tilt_deg == pytest.approx(7.2 if kind in DOWNWARDS else -7.2, abs=0.06)
+    zoom = {"isapi tenths": 5000.0, "onvif": 499 / 9998}.get(kind, 500.0)
+    assert reading.zoom == pytest.approx(zoom, rel=1e-4)
+    assert reading.moving is None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_head_goes_to_a_preset_by_its_name(turning: Turning, kind: str) -> None:
+    fake, camera = turning
+    head = opened(camera, kind)
+    assert list(head.presets()) == ["north", "east", "south ridge"]
+    assert not fake.commands, "asking drives nothing"
+    head.go_to("south ridge")
+    wait_for(lambda: abs(head.read().pan_deg % 360 - 190.0) < 0.1, "the preset")
+    assert fake.commands == ["south ridge"]
+    with pytest.raises(SourceError, match="no preset 'west'; it has north, east, south ridge"):
+        head.go_to("west")
+
+
+@pytest.mark.parametrize(
+    ("kind", "pan", "tilt", "zoom"),
+    [
+        ("vapix", (-180, 180), (-90, 20), (1, 9999)),
+        ("isapi tenths", (0, 360), (-15, 90), (10, 320)),
+        ("isapi degrees", (0, 360), (-15, 90), (1, 32)),
+        ("onvif", (-180, 180), (-90, 90), (0, 1)),
+    ],
+)
+def test_limits(turning: Turning, kind: str, pan: Any, tilt: Any, zoom: Any) -> None:
+    limits = opened(turning[1], kind).limits()
+    assert (limits.pan_deg, limits.tilt_deg) == (pan, tilt)
+    assert limits.zoom == pytest.approx(zoom)
+
+
+def test_reolink_says_no_limits(turning: Turning) -> None:
+    assert opened(turning[1], "reolink").limits().pan_deg is None
+
+
+def test_onvif_s_scale_and_inversion_are_the_model_s(turning: Turning) -> None:
+    fake, camera = turning
+    fake.onvif_inverted = True
+    assert opened(camera, "onvif").read().pan_deg == pytest.approx(-123.4, abs=0.01)
+    right = opened(camera, "onvif", pan_range_deg=(180.0, -180.0))
+    assert right.read().pan_deg == pytest.approx(123.4, abs=0.01)
+    narrow = opened(camera, "onvif", pan_range_deg=(-90.0, 90.0))
+    assert narrow.read().pan_deg == pytest.approx(-61.7, abs=0.01)
+
+
+@pytest.mark.parametrize(("says", "moving"), [(None, None), ("UNKNOWN", None), ("IDLE", None), ("MOVING", True)])
+def test_onvif_s_move_status_is_believed_only_where_it_says_moving(
+    turning: Turning, says: str | None, moving: bool | None
+) -> None:
+    turning[0].move_status = says
+    assert opened(turning[1], "onvif").read().moving is moving
+
+
+@pytest.mark.parametrize("ahead", [0.0, 120.0, -120.0, -50 * 365 * 86400.0])
+def test_a_camera_whose_clock_is_wrong_is_signed_to_by_its_own_time(turning: Turning, ahead: float) -> None:
+    fake, camera = turning
+    fake.clock_ahead, fake.user, fake.password = ahead, "viewer", PASSWORD
+    head = OnvifHead(config(kind="onvif", url=camera.url(""), **_login()), None)
+    assert head.read().pan_deg == pytest.approx(123.4, abs=0.01)
+    assert head.soap.clock_ahead() == pytest.approx(ahead, abs=1.0)
+
+
+def test_a_clock_that_is_set_while_connected_costs_one_more_question(turning: Turning) -> None:
+    fake, camera = turning
+    fake.user, fake.password = "viewer", PASSWORD
+    head = opened(camera, "onvif", **_login())
+    head.read()
+    fake.clock_ahead = 300.0
+    assert head.read().pan_deg == pytest.approx(123.4, abs=0.01)
+
+
+@pytest.fixture(autouse=True)
+def _secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HEAD_PASSWORD", PASSWORD)
+    monkeypatch.setenv("WRONG_PASSWORD", "not-the-one")
+
+
+def _login(name: str = "HEAD_PASSWORD") -> dict[str, Any]:
+    return {"user": "viewer", "password": {"environment": name}}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_password_is_told_without_it_and_a_right_one_works(turning: Turning, kind: str) -> None:
+    fake, camera = turning
+    if kind in ("onvif", "reolink"):
+        fake.user, fake.password = "viewer", PASSWORD
+    else:
+        camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    with pytest.raises(UnauthorisedError, match="refuses the user viewer") as told:
+        opened(camera, kind, **_login("WRONG_PASSWORD")).read()
+    assert "not-the-one" not in str(told.value)
+    assert opened(camera, kind, **_login()).read().pan_deg == pytest.approx(123.4, abs=0.06)
+
+
+def test_onvif_behind_digest_too(turning: Turning) -> None:
+    fake, camera = turning
+    fake.user, fake.password = "viewer", PASSWORD
+    camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    assert opened(camera, "onvif", **_login()).read().pan_deg == pytest.approx(123.4, abs=0.01)
+
+
+def test_reolink_logs_in_again_where_the_camera_has_forgotten(turning: Turning) -> None:
+    fake, camera = turning
+    head = opened(camera, "reolink")
+    head.read()
+    fake.forget_token()
+    assert head.read().pan_deg == pytest.approx(123.4, abs=0.06)
+
+
+def _answering(body: bytes, status: int = 200) -> Callable[[Any], None]:
+    return lambda request: request.answer(status, body, "text/html")
+
+
+BOMB = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]><x>&b;</x>'
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"<html>log in</html>", 200),
+        (b"", 200),
+        (b"\xff\x00pan", 200),
+        (b"pan=NaN\r\ntilt=1\r\nzoom=1", 200),
+        (BOMB, 200),
+        (b'[{"cmd":"x","code":0,"value":[1]}]', 200),
+        (b'[{"cmd":"x","code":1e999,"value":{}}]', 200),
+        (b'[{"cmd":"x","code":0,"value":{"Token":[{"name":"north"}]}}]', 200),
+        (b'[{"cmd":"x","code":0,"value":{"Token":{"name":"a"},"PtzCurPos":{"Ppos":1,"Tpos":2},"ZoomFocus":[3]}}]', 200),
+        (b"[" * 5000, 200),
+        (b"no", 404),
+        (b"no", 500),
+    ],
+    ids=["page", "empty", "bytes", "nan", "bomb", "list", "code", "token", "zoom", "deep", "404", "500"],
+)
+def test_what_is_no_answer_is_told_as_such(turning: Turning, kind: str, body: bytes, status: int) -> None:
+    _, camera = turning
+    camera.routes = dict.fromkeys(camera.routes, _answering(body, status))
+    with pytest.raises(SourceError):
+        opened(camera, kind).read()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be"])
+def test_a_document_type_is_seen_in_every_encoding(encoding: str) -> None:
+    with pytest.raises(SourceError, match="document type"):
+        parsed_xml(BOMB.decode().encode(encoding))
+
+
+def test_an_answer_without_end_is_not_read_to_it(turning: Turning) -> None:
+    _, camera = turning
+    camera.routes = dict.fromkeys(camera.routes, _answering(b"x=1\n" * 400_000))
+    with pytest.raises(SourceError, match="more than"):
+        opened(camera, "vapix").read()
+
+
+def test_a_camera_without_a_head_says_so(turning: Turning) -> None:
+    _, camera = turning
+    camera.routes.pop("/axis-cgi/com/ptz.cgi")
+    with pytest.raises(SourceError, match="404"):
+        opened(camera, "vapix").read()
+
+
+def test_address_and_login_are_those_of_the_source_unless_given() -> None:
+    source = SnapshotConfig(kind="snapshot", url="https://10.1.2.3:8443/a.jpg", user="u", password={"environment": "X"})
+    taken = settings_of(config(kind="vapix"), source)
+    assert (taken.url, taken.user) == ("https://10.1.2.3:8443", "u")
+    stream = RtspConfig(kind="rtsp", url="rtsp://10.1.2.3:554/s")
+    assert settings_of(config(kind="vapix"), stream).url == "http://10.1.2.3"
+    own = settings_of(config(kind="vapix", url="http://10.9.9.9/", user="v", password={"environment": "Y"}), source)
+    assert (own.url, own.user) == ("http://10.9.9.9", "v")
+
+
+def test_spacing_tells_one_degree_a_second_from_rest() -> None:
+    for given in KINDS.values():
+        tolerance = tolerance_of(config(**given))
+        head = open_head(config(**given, url="http://127.0.0.1"), None)
+        assert head.spacing * 1.0 > 1.5 * tolerance.angle_deg
+        assert head.spacing <= 0.5
+    assert VapixHead(config(kind="vapix", url="http://127.0.0.1", tolerance_deg=0.01), None).spacing == 0.02

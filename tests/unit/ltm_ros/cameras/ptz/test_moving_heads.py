@@ -1,0 +1,310 @@
+"""Pictures of heads that move, are stuck, or patrol: what is published is what was seen, and the rest is told."""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from scenes.http_camera import HttpCamera, running
+from scenes.ptz_camera import FakeHead, direction_in, ptz_camera
+from scenes.source_under_test import Sourced, settings
+from scenes.timed_picture import jpeg, scene
+
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
+from ltm_core.pose_estimation.mount.mount_model import MountModel
+from ltm_core.site.ptz_config import OnvifConfig, PatrolConfig, VapixConfig
+from ltm_core.site.source_config import SecretConfig
+from ltm_ros.cameras.camera_source import Frame, Gaze
+from ltm_ros.cameras.gaze import MountPoses
+from ltm_ros.cameras.protocols.direction import Reading, Tolerance
+from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.cameras.protocols.picture import Picture, Timing
+from ltm_ros.cameras.ptz.head import HeadDirection, HeadPatrol, tolerance_of
+from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.runtime.clocks import SystemClock
+
+MODEL = MountModel(Pose.from_angles((10.0, 20.0, 900.0), 30.0, 0.8, -0.5), math.radians(0.3), np.zeros((7, 7)))
+TABLE = (ZoomPoint(zoom=1, hfov_deg=62.0), ZoomPoint(zoom=9999, hfov_deg=2.3))
+LENS = LensConfig(width=320, height=180, zoom=TABLE).lens()
+
+
+def sourced(camera: HttpCamera, patrol: tuple[str, ...] = (), lens: bool = False, **given: Any) -> Sourced:
+    source = settings(kind="snapshot", url=camera.url(), every=0.01, **given)
+    config = VapixConfig(kind="vapix")
+    tolerance = tolerance_of(config)
+    direction = HeadDirection(lambda: open_head(config, source))
+    driven = PatrolConfig(presets=patrol, arrive_within=3.0, settle=0.1) if patrol else None
+    gaze = Gaze(
+        direction=direction,
+        model=MountPoses(MODEL, tolerance),
+        tolerance=tolerance,
+        lens=LENS if lens else None,
+        patrol=HeadPatrol(direction, driven, tolerance) if driven is not None else None,
+    )
+    return Sourced(source, SystemClock(), gaze=gaze)
+
+
+def seen(frame: Frame) -> tuple[float, float]:
+    assert frame.jpeg is not None
+    return direction_in(np.asarray(PIL.Image.open(io.BytesIO(frame.jpeg)).convert("RGB")))
+
+
+def off_deg(frame: Frame) -> float:
+    """Between the pose that was told and what the picture shows."""
+    assert frame.pose is not None
+    truth = MODEL.rotation(*seen(frame))
+    return math.degrees(math.acos(min(1.0, float(frame.pose.rotation[:, 2] @ truth[:, 2]))))
+
+
+@pytest.fixture
+def head() -> FakeHead:
+    return FakeHead(place=(123.4, -7.2, 1.0), rate=3000.0)
+
+
+@pytest.fixture
+def camera(head: FakeHead) -> Iterator[HttpCamera]:
+    with running(ptz_camera(head)) as camera:
+        yield camera
+
+
+def test_at_rest_no_picture_is_refused_and_the_pose_is_that_of_the_picture(camera: HttpCamera) -> None:
+    tested = sourced(camera)
+    tested.steps(8)
+    assert len(tested.frames) == 8
+    assert not tested.health.dropped
+    assert max(off_deg(frame) for frame in tested.frames) < 0.01
+    covariance = tested.frames[0].covariance
+    assert covariance is not None
+    assert 0.03 < math.degrees(math.sqrt(covariance[5, 5])) < 0.04
+
+
+@pytest.mark.parametrize(
+    "rate", [-1.0, 1.0, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (2.0, 5.0, 20.0)), 90.0]
+)
+def test_while_the_head_slews_every_picture_is_refused(camera: HttpCamera, head: FakeHead, rate: float) -> None:
+    tested = sourced(camera)
+    tested.steps(1)
+    if rate < 0:
+        pan, tilt, zoom = head.encoders()
+        head.rate, head.starts_after_s = -rate, 0.0
+        head.send((pan - 600.0, tilt, zoom))
+    else:
+        head.slew(rate)
+    tested.steps(5)
+    assert len(tested.frames) == 1
+    assert tested.health.dropped["moved"] == 5
+    assert tested.state == "moved"
+
+
+@pytest.mark.slow
+def test_after_a_slew_pictures_come_again_by_themselves(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera)
+    head.rate = 40.0
+    head.go_to("north")
+    for _ in range(60):
+        tested.steps(1)
+        if len(tested.frames) >= 3 and abs(seen(tested.frames[-1])[0] - 10.0) < 0.01:
+            break
+    assert tested.state == "alive"
+    assert max(off_deg(frame) for frame in tested.frames) < 0.1
+
+
+def test_a_flicker_of_the_encoders_is_no_motion(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera)
+    head.rate, head.starts_after_s = 1e9, 0.0
+    for k in range(6):
+        head.send((123.4 + 0.02 * (k % 2), -7.2, 1.0))
+        tested.steps(1)
+    assert len(tested.frames) == 6
+
+
+def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera, lens=True)
+    tested.steps(1)
+    head.rate, head.starts_after_s = 1e6, 0.0
+    head.send((123.4, -7.2, 4000.0))
+    tested.steps(1)
+    wide, long = tested.frames
+    assert wide.camera.hfov_deg == pytest.approx(62.0, abs=0.01)
+    assert long.camera == LENS.camera(4000.0)
+    assert long.camera.fx > 5 * wide.camera.fx
+
+
+def test_a_zoom_that_the_lens_has_no_row_for_is_refused(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera, lens=True)
+    head.rate, head.starts_after_s = 1e9, 0.0
+    head.send((0.0, 0.0, 12000.0))
+    tested.steps(1)
+    assert not tested.frames
+    assert tested.health.dropped == {"zoom": 1}
+
+
+def test_a_patrol_takes_its_presets_in_turn(camera: HttpCamera, head: FakeHead) -> None:
+    head.rate = 600.0
+    tested = sourced(camera, ("north", "south ridge"))
+    tested.steps(5)
+    pans = [seen(frame)[0] for frame in tested.frames]
+    assert pans == pytest.approx([10.0, 190.0, 10.0, 190.0, 10.0], abs=0.02)
+    assert head.commands == ["north", "south ridge"] * 2 + ["north"]
+    assert max(off_deg(frame) for frame in tested.frames) < 0.02
+    assert not tested.health.dropped
+
+
+def test_without_a_patrol_nothing_is_driven(camera: HttpCamera, head: FakeHead) -> None:
+    sourced(camera).steps(3)
+    assert not head.commands
+
+
+@pytest.mark.slow
+def test_a_head_that_starts_late_is_waited_for(camera: HttpCamera, head: FakeHead) -> None:
+    head.starts_after_s = 0.8
+    tested = sourced(camera, ("east", "north"))
+    tested.steps(2)
+    assert [seen(frame)[0] for frame in tested.frames] == pytest.approx([95.0, 10.0], abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_head_that_does_not_go_is_told_and_no_picture_is_published(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera, ("north", "east"))
+    tested.steps(2)
+    head.dead = True
+    tested.steps(1)
+    assert len(tested.frames) == 2
+    assert tested.state == "stuck"
+    assert "sent to preset 'north'" in tested.source.why
+    assert "stays at pan 95.00" in tested.source.why
+    head.dead = False
+    tested.steps(1)
+    assert tested.state == "alive"
+    assert len(tested.frames) == 3
+
+
+@pytest.mark.slow
+def test_a_head_dead_from_the_start_is_told_at_its_second_preset(camera: HttpCamera, head: FakeHead) -> None:
+    head.dead = True
+    tested = sourced(camera, ("north", "east"))
+    tested.steps(2)
+    assert tested.state == "stuck"
+    assert "from preset 'north' to 'east' and reads the same direction" in tested.source.why
+
+
+def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
+    """Its encoders say that it turned; only the pictures show that it did not."""
+    tested = sourced(camera, ("north", "east", "south ridge"))
+    tested.steps(3)
+    assert tested.state == "alive"
+    head.place, head.turret_stuck = head.encoders(), True
+    before = len(tested.frames)
+    tested.steps(4)
+    assert tested.state == "stuck"
+    assert "the picture stays the same" in tested.source.why
+    assert len(tested.frames) <= before + 1, "one turn alone may show the same: two say it"
+    assert tested.health.dropped["stuck"] >= 2
+
+
+@pytest.mark.slow
+def test_a_preset_that_was_changed_is_told_once_and_then_taken(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera, ("north", "east"))
+    tested.steps(2)
+    head.presets["north"] = (14.0, -5.0, 1.0)
+    tested.steps(1)
+    assert len(tested.frames) == 2
+    assert "preset 'north' was at pan 10.00" in tested.source.why
+    tested.steps(1)
+    assert seen(tested.frames[-1])[0] == pytest.approx(14.0, abs=0.02)
+
+
+@pytest.mark.slow
+def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpCamera, head: FakeHead) -> None:
+    tested = sourced(camera, ("north",))
+    head.presets["north"] = (5000.0, 0.0, 1.0)  # it never arrives
+    head.rate = 30.0
+    tested.steps(1)
+    assert not tested.frames
+    assert "has not come to rest within 3 s" in tested.source.why
+
+
+def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
+    head: FakeHead, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HEAD_PASSWORD", "not-the-one")
+    with running(ptz_camera(head)) as camera:
+        head.user, head.password = "viewer", "the-one"
+        source = settings(kind="snapshot", url=camera.url(), every=0.01)
+        config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
+        direction = HeadDirection(lambda: open_head(config, source))
+        gaze = Gaze(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
+        tested = Sourced(source, SystemClock(), gaze=gaze)
+        (pause,) = tested.steps(1)
+    assert tested.state == "unauthorised"
+    assert "refuses the user viewer by ONVIF" in tested.source.why
+    assert "the-one" not in tested.source.why
+    assert pause >= 599.0
+    assert not tested.frames
+
+
+def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
+    reading = Reading(123.4, -7.2, 4000.0, None, 0.0)
+    pictures = [jpeg(scene(seed=k)) for k in range(3)]
+
+    class Listed:
+        pause = 1.0
+
+        def read(self) -> Picture:
+            now = time.monotonic()
+            return Picture(Timing(arrived=now, asked=now), jpeg=pictures.pop(), direction=reading)
+
+        def close(self) -> None:
+            """It has no connection."""
+
+    gaze = Gaze(model=MountPoses(MODEL, Tolerance()), lens=LENS)
+    tested = Sourced(settings(kind="snapshot", url="http://127.0.0.1"), SystemClock(), gaze=gaze, reader=Listed)
+    tested.steps(2)
+    frame = tested.frames[-1]
+    assert frame.pose == MODEL.pose(123.4, -7.2)[0]
+    assert frame.camera == LENS.camera(4000.0)
+
+
+def test_a_head_that_cannot_be_asked_ends_in_no_picture(camera: HttpCamera) -> None:
+    tested = sourced(camera)
+    tested.steps(1)
+    page = camera.routes.pop("/axis-cgi/com/ptz.cgi")
+    tested.steps(2)
+    assert len(tested.frames) == 1
+    assert tested.state == "stalled"
+    assert "404" in tested.source.why
+    camera.routes["/axis-cgi/com/ptz.cgi"] = page
+    tested.steps(1)
+    assert len(tested.frames) == 2
+
+
+def test_a_preset_that_is_not_there_is_told_with_those_that_are(camera: HttpCamera) -> None:
+    tested = sourced(camera, ("west",))
+    tested.steps(1)
+    assert "no preset 'west'; it has north, east, south ridge" in tested.source.why
+
+
+def test_a_direction_connects_again_after_it_was_closed(camera: HttpCamera) -> None:
+    source = settings(kind="snapshot", url=camera.url())
+    direction = HeadDirection(lambda: open_head(VapixConfig(kind="vapix"), source))
+    first = direction.read()
+    direction.close()
+    assert direction.read().pan_deg == first.pan_deg
+    direction.close()
+    direction.close()
+
+
+def test_two_readings_are_never_too_near_to_show_motion(camera: HttpCamera) -> None:
+    source = settings(kind="snapshot", url=camera.url())
+    direction = HeadDirection(lambda: open_head(VapixConfig(kind="vapix"), source))
+    at = [direction.read().at for _ in range(4)]
+    assert min(np.diff(at)) >= 0.09
+    with pytest.raises(SourceError, match="no preset"):
+        direction.head().go_to("elsewhere")

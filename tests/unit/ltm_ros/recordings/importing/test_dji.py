@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes.movie_file import movie
+from scenes.phone_site import FRAME, GROUND, LAT, LON, imported, phone_site, picture
+
+from ltm_core.base.errors import LtmError, PoseError, RecordingError
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.site.site import Site
+from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.build import import_photos
+from ltm_ros.recordings.importing.dji import read_subtitles
+
+FACTS = {
+    "GpsStatus": "RTK",
+    "AltitudeType": "GpsFusionAlt",
+    "GpsLatitude": f"{LAT:.9f}",
+    "GpsLongitude": f"{LON:.9f}",
+    "AbsoluteAltitude": f"+{GROUND + 61.5:.2f}",
+    "RelativeAltitude": "+60.00",
+    "GimbalRollDegree": "+0.40",
+    "GimbalYawDegree": "-128.30",
+    "GimbalPitchDegree": "-21.50",
+    "FlightYawDegree": "+12.00",
+    "CalibratedFocalLength": "55.5",
+    "CalibratedOpticalCenterX": "31.0",
+    "CalibratedOpticalCenterY": "20.5",
+}
+
+
+def photo(path: Path, elements: bool = False, **changes: str | None) -> Path:
+    """A JPEG with a DJI's XMP packet, its facts as attributes or (newer drones) as elements."""
+    facts = {key: value for key, value in {**FACTS, **changes}.items() if value is not None}
+    inner = "".join(f"<drone-dji:{k}>{v}</drone-dji:{k}>" for k, v in facts.items()) if elements else ""
+    attributes = "" if elements else " ".join(f'drone-dji:{k}="{v}"' for k, v in facts.items())
+    xmp = (
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
+        '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="DJI Meta Data" '
+        f'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" {attributes}>{inner}</rdf:Description></rdf:RDF>'
+        '</x:xmpmeta><?xpacket end="w"?>'
+    )
+    image = Image.fromarray(picture())
+    exif = image.getexif()
+    exif.get_ifd(0x8769).update({0x9003: "2024:07:05 01:30:15", 0x9011: "+00:00", 0xA405: 24})
+    image.save(path, "JPEG", exif=exif.tobytes(), xmp=xmp.encode())
+    return path
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return phone_site(tmp_path)
+
+
+@pytest.mark.parametrize("elements", [False, True])
+def test_a_drones_photo_is_placed_by_its_gimbal(tmp_path: Path, site: Site, elements: bool) -> None:
+    """Not by the aircraft, which flies another way."""
+    import_photos([photo(tmp_path / "DJI_0001.JPG", elements)], tmp_path / "bag", site=site)
+    ((_, camera, pose, covariance),) = imported(tmp_path / "bag")
+    x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
+    np.testing.assert_allclose(pose.position, [x, y, GROUND + 61.5], atol=1e-3)
+    azimuth = FRAME.true_to_grid_deg(360 - 128.3, x, y)
+    np.testing.assert_allclose(pose.angles_deg, [azimuth, -21.5, 0.4], atol=1e-6)
+    assert (camera.fx, camera.cx, camera.cy) == (55.5, 31.0, 20.5)
+    np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 10.0, 8.2, 0.5, 0.5), atol=1e-9)
+
+
+def test_rtk_says_how_sure_it_is_and_counts_from_the_ellipsoid(tmp_path: Path, site: Site) -> None:
+    changes = {"RtkStdLon": "0.03", "RtkStdLat": "0.05", "RtkStdHgt": "0.08", "AltitudeType": "RtkAlt"}
+    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude=f"{GROUND + 61.5 - 35.4:.2f}", **changes)
+    import_photos([path], tmp_path / "bag", site=site, assumed=Assumptions(geoid_undulation=-35.4))
+    ((_, _, pose, covariance),) = imported(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(GROUND + 61.5, abs=0.01)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(np.hypot(0.03, 0.05) / np.sqrt(2))
+    assert np.sqrt(covariance[2, 2]) == pytest.approx(0.08)
+
+
+def test_a_height_above_the_take_off_needs_its_height(tmp_path: Path, site: Site) -> None:
+    path = photo(tmp_path / "DJI_0001.JPG")
+    import_photos([path], tmp_path / "bag", site=site, assumed=Assumptions(start_height=GROUND - 7.0))
+    ((_, _, pose, _),) = imported(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(GROUND - 7.0 + 60.0)
+
+
+def test_a_calibration_in_millimetres_is_left_to_exif(tmp_path: Path, site: Site) -> None:
+    import_photos([photo(tmp_path / "DJI_0001.JPG", CalibratedFocalLength="8.6")], tmp_path / "bag", site=site)
+    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 36 * 64)
+
+
+def test_a_drone_that_looks_straight_down(tmp_path: Path, site: Site) -> None:
+    path = photo(tmp_path / "DJI_0001.JPG", GimbalPitchDegree="-90.00", GimbalRollDegree="+0.00")
+    import_photos([path], tmp_path / "bag", site=site)
+    ((_, _, pose, _),) = imported(tmp_path / "bag")
+    np.testing.assert_allclose(pose.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-9)
+    assert (pose.angles_deg[0] + FRAME.grid_convergence_deg(*pose.position[:2])) % 360 == pytest.approx(231.7, abs=1e-4)
+
+
+NEW = (
+    '{n}\n00:00:0{s},000 --> 00:00:0{s},033\n<font size="28">FrameCnt: {n}, DiffTime: 33ms\n2024-07-04 18:30:1{t}.500\n'
+    "[iso: 100] [shutter: 1/944.10] [fnum: 3.7] [ev: 0] [color_md : default] [focal_len: 27.00] [dzoom_ratio: 1.00], "
+    "[latitude: {lat:.6f}] [longitude: {lon:.6f}] [rel_alt: {climb:.3f} abs_alt: {alt:.3f}] "
+    "[gb_yaw: {yaw:.1f} gb_pitch: -12.0 gb_roll: 0.5] </font>\n\n"
+)
+OLD = (
+    "{n}\n00:00:0{s},000 --> 00:00:0{s},033\nHOME(-118.0600,34.2250) 2024.07.04 18:30:1{t}\n"
+    "GPS({lon:.6f},{lat:.6f},19) BAROMETER:{climb:.1f}\nISO:100 Shutter:60 EV: Fnum:F2.8\n\n"
+)
+
+
+def flight(template: str) -> str:
+    """Going north by 1e-5 degrees a second, turning from 350 to 10 degrees."""
+    return "".join(
+        template.format(
+            n=s + 1, s=s, t=5 + s, lat=LAT + 1e-5 * s, lon=LON, climb=40.0 + s, alt=GROUND + 50 + s, yaw=-10.0 + 10 * s
+        )
+        for s in range(3)
+    )
+
+
+def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 6, 2, datetime(2001, 1, 1, tzinfo=UTC)))
+    (tmp_path / "DJI_0002.SRT").write_text(flight(NEW))
+    assumed = Assumptions(time_zone=ZoneInfo("America/Los_Angeles"))
+    import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
+    rows = imported(tmp_path / "bag")
+    assert [stamp for stamp, *_ in rows] == [1_720_143_015_500_000_000 + s * 10**9 for s in range(3)]
+    for s, (_, camera, pose, _) in enumerate(rows):
+        assert camera.fx == 48.0
+        x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT + 1e-5 * s))
+        np.testing.assert_allclose(pose.position, [x, y, GROUND + 50 + s], atol=0.06)
+        azimuth = FRAME.true_to_grid_deg(350.0 + 10 * s, x, y)
+        np.testing.assert_allclose(pose.angles_deg, [azimuth, -12.0, 0.5], atol=1e-6)
+
+
+def test_older_subtitles_have_a_place_and_a_height_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.SRT").write_text(flight(OLD))
+    track, begin, focal = read_subtitles(tmp_path / "a.SRT", None)
+    assert begin == datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC)
+    assert focal is None
+    sensed = track.at(1 + 1_500_000_000, np.eye(3))
+    assert sensed.lat == pytest.approx(LAT + 1.5e-5)
+    assert (sensed.lon, sensed.climb, sensed.azimuth_deg) == (LON, 41.5, None)
+
+
+def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
+    (tmp_path / "a.SRT").write_text(flight(NEW))
+    track, _, _ = read_subtitles(tmp_path / "a.SRT", None)
+    sensed = track.at(1 + 500_000_000, np.eye(3))
+    assert sensed.azimuth_deg == pytest.approx(355.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "no place in its 0 blocks: switch `Video Captions` on"),
+        ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no place in its 1 blocks"),
+        (flight(NEW).replace("34.2", "94.2"), "no place in its 3 blocks"),
+        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no place in its 0 blocks"),
+        (re.sub(r"itude: [-.0-9]+", "itude: 0.000000", flight(NEW)), "--poses"),
+    ],
+)
+def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "a.SRT").write_text(text)
+    with pytest.raises(RecordingError, match=rf"a\.SRT.*{complaint}"):
+        read_subtitles(tmp_path / "a.SRT", None)
+
+
+def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:
+    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude="-24.13")
+    with pytest.raises(PoseError, match=r"DJI altitude -24\.1 m is 1524\.1 m under the terrain.*--start-height"):
+        import_photos([path], tmp_path / "bag", site=site)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_drone_that_tells_its_climb_alone_is_never_at_eye_height(tmp_path: Path, site: Site) -> None:
+    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude=None)
+    with pytest.raises(
+        PoseError, match=r"its altitude is not known, and DJI tells 60\.0 m above the place of take-off"
+    ):
+        import_photos([path], tmp_path / "bag", site=site)
+
+
+@pytest.mark.parametrize("changes", [{"GimbalYawDegree": "nan"}, {"GimbalYawDegree": None}])
+def test_a_gimbal_without_a_heading_is_unknown(tmp_path: Path, site: Site, changes: dict[str, str | None]) -> None:
+    with pytest.raises(LtmError, match="has no direction in DJI"):
+        import_photos([photo(tmp_path / "DJI_0001.JPG", **changes)], tmp_path / "bag", site=site)

@@ -1,0 +1,46 @@
+"""The walk in bags/phone: what its photos and its recording say, against where they were taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.phone_site import imported
+
+from ltm_core.base.resources import project_path
+from ltm_core.site.site_io import load_site
+from ltm_lab.evaluation.recorded_pose_errors import recorded_pose_errors
+from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.build import import_photos
+
+WALK = project_path("bags/phone")
+
+
+def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
+    site = load_site(WALK / "site.yaml")
+    import_photos([WALK / "photos"], tmp_path / "true", WALK / "true_poses.csv", site)
+    lens = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
+    report = import_photos([WALK / "sensor_logger.zip"], tmp_path / "log", site=site, assumed=lens)
+    assert report.cameras == {"phone": 24}
+    assert not report.notes
+    found = recorded_pose_errors(tmp_path / "log", tmp_path / "true", site)
+    errors = found.errors
+    assert found.unmatched == 0
+    np.testing.assert_allclose(found.sigmas[:, 2:], np.tile([2**0.5, 8.2, 1.0, 1.0], (24, 1)), atol=1e-6)
+    mean, spread = errors.mean(axis=0), errors.std(axis=0)
+    assert np.hypot(*mean[:2]) < 3 * 5.0  # GPS
+    assert np.abs(mean[2]) < 1.5  # the barometer's 4 m are gone: heights count from the ground
+    assert np.abs(mean[3]) < 3 * 6.0  # a compass, off alike in all photos
+    assert spread[3] == pytest.approx(1.5, abs=0.6)
+    assert (np.abs(mean[4:]) < 0.5).all()
+    np.testing.assert_allclose(spread[4:], 0.7, atol=0.25)
+    told, true = (imported(tmp_path / name, site="phone_walk") for name in ("log", "true"))
+    assert {(camera.width, camera.height) for _, camera, _, _ in told} == {(1024, 768), (768, 1024)}
+    for (_, camera, _, _), (_, same, _, _) in zip(told, true, strict=True):
+        assert (camera.width, camera.height) == (same.width, same.height)
+        assert camera.fx == pytest.approx(same.fx, rel=2e-3)
+
+
+def test_it_stays_small() -> None:
+    assert sum(path.stat().st_size for path in WALK.rglob("*") if path.is_file()) < 8_000_000

@@ -1,0 +1,527 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pillow_heif
+import pytest
+import yaml
+from PIL import Image
+from typer.testing import CliRunner
+
+from ltm_core.base.errors import CameraError, ConfigError, ImageError, LtmError, PoseError, RecordingError
+from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import load_site
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import compressed_to_rgb
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.build import import_photos
+from ltm_ros.recordings.importing.photo import read_photo
+from ltm_ros.recordings.importing.pictures import find_pictures
+
+LEVEL = Assumptions(pitch_deg=0.0)
+W, H = 64, 40
+LON, LAT = -118.06, 34.225
+X0, Y0 = 402_000.0, 3_787_000.0
+GROUND = 1500.0
+
+
+def picture() -> UInt8Array:
+    v, u = np.mgrid[0:H, 0:W]
+    return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
+
+
+def phone(**changes: Any) -> dict[str, dict[int, Any]]:
+    """EXIF of a phone photo; a change `gps_17=None` takes tag 17 out of the GPS part, and so on."""
+    ifds: dict[str, dict[int, Any]] = {
+        "main": {},
+        "photo": {0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00", 0xA405: 27},
+        "gps": {
+            **{1: "N", 2: (34.0, 13.0, 30.0), 3: "W", 4: (118.0, 3.0, 36.0)},
+            **{5: b"\0", 6: GROUND + 12.0, 16: "T", 17: 90.0},
+        },
+    }
+    for key, value in changes.items():
+        part, _, tag = key.partition("_")
+        ifds[part][int(tag, 0)] = value
+    return {part: {t: v for t, v in tags.items() if v is not None} for part, tags in ifds.items()}
+
+
+def save(path: Path, facts: dict[str, dict[int, Any]] | None = None, pixels: UInt8Array | None = None) -> Path:
+    pillow_heif.register_heif_opener()
+    image = Image.fromarray(picture() if pixels is None else pixels)
+    if facts is None:
+        image.save(path, quality=95)
+        return path
+    exif = image.getexif()
+    exif.update(facts["main"])
+    exif.get_ifd(0x8769).update(facts["photo"])
+    exif.get_ifd(0x8825).update(facts["gps"])
+    image.save(path, quality=95, exif=exif.tobytes())
+    return path
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    """A slope that falls eastward around the photos' position, GROUND metres under it."""
+    x, y = SiteFrame("EPSG:32611").from_lonlat(LON, LAT)
+    grid = GridGeometry(float(x) - 300.0, float(y) + 240.0, 10.0, 60, 48, "EPSG:32611")
+    centres, _ = grid.to_map(0, np.arange(60))
+    Dem(np.tile(GROUND - 0.1 * (centres - float(x)), (48, 1)).astype(np.float32), grid).save(tmp_path / "dem.tif")
+    document = {
+        "name": "ridge",
+        "crs": "EPSG:32611",
+        "origin": [X0, Y0],
+        "dem": {"path": "dem.tif"},
+        "cameras": {"phone": {}},
+    }
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    return load_site(tmp_path / "site.yaml")
+
+
+def contents(bag: Path, prefix: str = "/ridge/phone/") -> list[tuple[int, Camera, Pose, Any]]:
+    """(stamp, camera, pose, compressed image) of each photo, after checking that the three belong together."""
+    reader = BagReader(bag)
+    by_topic: dict[str, list[Any]] = {}
+    for message in reader.messages():
+        by_topic.setdefault(message.topic.removeprefix(prefix), []).append(reader.decode(message))
+        assert message.log_time_ns == stamp_of(by_topic[message.topic.removeprefix(prefix)][-1])
+    assert set(by_topic) == {"image_raw/compressed", "camera_info", "pose"}
+    rows = list(zip(by_topic["camera_info"], by_topic["pose"], by_topic["image_raw/compressed"], strict=True))
+    for info, pose, image in rows:
+        assert stamp_of(info) == stamp_of(pose) == stamp_of(image)
+        camera = prefix.split("/")[2]
+        assert info.header.frame_id == image.header.frame_id == f"{camera}_optical"
+    return [(stamp_of(i), msg_to_camera(i), msg_to_pose(p, "map"), c) for i, p, c in rows]
+
+
+def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
+    ((stamp, camera, pose, image),) = contents(tmp_path / "bag")
+    assert stamp == 1_720_143_015 * 10**9  # 2024-07-05 01:30:15 UTC
+    assert camera == Camera(W, H, 48.0, 48.0, (W - 1) / 2, (H - 1) / 2)
+    x, y = site.frame.from_lonlat(LON, LAT)
+    np.testing.assert_allclose(pose.position, [x, y, GROUND + 12.0], atol=1e-6)
+    # True north turns to grid north by the meridian convergence, here -0.6 deg: sin(lat) * (lon - central meridian).
+    convergence = np.sin(np.radians(LAT)) * (LON + 117.0)
+    np.testing.assert_allclose(pose.angles_deg, [90.0 - convergence, 0.0, 0.0], atol=0.01)
+    assert bytes(image.data) == file.read_bytes()
+    assert image.format == "jpeg"
+    assert any("pitch is not known (EXIF has none): taken as 0 +- 3 deg" in note for _, note in report.notes)
+    assert report.cameras == {"phone": 1}
+
+
+def test_a_compass_direction_is_turned_by_the_declination_of_its_day(tmp_path: Path, site: Site) -> None:
+    save(tmp_path / "true.jpg", phone())
+    save(tmp_path / "magnetic.jpg", phone(gps_16="M", **{"photo_0x9003": "2024:07:04 18:30:16"}))
+    import_photos([tmp_path / "true.jpg", tmp_path / "magnetic.jpg"], tmp_path / "bag", site=site, assumed=LEVEL)
+    (_, _, true, _), (_, _, magnetic, _) = contents(tmp_path / "bag")
+    turned = (magnetic.angles_deg[0] - true.angles_deg[0]) % 360
+    assert turned == pytest.approx(magnetic_declination_deg(LON, LAT, date(2024, 7, 5), GROUND + 12), abs=0.01)
+    assert 11.0 < turned < 12.0  # Los Angeles in 2024, by NOAA's chart
+
+
+def test_png_stays_and_heic_becomes_jpeg(tmp_path: Path, site: Site) -> None:
+    png = save(tmp_path / "a.png", phone())
+    heic = save(tmp_path / "b.heic", phone(**{"photo_0x9003": "2024:07:04 18:30:16"}))
+    import_photos([png, heic], tmp_path / "bag", site=site, assumed=LEVEL)
+    (_, _, _, first), (_, camera, _, second) = contents(tmp_path / "bag")
+    assert bytes(first.data) == png.read_bytes()
+    assert (first.format, second.format) == ("png", "jpeg")
+    assert (camera.width, camera.height) == (W, H)
+    assert np.abs(compressed_to_rgb(second).astype(int) - picture()).mean() < 6
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(3, 2), (6, 3), (8, 1)])
+@pytest.mark.parametrize("suffix", ["jpg", "png", "heic"])
+def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str, orientation: int, turns: int) -> None:
+    """Orientation 6: the 0th row is the right-hand side, so the pixels turn clockwise to stand upright."""
+    file = save(tmp_path / f"a.{suffix}", phone(**{"main_0x0112": orientation}))
+    upright = np.rot90(picture(), turns)
+    photo = read_photo(file)
+    assert photo.reencoded
+    assert (photo.height, photo.width) == upright.shape[:2]
+    import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
+    ((_, camera, _, image),) = contents(tmp_path / "bag")
+    assert (camera.height, camera.width) == upright.shape[:2]
+    assert camera.fx == 27 / 36 * W  # the long side stays the long side
+    assert np.abs(compressed_to_rgb(image).astype(int) - upright).mean() < 6
+
+
+@pytest.mark.parametrize(
+    ("altitude", "expected", "note"),
+    [
+        (GROUND + 12.0, GROUND + 12.0, None),
+        (GROUND - 30.0, GROUND + 1.75, "30.0 m under the terrain"),
+        (GROUND + 45.0, GROUND + 45.0, "45.0 m above the terrain"),
+        (None, GROUND + 1.75, "height is not known"),
+    ],
+)
+def test_heights(tmp_path: Path, site: Site, altitude: float | None, expected: float, note: str | None) -> None:
+    save(tmp_path / "a.jpg", phone(gps_6=altitude))
+    report = import_photos(
+        [tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, height_above_ground=1.75)
+    )
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(expected, abs=0.01)
+    notes = [text for _, text in report.notes if not text.startswith(("pitch", "roll"))]
+    assert (len(notes) == 1 and note in notes[0]) if note else not notes
+
+
+def test_ellipsoidal_altitudes_lose_the_geoid_undulation(tmp_path: Path, site: Site) -> None:
+    save(tmp_path / "a.jpg", phone(gps_6=GROUND + 12.0 - 35.4))
+    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(GROUND + 12.0, abs=1e-3)
+
+
+def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, site: Site) -> None:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for i, name in enumerate(["a.jpg", "b.jpg", "c.jpg"]):
+        save(folder / name, phone(**{"photo_0x9003": f"2024:07:04 18:30:{10 + i}"}))
+    (folder / "notes.txt").write_text("not a photo")
+    (tmp_path / "poses.csv").write_text(
+        "name,x,y,z,azimuth_deg,pitch_deg,roll_deg,fx,fy,cx,cy,k1,k2,p1,p2,k3,stamp\n"
+        f"c.jpg,{X0 + 125.5},{Y0 - 40},1777.5,230.77,-5.79,-0.77,61,62,30,21,-0.1,0.02,0.001,0.002,0.03,"
+        "2013-08-25T11:04:17.5+02:00\n"
+        "a.jpg,,,,12,,,,,,,,,,,,\n"
+    )
+    report = import_photos([folder], tmp_path / "bag", tmp_path / "poses.csv", site, assumed=LEVEL)
+    (early, camera, pose, _), (_, _, by_exif, _) = contents(tmp_path / "bag")
+    assert early == 1_377_421_457_500_000_000
+    assert camera == Camera(W, H, 61, 62, 30, 21, (-0.1, 0.02, 0.001, 0.002, 0.03))
+    np.testing.assert_allclose(pose.position, [125.5, -40.0, 1777.5], atol=1e-9)
+    np.testing.assert_allclose(pose.angles_deg, [230.77, -5.79, -0.77], atol=1e-9)
+    assert by_exif.angles_deg[0] == pytest.approx(12.0)
+    assert by_exif.position[2] == GROUND + 12.0
+    assert any("does not name 1 of the 3 photos" in note for _, note in report.notes)
+
+
+def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        save(tmp_path / name, phone())
+    (tmp_path / "poses.yaml").write_text(
+        "- {name: a.jpg, camera: east}\n- {name: b.jpg, camera: east}\n- {name: c.jpg, camera: west}\n"
+    )
+    files = [tmp_path / name for name in ("a.jpg", "b.jpg", "c.jpg")]
+    report = import_photos(files, tmp_path / "bag", tmp_path / "poses.yaml", assumed=LEVEL)
+    assert report.cameras == {"east": 2, "west": 1}
+    reader = BagReader(tmp_path / "bag")
+    stamps = [m.log_time_ns for m in reader.messages(topics=["/site/east/pose"])]
+    assert stamps[1] - stamps[0] == 1_000_000
+    (west,) = reader.messages(topics=["/site/west/pose"])
+    assert west.log_time_ns == stamps[0]
+    assert any("moved 1 ms" in note for _, note in report.notes)
+
+
+def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
+    report = import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", assumed=LEVEL)
+    assert (report.crs, report.origin) == ("EPSG:32611", (402_000.0, 3_788_000.0))
+    ((_, _, pose, _),) = contents(tmp_path / "bag", "/site/camera/")
+    x, y = SiteFrame("EPSG:32611").from_lonlat(LON, LAT)
+    np.testing.assert_allclose(pose.position[:2], [float(x) - 402_000, float(y) - 3_788_000], atol=1e-6)
+    info = yaml.safe_load((tmp_path / "bag/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["custom_data"]["ltm_crs"] == "EPSG:32611"
+    assert info["custom_data"]["ltm_origin"] == "402000.0 3788000.0"
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "complaint"),
+    [
+        ({"gps_2": None}, PoseError, "no position in EXIF"),
+        ({"gps_17": None}, PoseError, "no direction in EXIF"),
+        ({"photo_0xA405": None}, CameraError, "no focal length|does not tell the focal length"),
+        ({"photo_0xA405": None, "photo_0x920A": 6.86}, CameraError, "focal length of 6.86 mm, --sensor-width-mm"),
+        ({"photo_0x9003": None}, RecordingError, "has no date"),
+        ({"photo_0x9003": "1969:07:04 18:30:15"}, RecordingError, "before 1970"),
+        ({"gps_2": (35.0, 0.0, 0.0), "gps_6": None}, PoseError, "outside the DEM"),
+        ({"gps_2": (91.0, 0.0, 0.0)}, ImageError, "not on the globe"),
+    ],
+)
+def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
+    tmp_path: Path, site: Site, changes: dict[str, Any], error: type[LtmError], complaint: str
+) -> None:
+    save(tmp_path / "bad.jpg", phone(**changes))
+    good = save(tmp_path / "good.jpg", phone())
+    with pytest.raises(error, match=rf"bad\.jpg.*({complaint})"):
+        import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL)
+    assert not (tmp_path / "bag").exists()
+    report = import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
+    assert [path.name for path, _ in report.skipped] == ["bad.jpg"]
+    assert len(contents(tmp_path / "bag")) == 1
+
+
+def test_nothing_left_is_an_error(tmp_path: Path, site: Site) -> None:
+    save(tmp_path / "bad.jpg")
+    with pytest.raises(RecordingError, match="none of 1 photos"):
+        import_photos([tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "complaint"),
+    [
+        ("a.jpg", _cut, "cut short"),
+        ("a.png", _cut, "cannot be read|corrupt|cut short"),
+        ("a.heic", _cut, "cannot be read|cut short"),
+        ("a.jpg", lambda p: p.write_bytes(b""), "no photo that can be read"),
+        ("a.jpg", lambda p: p.write_bytes(bytes(999)), "no photo that can be read"),
+        ("a.jpg", lambda p: Image.fromarray(picture()).save(p, "TIFF"), "is TIFF; photos must be JPEG, PNG or HEIC"),
+        ("a.png", lambda p: Image.fromarray(picture()).save(p, "GIF"), "is GIF"),
+    ],
+)
+def test_files_that_are_no_whole_photo_are_refused(
+    tmp_path: Path, name: str, spoil: Callable[[Path], object], complaint: str
+) -> None:
+    path = save(tmp_path / name, phone())
+    spoil(path)
+    with pytest.raises(ImageError, match=f"{name}.*({complaint})"):
+        read_photo(path)
+
+
+def test_finding_photos(tmp_path: Path) -> None:
+    for name in ("b.JPG", "a.png", "c.heic", ".hidden.jpg", "d.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "below.jpg").mkdir()
+    assert [p.name for p in find_pictures([tmp_path], LEVEL)] == ["a.png", "b.JPG", "c.heic"]
+    assert [p.name for p in find_pictures([tmp_path / "d.txt"], LEVEL)] == [
+        "d.txt"
+    ]  # named, so taken at its content's word
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/a.png").touch()
+    for paths, complaint in (
+        ([tmp_path / "absent"], "no photo, folder or recording at"),
+        ([tmp_path / "below.jpg"], "no photos in"),
+        ([tmp_path, tmp_path / "other"], r"two photos are called a\.png"),
+    ):
+        with pytest.raises(RecordingError, match=complaint):
+            find_pictures(paths, LEVEL)
+
+
+def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    rows = tmp_path / "poses.csv"
+    rows.write_text(f"name,x,y\na.jpg,{X0},{Y0}\n")
+    with pytest.raises(ConfigError, match="no camera 'tower'; it has phone"):
+        import_photos([file], tmp_path / "bag", site=site, camera="tower")
+    with pytest.raises(ConfigError, match="--camera"):
+        import_photos([file], tmp_path / "bag", camera="My Camera")
+    with pytest.raises(ConfigError, match="--site"):
+        import_photos([file], tmp_path / "bag", rows)
+    two = site.model_copy(update={"cameras": {**site.cameras, "tower": site.cameras["phone"]}})
+    with pytest.raises(ConfigError, match="phone, tower: say which"):
+        import_photos([file], tmp_path / "bag", site=two)
+    rows.write_text("name,z\nabsent.jpg,3\n")
+    with pytest.raises(RecordingError, match=r"1 photos that are not there: absent\.jpg"):
+        import_photos([file], tmp_path / "bag", rows, site)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/kept").touch()
+    with pytest.raises(RecordingError, match="exists already"):
+        import_photos([file], tmp_path / "full", site=site, assumed=LEVEL)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site) -> None:
+    import typer
+
+    from ltm_ros.cli.import_ import import_
+
+    app = typer.Typer()
+    app.command()(import_)
+    save(tmp_path / "a.jpg", phone())
+    save(tmp_path / "b.jpg", phone(gps_17=None))
+    arguments = ["--images", str(tmp_path / "a.jpg"), "--images", str(tmp_path / "b.jpg"), "--skip-bad"]
+    arguments += [
+        "--site",
+        str(tmp_path / "site.yaml"),
+        "--out",
+        str(tmp_path / "bag"),
+        "--pitch-deg",
+        "-4.5",
+        "--time-zone",
+        "Europe/Oslo",
+    ]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"}, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "pitch is not known" in result.output
+    assert "left out b.jpg" in result.output
+    assert "/ridge/phone/" in result.output
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    assert pose.angles_deg[1] == pytest.approx(-4.5)
+
+
+def covariance_of(bag: Path) -> Float64Array | None:
+    (message,) = BagReader(bag).messages(topics=["/ridge/phone/pose"])
+    return msg_to_covariance(BagReader(bag).decode(message))
+
+
+def test_an_unknown_pitch_is_refused_and_never_taken_as_level(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    with pytest.raises(PoseError, match=r"a\.jpg: its pitch is not known .*pitch_deg in a pose file.*--pitch-deg"):
+        import_photos([file], tmp_path / "bag", site=site)
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(("stated", "sigma"), [(4.75, 4.75), (None, 5.0)])
+def test_a_phones_pose_is_as_sure_as_its_sensors(
+    tmp_path: Path, site: Site, stated: float | None, sigma: float
+) -> None:
+    file = save(tmp_path / "a.jpg", phone(gps_31=stated))
+    import_photos([file], tmp_path / "bag", site=site, assumed=Assumptions(-4.0, tilt_sigma_deg=2.0))
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    covariance = covariance_of(tmp_path / "bag")
+    assert covariance is not None
+    np.testing.assert_allclose(covariance, pose_covariance(pose, sigma, 10.0, 8.2, 2.0, 2.0), atol=1e-12)
+    assert np.degrees(np.sqrt(covariance[5, 5])) > 8
+
+
+def test_what_a_row_states_is_as_sure_as_the_site_assumes_or_as_it_says(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    rows = tmp_path / "poses.csv"
+    whole = f"{X0 + 100},{Y0 + 700},1777,230,-5,0.5"
+    rows.write_text(f"name,x,y,z,azimuth_deg,pitch_deg,roll_deg\na.jpg,{whole}\n")
+    import_photos([file], tmp_path / "bag", rows, site)
+    assert covariance_of(tmp_path / "bag") is None
+    rows.write_text(f"name,x,y,z,azimuth_deg,pitch_deg,roll_deg,azimuth_sigma_deg\na.jpg,{whole},1.5\n")
+    import_photos([file], tmp_path / "sure", rows, site)
+    ((_, _, pose, _),) = contents(tmp_path / "sure")
+    found = covariance_of(tmp_path / "sure")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 0.5, 0.5, 1.5, 0.3, 0.3), atol=1e-12)
+    rows.write_text("name,azimuth_deg,pitch_deg,roll_deg\na.jpg,230,-5,0.5\n")
+    import_photos([file], tmp_path / "mixed", rows, site)
+    ((_, _, pose, _),) = contents(tmp_path / "mixed")
+    found = covariance_of(tmp_path / "mixed")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 5.0, 10.0, 0.3, 0.3, 0.3), atol=1e-12)
+
+
+def fixed(tmp_path: Path, **calibration: Any) -> Site:
+    """The site with a camera of stated pose and calibration."""
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    pose = {
+        "x": X0 + 110.0,
+        "y": Y0 + 720.0,
+        "z": 1600.0,
+        "azimuth_deg": 75.0,
+        "pitch_deg": -6.0,
+        "position_sigma": 2.0,
+    }
+    lens = {"width": W, "height": H, "hfov_deg": 50.0, "k1": -0.05}
+    document["cameras"] = {"phone": {"pose": pose, "calibration": lens | calibration}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    return load_site(tmp_path / "site.yaml")
+
+
+def test_a_fixed_cameras_pose_and_calibration_come_from_the_site_file(tmp_path: Path, site: Site) -> None:
+    tower = fixed(tmp_path)
+    bare = save(tmp_path / "a.jpg", {"main": {}, "photo": {0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00"}, "gps": {}})
+    import_photos([bare], tmp_path / "bag", site=tower)
+    ((_, camera, pose, _),) = contents(tmp_path / "bag")
+    np.testing.assert_allclose(pose.position, [110.0, 720.0, 1600.0], atol=1e-9)
+    np.testing.assert_allclose(pose.angles_deg, [75.0, -6.0, 0.0], atol=1e-9)
+    assert camera == tower.camera("phone").calibration.camera()  # type: ignore[union-attr]
+    found = covariance_of(tmp_path / "bag")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 2.0, 0.5, 0.3, 0.3, 0.3), atol=1e-12)
+    # A row goes before it, EXIF does not.
+    rows = tmp_path / "poses.csv"
+    rows.write_text("name,azimuth_deg\nb.jpg,80\n")
+    import_photos([save(tmp_path / "b.jpg", phone())], tmp_path / "row", rows, tower)
+    ((_, _, pose, _),) = contents(tmp_path / "row")
+    np.testing.assert_allclose(pose.angles_deg, [80.0, -6.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(pose.position, [110.0, 720.0, 1600.0], atol=1e-9)
+
+
+def test_a_calibration_of_another_size_is_refused(tmp_path: Path, site: Site) -> None:
+    tower = fixed(tmp_path, width=2 * W)
+    with pytest.raises(ImageError, match=r"a\.jpg is 64 x 40 pixels but camera .* 128 x 40"):
+        import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=tower)
+
+
+def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_data: Path) -> None:
+    """Through the bag and back, the stated camera puts 14 surveyed points on their pixels (fit: median 2.8 px)."""
+    folder = shared_data / "engabreen"
+    document = {"name": "engabreen", "crs": "EPSG:32633", "origin": [446_000, 7_396_000]}
+    document |= {"dem": {"path": str(folder / "dem_3m_f64.tif")}, "cameras": {"photo": {}}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    (tmp_path / "poses.csv").write_text(
+        "name,x,y,z,azimuth_deg,pitch_deg,roll_deg,fx,k1,stamp\n"
+        "IMG_8902.jpg,446722,7396671,770,230.77,-5.79,-0.77,6017,-0.1155,2013-08-25T11:04:17+02:00\n"
+    )
+    import_photos([folder], tmp_path / "bag", tmp_path / "poses.csv", load_site(tmp_path / "site.yaml"))
+    ((_, camera, pose, image),) = contents(tmp_path / "bag", "/engabreen/photo/")
+    assert bytes(image.data) == (folder / "IMG_8902.jpg").read_bytes()
+    points = np.genfromtxt(folder / "gcp8902.csv", delimiter=",", names=True)
+    xyz = np.column_stack([points["x_e"] - 446_000, points["y_n"] - 7_396_000, points["z"]])
+    pixels = np.column_stack([points["u"], points["v"]]) - 1  # Matlab counts from 1
+    off = np.hypot(*(camera.project(pose.to_optical(xyz)) - pixels).T)
+    assert np.median(off) < 3.5
+    assert off.max() < 7
+
+
+def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "portrait.jpg", phone(main_0x0112=6))
+    report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
+    ((_, camera, _, image),) = contents(tmp_path / "bag")
+    assert (camera.width, camera.height) == (H, W)
+    assert compressed_to_rgb(image).shape == (W, H, 3)
+    assert ("portrait.jpg", f"EXIF turns it by 90 degrees clockwise: taken upright, as {H} x {W} pixels") in [
+        (name, note.partition(", of which")[0]) for name, note in report.notes
+    ]
+    poses = tmp_path / "poses.csv"
+    poses.write_text(f"name,cx,cy\nportrait.jpg,{W - 5},{H / 2}\n")
+    with pytest.raises(
+        CameraError,
+        match=r"portrait.jpg: principal point .* beside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
+    ):
+        import_photos([file], tmp_path / "beside", poses, site=site, assumed=LEVEL)
+    assert not (tmp_path / "beside").exists()
+
+
+def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path, site: Site) -> None:
+    """The graph would drop it: image and calibration contradict each other."""
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    document["cameras"]["phone"] = {"calibration": {"width": W, "height": H, "hfov_deg": 60}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    fixed = load_site(tmp_path / "site.yaml")
+    import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed, assumed=LEVEL)
+    with pytest.raises(
+        ImageError, match=r"portrait.jpg is 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
+    ):
+        import_photos(
+            [save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed, assumed=LEVEL
+        )
+    small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
+    with pytest.raises(ImageError, match=r"small.jpg is 64 x 30 pixels but camera phone .* 64 x 40: give it a photo"):
+        import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
+
+
+def test_angles_and_heights_in_another_unit_are_noted(tmp_path: Path, site: Site) -> None:
+    files = [save(tmp_path / f"{name}.jpg", phone()) for name in "ab"]
+    poses = tmp_path / "poses.csv"
+    poses.write_text(f"name,azimuth_deg,z\na.jpg,0.7,{(GROUND + 8) / 0.3048}\nb.jpg,5.9,{GROUND + 8}\n")
+    notes = import_photos(files, tmp_path / "bag", poses, site=site, assumed=LEVEL).notes
+    assert any(name == str(poses) and "all azimuths, 0.7 to 5.9, lie within 2 pi" in note for name, note in notes)
+    assert any(name == "a.jpg" and "as feet it would be 1508 m" in note for name, note in notes)
+    poses.write_text(f"name,z\na.jpg,{GROUND - 30}\n")
+    with pytest.raises(PoseError, match=r"a.jpg: z = 1470 m is 30.00 m under the ground"):
+        import_photos(files, tmp_path / "other", poses, site=site, assumed=LEVEL)

@@ -1,0 +1,172 @@
+"""What somebody clicks on in a picture of the status page: which pixel of which picture it is, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from std_msgs.msg import String
+
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_ros.runtime.health import Health
+from ltm_ros.tower.last_pictures import CameraPicture
+from ltm_ros.tower.marks import Marks
+
+STAMP = 1_700_000_000_123_456_789
+
+
+class Graph:
+    """A node's part in it: what was published, by topic, and who listens."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, Any]] = []
+        self.heard: dict[str, Callable[[Any], None]] = {}
+
+    def create_publisher(self, _: type, topic: str, __: Any) -> Any:
+        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)))
+
+    def create_subscription(self, _: type, topic: str, callback: Callable[[Any], None], __: Any) -> None:
+        self.heard[topic] = callback
+
+
+def picture(width: int = 1920, height: int = 1080) -> CameraPicture:
+    """As it came; thinned by `small`."""
+    return CameraPicture(
+        "north",
+        STAMP,
+        np.zeros((height, width, 3), np.uint8),
+        np.zeros((height, width), np.uint8),
+        np.zeros((height, width), np.float32),
+        Camera.from_fov(width, height, 50.0),
+        Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0),
+    )
+
+
+@pytest.fixture
+def graph() -> Graph:
+    return Graph()
+
+
+@pytest.fixture
+def health() -> Health:
+    return Health()
+
+
+@pytest.fixture
+def marks(graph: Graph, health: Health) -> Marks:
+    shown = {"north": picture().small()}
+    return Marks(graph, "ridge", ["north", "east"], shown.get, health)
+
+
+def body(**keys: Any) -> bytes:
+    return json.dumps({"camera": "north", "stamp": STAMP / 1e9, "across": 0.5, "down": 0.25} | keys).encode()
+
+
+def test_a_click_is_a_pixel_of_the_cameras_own_picture(graph: Graph, marks: Marks) -> None:
+    """The page shows every third pixel: 640 x 360."""
+    answer = marks.take(body())
+    assert answer.status == 200
+    ((topic, point),) = graph.sent
+    assert topic == "/ridge/north/locate/point"
+    assert point.header.frame_id == "north_optical"
+    assert point.header.stamp.sec * 10**9 + point.header.stamp.nanosec == STAMP
+    assert (point.point.x, point.point.y) == ((320 - 0.5) * 3, (90 - 0.5) * 3)
+    assert json.loads(answer.body) == {"u": 958.5, "v": 268.5}
+
+
+def test_each_shown_pixels_middle_is_the_one_it_was_taken_from() -> None:
+    for width, height in ((1920, 1080), (1601, 1203), (640, 480)):
+        whole = picture(width, height)
+        whole.photo[..., 0] = np.arange(width) % 251
+        small = whole.small()
+        rows, columns = small.photo.shape[:2]
+        for row, column in ((0, 0), (rows // 3, columns // 2), (rows - 1, columns - 1)):
+            u, v = small.pixel((column + 0.5) / columns, (row + 0.5) / rows)
+            assert whole.photo[round(v), round(u), 0] == small.photo[row, column, 0]
+            assert abs(v - round(v)) < 1e-6
+
+
+def test_the_border_is_within_the_picture() -> None:
+    small = picture().small()
+    assert small.pixel(0.0, 0.0) == (0.0, 0.0)
+    assert small.pixel(1.0, 1.0) == (1918.5, 1078.5)
+
+
+@pytest.mark.parametrize(
+    ("sent", "status", "said"),
+    [
+        (b"not json", 400, "not a mark"),
+        (body(across=1.5), 400, "across"),
+        (body(across=float("nan")), 400, "not a mark"),
+        (body(more=1), 400, "more"),
+        (body(camera="../../etc"), 404, "no picture"),
+        (body(camera="east"), 404, "no picture"),
+        (body(stamp=STAMP / 1e9 - 5), 409, "another picture"),
+    ],
+)
+def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: bytes, status: int, said: str) -> None:
+    answer = marks.take(sent)
+    assert answer.status == status
+    assert said in answer.body.decode()
+    assert graph.sent == []
+
+
+TURNED = {"camera": "east", "probability": 0.9712, "turned_deg": -2.04, "sigma_deg": 0.06, "fires": 3}
+
+
+def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
+    """As `locate` tells of them, numbered from 1 on, each with an ellipse as a feature of its own."""
+    features: list[Any] = []
+    for number, last in enumerate(last_ns, start=1):
+        place = {"mgrs": "11S MB 80574 50576", "lon": lon, "lat": 37.5, "elevation": None, "crs": "EPSG:32611"}
+        ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
+        about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
+        about |= {"seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
+        features += [{"properties": about}, {"properties": {"role": "ellipse", "share": 0.95}}]
+    return String(data=json.dumps({"type": "FeatureCollection", "turned": turned, "features": features}))
+
+
+def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
+    assert marks.places() == []
+    graph.heard["/ridge/locate/tracks"](tracks(5, 9))
+    assert [place["track"] for place in marks.places()] == [2, 1]
+
+
+def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: Graph, marks: Marks) -> None:
+    hear = graph.heard["/ridge/locate/tracks"]
+    assert marks.wrong() == []
+    hear(tracks(5, turned=TURNED))
+    (said,) = marks.wrong()
+    assert "camera east seems to be turned (97%): by the marks of 3 fires its" in said
+    hear(tracks(5, turned=TURNED | {"pictures": 4, "by": ["marks", "pictures"]}))
+    (said,) = marks.wrong()
+    assert "(97%): by the marks of 3 fires and the skyline in its pictures its" in said
+    assert "2.0 degrees too small (sigma 0.1)" in said
+    hear(tracks(6))
+    assert marks.wrong() == []
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        String(data="no JSON"),
+        String(data='{"features": 3}'),
+        String(data="[" * 100_000),
+        tracks(7, lon=np.nan),
+        tracks(7, turned="east"),
+    ],
+)
+def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
+    graph: Graph, marks: Marks, health: Health, message: String
+) -> None:
+    """Whoever is on the machine can publish there."""
+    graph.heard["/ridge/locate/tracks"](tracks(5))
+    before = marks.places()
+    graph.heard["/ridge/locate/tracks"](message)
+    assert health.dropped == {"message": 1}
+    assert marks.places() == before

@@ -1,0 +1,66 @@
+"""A port that somebody else holds: said with its remedy, tried again, and nothing else depends on it."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+from contextlib import closing, suppress
+from pathlib import Path
+
+import pytest
+from scenes.free_port import free_port
+from scenes.waiting import wait_for
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.site.sections import HealthConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.tower.patient_server import PatientServer
+from ltm_ros.tower.web_server import Answer
+
+ROUTES = {"/healthz": lambda: Answer(b"alive\n")}
+
+
+def answers(port: int) -> bool:
+    with suppress(OSError), closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as connection:
+        connection.request("GET", "/healthz")
+        return connection.getresponse().read() == b"alive\n"
+    return False
+
+
+def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    health, told, warned = Health(), list[str](), list[str]()
+    with socket.create_server(("127.0.0.1", port := free_port())):
+        server = PatientServer(HealthConfig(port=port), ROUTES, {}, health, told.append, warned.append, retry_s=0.01)
+        assert server.url is None
+        assert health.troubled
+        assert f"port: 127.0.0.1:{port} cannot be listened on (Address already in use)" in health.last_error
+        assert f"end what uses it (`ss -ltnp 'sport = :{port}'` names it), or name another" in health.last_error
+        assert "`health: {port: ..., address: ...}`; it is tried again every 0.01 s" in health.last_error
+        # Said again with each attempt, so that diagnostics say it for as long as it lasts; in the log once.
+        monkeypatch.setattr(health, "_last_trouble", -float("inf"))
+        wait_for(lambda: health.troubled, "another attempt")
+        assert told == []
+    wait_for(lambda: server.url is not None, "the port")
+    wait_for(lambda: told == [f"health at http://127.0.0.1:{port}"], "the word of it", lambda: told)
+    assert answers(port)
+    assert len(warned) == 1
+    assert "all else runs" in warned[0]
+    server.close()
+    assert not answers(port)
+
+
+def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
+    """That of a tunnel which comes up after the tower: other than a port that is taken, nobody has to end anything."""
+    health = Health()
+    (tmp_path / "token").write_text("0123456789abcdef")
+    config = HealthConfig(port=free_port(), token=tmp_path / "token").model_copy(update={"address": "192.0.2.1"})
+    server = PatientServer(config, ROUTES, {}, health, pytest.fail, lambda _: None)
+    assert server.url is None
+    assert "this machine has no such address now: is that network up?" in health.last_error
+    server.close()
+
+
+def test_what_time_does_not_mend_is_an_error(tmp_path: Path) -> None:
+    config = HealthConfig(port=0, token=tmp_path / "none")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        PatientServer(config, ROUTES, {}, Health(), pytest.fail, pytest.fail)

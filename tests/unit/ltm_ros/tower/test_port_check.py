@@ -1,0 +1,61 @@
+"""`ltm doctor` of a tower's port: free, its own, or somebody else's."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from scenes.free_port import free_port
+from scenes.small_site import NAME, write_small_site
+
+from ltm_core.site.sections import HealthConfig
+from ltm_ros.tower import health_client as port_check
+from ltm_ros.tower.doctor import Condition
+from ltm_ros.tower.web_server import Answer, WebServer
+
+
+@pytest.fixture
+def port_site(tmp_path: Path) -> tuple[Path, HealthConfig]:
+    """A site file whose port of health is free when the test begins."""
+    site, port = write_small_site(tmp_path, recording=False).path, free_port()
+    site.write_text(site.read_text() + yaml.safe_dump({"health": {"port": port}}))
+    return site, HealthConfig(port=port)
+
+
+def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> None:
+    (port,) = port_check.check_health_port(port_site[0])
+    assert (port.state, port.detail) == (Condition.OK, f"127.0.0.1:{port_site[1].port} is free: no tower runs")
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ({"site": NAME}, ""),
+        ({"site": "elsewhere"}, "the tower of elsewhere has it"),
+        ({"status": "up"}, "what answers there is no tower"),
+        (["up"], "what answers there is no tower"),
+        (None, "no tower answers"),
+    ],
+)
+def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer: Any, said: str) -> None:
+    site, config = port_site
+    page = Answer(b"<html>") if answer is None else Answer.json(answer)
+    with closing(WebServer(config, {"/status.json": lambda: page})):
+        (port,) = port_check.check_health_port(site)
+    assert said in port.detail
+    if not said:
+        assert (port.state, port.remedy) == (Condition.OK, "")
+        return
+    assert port.state is Condition.WARNING
+    assert f"127.0.0.1:{config.port} cannot be listened on (Address already in use): end what uses it" in port.remedy
+    assert f"of {site}; the tower runs without, and tries again" in port.remedy
+
+
+def test_a_site_without_a_port_and_one_that_cannot_be_read(tmp_path: Path) -> None:
+    assert list(port_check.check_health_port(write_small_site(tmp_path, recording=False).path)) == []
+    (tmp_path / "broken.yaml").write_text("nonsense: 1")
+    (broken,) = port_check.check_health_port(tmp_path / "broken.yaml")
+    assert (broken.state, broken.remedy) == (Condition.WARNING, f"ltm check {tmp_path / 'broken.yaml'}")
