@@ -25,11 +25,12 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
@@ -75,7 +76,7 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     depth = DepthImage(traced.depth(), frame.camera, frame.pose)
 
     # What grows there: a class for each pixel, and how sure the network is of it.
-    segmenter = Segmenter.of(site, camera_name)
+    segmenter = site_segmenter(site, camera_name)
     segmentation = segmenter.segment(frame.image)
 
     # TopoDepth: a network's depth has no scale of its own; terrain that can be trusted gives it one.

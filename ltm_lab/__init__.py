@@ -1,1 +1,1 @@
-"""The laboratory: evaluation, training, simulator and benchmarks. It imports the product; the product never imports it."""
+"""The laboratory: evaluation, training, simulator and benchmarks. The product never imports it."""

@@ -1,4 +1,4 @@
-"""Estimate canopy of fuel cells: heights of stands, base height and bulk density of crowns, and canopy that remains after change.
+"""Estimate the canopy of fuel cells: stand heights, crown base and bulk density, and what remains after change.
 
 Base and bulk density of conifer crowns, from the cover and height of a stand, by published allometry.
 
@@ -37,8 +37,8 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import ConfirmedTerrain
 from ltm_core.raster.dem import Dem
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.fuel_change import LEAST_SHARE
 from ltm_core.surface.surface_map import SurfaceMap
 

@@ -15,16 +15,9 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Arra
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pictures import (
-    MapCamera,
-    RangeScale,
-    overlay_depth,
-    range_legend,
-    terrain_map_picture,
-    with_legend,
-)
 from ltm_core.pictures.drawing import draw_texts
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, RangeScale, depth_colors
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, RangeScale, depth_colors, range_legend, with_legend
+from ltm_core.pictures.maps import MapCamera, terrain_map_picture
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
@@ -200,7 +193,7 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
 
 
 _HORIZON, _OPEN, _RIDGE, _HALO = (255, 230, 60), (255, 150, 40), (80, 230, 255), (20, 20, 20)
-_pose_fit_WIDEST = 1600
+_WIDEST_POSE_FIT = 1600
 
 
 def pose_fit_picture(
@@ -208,7 +201,7 @@ def pose_fit_picture(
 ) -> RgbImage:
     """The photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the terrain's
     horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
-    step = max(1, -(-camera.width // _pose_fit_WIDEST))
+    step = max(1, -(-camera.width // _WIDEST_POSE_FIT))
     small = cv2.resize(photo, (camera.width // step, camera.height // step), interpolation=cv2.INTER_AREA)
     sheets = []
     for title, lens, pose in poses:

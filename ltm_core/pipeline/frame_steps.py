@@ -22,16 +22,18 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pipeline.site_surface import ConfirmedTerrain
+from ltm_core.pipeline.site_surface import given_terrain
+from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.surface_versions_io import AS_GIVEN
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.tracer import TracerStatistics
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import Manifest, Withdrawal
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter, SceneView
-from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.scene_view import SceneView
+from ltm_core.vision.segmenter import Segmentation
 from ltm_core.vision.smoke import SmokeMemory
 
 
@@ -86,10 +88,10 @@ class TracingStep:
     """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
 
     def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
-        self._scene = SceneFilter.of(site, camera)
+        self._scene = site_scene_filter(site, camera)
         self._site, self._surface = site, config.surface
         self._given: _Tracers | None = None
-        self.trace_to(ConfirmedTerrain.as_given(site))
+        self.trace_to(given_terrain(site))
 
     def trace_to(self, terrain: ConfirmedTerrain) -> None:
         """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
@@ -106,7 +108,7 @@ class TracingStep:
             if over.version == AS_GIVEN:
                 raise
         if self._given is None:
-            self._given = self._tracers(ConfirmedTerrain.as_given(self._site))
+            self._given = self._tracers(given_terrain(self._site))
         return TracedFrame(self._given.tracer.trace(camera, pose), self._given)
 
     @property
@@ -144,11 +146,11 @@ class LabellingStep:
     """Labels every pixel of a camera's pictures. Raises ConfigError, ModelError for a network that cannot be taken."""
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
-        self._scene = SceneFilter.of(site, camera)
+        self._scene = site_scene_filter(site, camera)
         own = site.camera(camera)
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
         self._zoom = config.zoom
-        self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
+        self._segmenter = site_segmenter(site, camera, config.model, config.threads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
         given = {name: value for name, value in chosen.items() if value is not None}
         self._segmenter.withdraw_otherwise = given

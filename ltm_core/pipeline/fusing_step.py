@@ -23,12 +23,13 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.raster.dem import Dem
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter, SceneView
+from ltm_core.vision.scene_view import SceneView
 
 
 class FusingConfig(StrictModel):
@@ -60,7 +61,7 @@ class FusingStep:
 
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
         self._config, self._site = config, site
-        self._scene = SceneFilter.of(site, camera)
+        self._scene = site_scene_filter(site, camera)
         self.label_columns = label_columns(site, camera, config)
         """Of the network that makes the labels; 0: not known."""
         self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +12,29 @@ import numpy as np
 from ltm_core.base.errors import ConfigError, RasterError, StoreError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, stand_heights
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.export.landscape import canopy_bands
+from ltm_core.fuel.export.landscape import Landscape, canopy_bands
+from ltm_core.fuel.export.provenance import (
+    NOTHING_SEEN,
+    WITHOUT_DATES,
+    Provenance,
+    iso_moment,
+    landfire_version,
+    software,
+    surface_note,
+)
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import TERRAIN_STORE, ConfirmedTerrain, open_stored_surface
-from ltm_core.site.label_errors import camera_label_errors, site_label_errors
+from ltm_core.pipeline.site_surface import TERRAIN_STORE, open_stored_surface
+from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
+from ltm_core.surface.surface_versions_io import SurfaceVersion
 from ltm_core.vision.labels import LabelSet
 
 
@@ -101,3 +113,39 @@ def _heights(
             surface.close()
     except (ConfigError, StoreError, RasterError) as error:
         return None, f"heights of trees are not from the terrain map ({error})"
+
+
+def provenance_of(
+    site: Site,
+    layers: FuelLayers,
+    system: FuelSystem,
+    moment_ns: int | None = None,
+    landscape: Landscape | None = None,
+    surface: SurfaceVersion | None = None,
+    prior: FuelPrior | None = None,
+) -> Provenance:
+    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen.
+    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'. `prior`: that the codes of
+    a landscape were made with.
+    """
+    known = layers.code != NODATA
+    cells = int(known.sum())
+    newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns
+    looked = bool((layers.evidence > 0).any())
+    as_of = iso_moment(newest) if newest > 0 else NOTHING_SEEN if not looked else WITHOUT_DATES
+    # A map without dates is one of classes: its cells may be seen or the prior's.
+    dated = moment_ns is None and as_of != WITHOUT_DATES
+    seen = float((layers.evidence > 0)[known].mean()) if dated and cells else None
+    changed = float(layers.changed[known].mean()) if cells else 0.0
+    name = "none" if site.fuel.prior is None else site.fuel.prior.described()
+    digest = hashlib.sha256(np.ascontiguousarray(layers.prior, "<i2").tobytes()).hexdigest()[:16]
+    released = landfire_version(name)
+    of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
+    terrain = "" if landscape is None else landscape.terrain_note()
+    shape = "" if surface is None else surface_note(surface)
+    beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
+    own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
+    region = site.fuel.region
+    return Provenance(
+        site.name, as_of, cells, seen, changed, name, of_prior, region, system, software(), terrain, shape, own
+    )

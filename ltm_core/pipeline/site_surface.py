@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -15,77 +15,49 @@ from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
-from ltm_core.raster.dem import Dem
 from ltm_core.raster.shared_rasters import shared
-from ltm_core.site.label_errors import site_label_errors
+from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.tile_store import StoreSchema, TileStore
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import Added, SurfaceMap
-from ltm_core.surface.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersion, SurfaceVersions
+from ltm_core.surface.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersions
 from ltm_core.surface.tile_pool import KIND, schema_of
 from ltm_core.vision.labels import LabelSet
 
 
-@dataclass(frozen=True, eq=False)
-class ConfirmedTerrain:
-    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+def given_terrain(site: Site) -> ConfirmedTerrain:
+    """Return the terrain as the site's rasters give it. Raises what `Site.open_dem` does."""
+    ground = site.open_dem()
+    return ConfirmedTerrain(None, ground, site.open_surface(ground), canopy_known=site.surface is not None)
 
-    `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
-    `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
-    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: what is to be told of it.
+
+def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
+    """Return the terrain of a version that the manifest lists, shared within the process; AS_GIVEN: as given.
+
+    Raises StoreError if the version is not listed or cannot be read, and what `Site.open_dem` does.
     """
-
-    version: SurfaceVersion | None
-    ground: Dem
-    top: Dem
-    surface: ConfirmedSurface | None = None
-    canopy_known: bool = True
-    given: Dem | None = None
-    note: str = ""
-
-    @property
-    def name(self) -> str:
-        """The version, as frames carry it; AS_GIVEN where there is none."""
-        return AS_GIVEN if self.version is None else self.version.version
-
-    @classmethod
-    def as_given(cls, site: Site) -> ConfirmedTerrain:
-        """Raises what `Site.open_dem` does."""
-        ground = site.open_dem()
-        return cls(None, ground, site.open_surface(ground), canopy_known=site.surface is not None)
-
-    @classmethod
-    def of(cls, site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
-        """The terrain of a version that the manifest lists, shared within the process; AS_GIVEN: as given.
-
-        Raises StoreError where the version is not listed or cannot be read, and what `Site.open_dem` does.
-        """
-        if name == AS_GIVEN:
-            return cls.as_given(site)
-        entry = versions.manifest().entry(name)
-        if entry is None:
-            raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
-        # Before the rasters: who follows tries a file that is damaged again and again.
-        surface = versions.load(entry)
-        given = cls.as_given(site)
-        rasters = [dem.path for dem in (site.dem, *site.coarser, *([site.surface] if site.surface else []))]
-        files = [versions.file(name), *rasters]
-        ground, top = (
-            shared(files, (what, site.frame), lambda make=make, under=under: make(under))  # type: ignore[misc]
-            for what, make, under in (
-                ("confirmed ground", surface.ground_over, given.ground),
-                ("confirmed surface", surface.surface_over, given.top),
-            )
+    if name == AS_GIVEN:
+        return given_terrain(site)
+    entry = versions.manifest().entry(name)
+    if entry is None:
+        raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+    # The version first: a follower tries a damaged file again and again, and must not read the rasters each time.
+    surface = versions.load(entry)
+    given = given_terrain(site)
+    rasters = [dem.path for dem in (site.dem, *site.coarser, *([site.surface] if site.surface else []))]
+    files = [versions.file(name), *rasters]
+    ground, top = (
+        shared(files, (what, site.frame), lambda make=make, under=under: make(under))  # type: ignore[misc]
+        for what, make, under in (
+            ("confirmed ground", surface.ground_over, given.ground),
+            ("confirmed surface", surface.surface_over, given.top),
         )
-        return cls(entry, ground, top, surface, given.canopy_known, given.top)
+    )
+    return ConfirmedTerrain(entry, ground, top, surface, given.canopy_known, given.top)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
@@ -105,7 +77,7 @@ def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = Non
         versions = surface_versions(site, state / FOLDER)
         entry = versions.manifest().at(moment_ns)
         if entry is not None:
-            return replace(ConfirmedTerrain.of(site, versions, entry.version), version=entry)
+            return replace(confirmed_terrain(site, versions, entry.version), version=entry)
         if not versions.folder.is_dir():
             note = (
                 f"the site follows the confirmed surface, but {versions.folder} is not there: heights are bare earth "
@@ -199,16 +171,3 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
         store.close()
         raise ConfigError(f"{path}: not a terrain of site {site.name}: {differences}; name the site that made it")
     return SurfaceMap(reference, site.terrain, tuple(site.cameras), store, site.curvature, site.refraction)
-
-
-def site_terrain(site: Site) -> tuple[Terrain, PicturePoseConfig]:
-    """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
-
-    Raises DemError as `Site.open_dem`.
-    """
-    bare = site.open_dem()
-    ground = site.open_surface(bare)
-    config = PicturePoseConfig()
-    if ground is not bare:
-        config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-    return Terrain(ground, site.bend, site.possible_ground), config

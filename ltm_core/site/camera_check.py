@@ -13,10 +13,10 @@ from ltm_core.base.finding import Finding, Verdict
 from ltm_core.cameras.plausibility import TALLEST_MAST, doubt_of_height, doubt_of_radians
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.raster.dem import Dem
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter
 
 _MUCH_MASKED = 0.6
 """Share of a picture above which a mask may be inverted."""
@@ -78,7 +78,7 @@ def check_mask(site: Site, name: str) -> Iterator[Finding]:
         return
     called = f"{name}: mask"
     try:
-        mask = SceneFilter.of(site, name).mask
+        mask = site_scene_filter(site, name).mask
     except LtmError as error:
         yield Finding.of("cameras", called, error)
         return
@@ -105,7 +105,7 @@ def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
     lens = None if config.mount is None else config.mount.lens
     size = config.calibration or lens
     try:
-        scene = SceneFilter.of(site, name)
+        scene = site_scene_filter(site, name)
     except LtmError as error:
         yield Finding.of("cameras", f"{name}: view_masks", error)
         return

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
-import math
 from pathlib import Path
 from typing import Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float64Array
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.cameras.sensor_pose import SensorsConfig
 from ltm_core.fuel.growth_limits import GrowthLimits
@@ -50,19 +47,6 @@ class FuelConfig(StrictModel):
     """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
 
 
-class PoseErrorConfig(StrictModel):
-    """Standard deviations of a pose that comes without a covariance."""
-
-    angle_deg: float = Field(0.3, gt=0)
-    """Of each angle. What surveyed mounts keep; a phone's compass is off by five degrees, and should say so."""
-    position: float = Field(0.5, gt=0)
-    """Metres, of each coordinate."""
-
-    def covariance(self) -> Float64Array:
-        """(6, 6): position, then rotation about the map's axes, in metres and radians."""
-        return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
-
-
 class Limits(StrictModel):
     """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
 
@@ -91,78 +75,6 @@ class WatchdogConfig(StrictModel):
     slow: float = Field(600.0, ge=2)
     """For what may take long: the start (kernels are compiled, the DEM is read), what a service was asked for, the end.
     After each start in a row that was too slow, the next has twice as long."""
-
-
-class PoseRefinementConfig(StrictModel):
-    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
-    for each camera. Angles in degrees."""
-
-    every: float = Field(10.0, ge=0)
-    """Seconds between two pictures that are looked at."""
-    gather: int = Field(6, ge=2)
-    """Clear pictures in which a mount's error is sought together,"""
-    most_gathered: int = Field(12, ge=2)
-    """and at most so many, where they leave it open."""
-    judged: int = Field(6, ge=1)
-    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
-    slipped: int = Field(4, ge=1)
-    """where so many of them say that the camera looks elsewhere, it has slipped."""
-    least_slip_deg: float = Field(0.2, gt=0)
-    """A picture says so where it is off by more than this"""
-    slip_sigmas: float = Field(3.0, gt=0)
-    """and by so many of its standard deviations,"""
-    slip_sigma_deg: float = Field(3.0, gt=0)
-    """and this is the standard deviation of a slip's angles."""
-
-
-class TerrainConfig(StrictModel):
-    """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
-
-    resolution: float | None = Field(None, gt=0)
-    """Cell size; None: the DEM's."""
-    min_range: float = Field(20.0, ge=0)
-    """Anything nearer is taken for an object close to the lens and ignored."""
-    max_range: float = Field(1500.0, gt=0)
-    """Beyond it, depth is too coarse to move a cell."""
-    columns: int = Field(960, ge=1)
-    """Of an image, at most so many are used, evenly spaced, and rows as far apart."""
-    threshold: float = Field(1.5, gt=0)
-    """Change of height that is worth reporting."""
-    confidence: float = Field(3.0, gt=0)
-    """Standard deviations by which a change must be sure; also the gate between agreement and contradiction."""
-    alone: float = Field(5.0, gt=0)
-    """Those by which a change must be sure that one camera alone has seen: a network is off by more than five of its
-    sigmas about as often as noise is by more than three, and two cameras seldom in the same place."""
-    min_area: float = Field(25.0, ge=0)
-    """Square metres of connected change; less is left out."""
-    reference_sigma: float = Field(0.3, gt=0)
-    """Of the heights of the DEM and of the surface raster."""
-    independent_after: float = Field(3600.0, gt=0)
-    """Two looks of one camera are independent when they are that far apart."""
-    settle: float = Field(600.0, ge=0)
-    """Two cameras must agree over at least that long: what moves is gone by then."""
-    repeated_error_share: float = Field(0.95, ge=0, le=1)
-    """Of the variance of a depth, what each look of a camera has alike, which no number of them averages out. A network
-    sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's (then `alone`
-    need not be more than `confidence`)."""
-    memory: float = Field(8.0, ge=1)
-    """Looks that a cell's mean remembers."""
-    lasting: float = Field(365.0 * 86400.0, gt=0)
-    """Time in which a look loses all but 1/e of its weight: over years, plants grow and rivers move their banks."""
-    tallest: float = Field(60.0, gt=0)
-    """Nothing on the ground is higher: smoke, birds and aircraft are."""
-    register_frames: bool = True
-    """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
-    cache_mb: float = Field(100.0, ge=32)
-    """Memory for cells; the others wait in the store."""
-    trace_confirmed: bool = False
-    """Trace depth, and export heights, to the surface as views have confirmed it; False: to `dem` and `surface` as
-    they were given. Needs a folder for the node's state."""
-    confirm_every: float = Field(600.0, ge=0)
-    """Of the frames' time: a new version of the confirmed surface follows the one before after so long at the
-    earliest."""
-    views_mb: float = Field(34.0, ge=0)
-    """Memory for what the reference shows in the pixels of cameras that stand still: 17 MB each at 1080p."""
 
 
 class CameraConfig(StrictModel):

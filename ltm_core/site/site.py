@@ -13,20 +13,12 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.locator import LocatingConfig
+from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
-from ltm_core.site.sections import (
-    CameraConfig,
-    DemConfig,
-    FuelConfig,
-    HealthConfig,
-    Limits,
-    PoseErrorConfig,
-    PoseRefinementConfig,
-    TerrainConfig,
-    WatchdogConfig,
-)
+from ltm_core.site.sections import CameraConfig, DemConfig, FuelConfig, HealthConfig, Limits, WatchdogConfig
+from ltm_core.surface.config import PoseErrorConfig, TerrainConfig
 from ltm_core.tracing.holes import PossibleGround
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.vision.manifest import DEFAULT_MODEL

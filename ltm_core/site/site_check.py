@@ -24,7 +24,7 @@ from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.camera_check import check_angles, check_camera, check_mask
-from ltm_core.site.label_errors import site_label_errors
+from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.viewshed import PosedCamera

@@ -19,10 +19,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
-from ltm_core.site.sections import TerrainConfig
 from ltm_core.storage.tile_store import Key, Tile
 from ltm_core.surface.cell_layout import TILE
 from ltm_core.surface.cell_update import Rules, independent, mean_variance
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
 from ltm_core.surface.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise
 from ltm_core.surface.reference_surface import Reference

@@ -1,4 +1,4 @@
-"""Trace the ray of each pixel to the terrain and return the range image; cache horizon profiles and ranges between frames.
+"""Trace the ray of each pixel to the terrain; cache horizon profiles and ranges between frames.
 
 The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
 

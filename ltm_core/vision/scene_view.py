@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.sun import sun_elevation
-from ltm_core.site.site import Site
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.masks import CameraMask, Looking, MakeMask, MaskConfig, ViewMasks, packed, read_mask
 from ltm_core.vision.usable import Unusable, Usability, judge
@@ -84,32 +83,10 @@ class SceneFilter:
         self._seen: tuple[str, BoolArray] | None = None
 
     @classmethod
-    def of(cls, site: Site, camera: str) -> SceneFilter:
-        """As the site file has it. Raises ConfigError for a camera that it lacks, and for a mask that cannot be."""
-        config = site.camera(camera)
-        where, calibration = f"cameras.{camera}", config.calibration
-        longitude, latitude = (float(np.radians(angle)) for angle in site.frame.to_lonlat(0.0, 0.0))
-        place = longitude, latitude
-        size = None if calibration is None else (calibration.width, calibration.height)
-        if size is not None and size[0] * size[1] > site.limits.pixels:
-            raise ConfigError(
-                f"{where}.calibration: pictures of {size[0]} x {size[1]} pixels are larger than `limits: {{pixels: "
-                f"{site.limits.pixels}}}` allow; mend the calibration, or raise the limit"
-            )
-        views = None
-        if config.view_masks:
-            made = {v: _maker(v.mask, f"{where}.view_masks.{v.name}")[0] for v in config.view_masks}
-            views = ViewMasks(made, size)
-        if config.mask is None:
-            return cls(judged=config.judge_pictures, views=views, place=place)
-        make, own = _maker(config.mask, f"{where}.mask")
-        return cls(make, size or own, config.judge_pictures, views, place)
-
-    @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
         """With the mask of a PNG; `place`: what names it in errors. Raises ConfigError as `read_mask`, and where it
         does not have the pictures' size."""
-        make, own = _maker(path, place)
+        make, own = mask_maker(path, place)
         return cls(make, size or own, judged)
 
     @property
@@ -159,7 +136,7 @@ class SceneFilter:
         return f"view {view.name}" if view is not None else f"no view of the site file looks to {looking}"
 
 
-def _maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
+def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
     """What makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
     if not isinstance(config, Path):
         return partial(CameraMask.of_polygons, config, place=place), None

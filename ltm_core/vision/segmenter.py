@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,9 +22,6 @@ from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
 from ltm_core.vision.tensors import as_tensor, fitted, input_tensor, upsampled_winner
 from ltm_core.vision.vocabulary import load_text
-
-if TYPE_CHECKING:
-    from ltm_core.site.site import Site
 
 
 @dataclass(frozen=True)
@@ -102,14 +99,6 @@ class Segmenter:
             return cls(manifest, threads, labels, choice=open_choice(manifest, heads))
         file = find_head(head, manifest, heads)
         return cls(manifest, threads, labels, head=None if file is None else read_head(file, manifest)[0])
-
-    @classmethod
-    def of(cls, site: "Site", camera: str, model: str = "", threads: int = 1) -> "Segmenter":
-        """The network of a site, or another one, with the head that its file names for a camera.
-
-        Raises ConfigError for a camera that the site lacks, and ModelError as `open`.
-        """
-        return cls.open(model or site.model, threads, head=site.camera(camera).head, heads=site.heads)
 
     @property
     def name(self) -> str:

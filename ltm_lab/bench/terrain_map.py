@@ -11,9 +11,9 @@ import numpy as np
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface import DepthFrame, LabelImage, Reference, SurfaceMap
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.tile_pool import schema_of
 from ltm_core.tracing import TerrainTracer
 from ltm_lab.bench.measure import Cost, cost_of, least_cost, peak_mb, resident_mb

@@ -31,7 +31,7 @@ from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest, label_columns
-from ltm_core.site.label_errors import camera_label_errors, site_label_errors
+from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
@@ -206,7 +206,7 @@ class NodeRules:
 
 def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
     """Defaults are those of the nodes. Raises ConfigError."""
-    from ltm_ros.nodes.fuel_map import FuelMapConfig
+    from ltm_ros.fuel_map.config import FuelMapConfig
 
     graph = describe(site, path)
 

@@ -20,10 +20,10 @@ import numpy as np
 from ltm_core.base.errors import ArchiveError, ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.base.utc_time import stamp_of_moment
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.storage.photo_io import LARGEST_FILE
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.usable import WORKING_WIDTH
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
@@ -205,7 +205,7 @@ class SmallLook:
     """Says of a camera's pictures why they show too little, as the labelling does of whole ones (`usable.judge`)."""
 
     def __init__(self, site: Site, camera: str, reader: PictureReader) -> None:
-        self._scene, self._reader = SceneFilter.of(site, camera), reader
+        self._scene, self._reader = site_scene_filter(site, camera), reader
 
     def __call__(self, frame: ArchiveFrame) -> str:
         """Empty: it is clear. Raises ArchiveError as `PictureReader.read`."""

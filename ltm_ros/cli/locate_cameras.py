@@ -20,7 +20,8 @@ from ltm_core.locating.posterior import read_mask
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import PoseErrorConfig
+from ltm_core.site.networks import site_scene_filter
+from ltm_core.surface.config import PoseErrorConfig
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
@@ -83,7 +84,6 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
     from ltm_core.site.site_io import load_site
     from ltm_core.tracing.trace_io import load_picture_config
     from ltm_core.vision.masks import Looking
-    from ltm_core.vision.scene_view import SceneFilter
 
     site = load_site(path)
     ground = site.open_dem()
@@ -104,7 +104,7 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
         stated = pose.covariance(placed, assumed.position, assumed.angle_deg)
         covariance = assumed.covariance() if stated is None else stated
         model = calibration.camera()
-        hidden = SceneFilter.of(site, name).hidden(model.width, model.height, Looking.of(model, placed))
+        hidden = site_scene_filter(site, name).hidden(model.width, model.height, Looking.of(model, placed))
         cameras[name] = LocatingCamera(name, model, placed, covariance, hidden)
     if files:
         raise ConfigError(

@@ -37,11 +37,6 @@ JsonFile = Annotated[
 ]
 
 
-def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
-    """One row a node, by name, from the key -> value texts of their diagnostics."""
-    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]
-
-
 def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
     """Messages in and out, drops by cause with the first of each in words, and latency from the moment a frame was
     taken."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ltm_core.site.networks import site_scene_filter, site_segmenter
+
 if TYPE_CHECKING:
     from ltm_core.geometry.zoom_lens import ZoomLens
     from ltm_core.pose_estimation.mount.mount_config import MountConfig
@@ -86,7 +88,7 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError, ImageError, PoseError
-    from ltm_core.pipeline.site_surface import site_terrain
+    from ltm_core.pipeline.site_poses import site_terrain
     from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount.mount_io import read_readings
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
@@ -95,12 +97,10 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
-    from ltm_core.vision.scene_view import SceneFilter
-    from ltm_core.vision.segmenter import Segmenter
 
     terrain, config = site_terrain(head.site)
-    segmenter = Segmenter.of(head.site, head.camera, model_name)
-    scene = SceneFilter.of(head.site, head.camera)
+    segmenter = site_segmenter(head.site, head.camera, model_name)
+    scene = site_scene_filter(head.site, head.camera)
     azimuth, pitch, roll, tilt_zero = head.config.angle_sigmas_deg
     place, height = head.config.position_sigma or 0.0, head.config.height_sigma or 0.0
     priors, searches = [], []

@@ -46,9 +46,10 @@ def replay(
 
     from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
-    from ltm_ros.cli.output import node_rows, print_nodes, print_outcome
+    from ltm_ros.cli.output import print_nodes, print_outcome
     from ltm_ros.cli.progress import message_bar, stop_on_signals
     from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
+    from ltm_ros.runtime.diagnostics import node_rows
 
     console = Console()
     if publish_only:

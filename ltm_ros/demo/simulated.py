@@ -19,7 +19,6 @@ from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.run_report import ReportData, write_report
 from ltm_lab.evaluation.run_score import BagScore, DepthRow, score_bag
 from ltm_lab.evaluation.score_tables import tables
-from ltm_ros.cli.output import node_rows
 from ltm_ros.demo.outcome import (
     camera_pictures,
     conditions,
@@ -34,7 +33,7 @@ from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
 from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
-from ltm_ros.runtime.diagnostics import NodeRow
+from ltm_ros.runtime.diagnostics import NodeRow, node_rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.site.label_errors import camera_label_errors, site_label_errors
+from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 

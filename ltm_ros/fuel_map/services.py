@@ -18,11 +18,11 @@ from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.fuel.export.companion_files_io import write_item
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
-from ltm_core.fuel.export.provenance import landscape_units, provenance_of
+from ltm_core.fuel.export.provenance import landscape_units
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import system_of
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_fuel import site_canopy, spare_heights
+from ltm_core.pipeline.site_fuel import provenance_of, site_canopy, spare_heights
 from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import Key, Tile, TileStore

@@ -16,17 +16,18 @@ from ltm_core.fuel.cell_counts import UNSEEN, CoverageMap
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.export.landscape import Landscape
-from ltm_core.fuel.export.provenance import Provenance, provenance_of
+from ltm_core.fuel.export.provenance import Provenance
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_fuel import SiteCanopy, site_canopy, site_evidence_map
-from ltm_core.pipeline.site_surface import ConfirmedTerrain, exported_terrain
+from ltm_core.pipeline.site_fuel import SiteCanopy, provenance_of, site_canopy, site_evidence_map
+from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import TileStore
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.surface_versions_io import SurfaceVersion
 from ltm_core.vision.labels import LabelSet
 

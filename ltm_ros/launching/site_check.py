@@ -26,7 +26,7 @@ from ltm_core.storage.disk_io import free_bytes, require_folder
 from ltm_ros.cameras.readiness import doubts_of
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
-from ltm_ros.launching.supervisor import EX_CONFIG
+from ltm_ros.runtime.handler import EX_CONFIG
 from ltm_ros.runtime.ports import bind_error, refusal
 
 LEAST_SPACE = 200 << 20

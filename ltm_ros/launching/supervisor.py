@@ -19,9 +19,7 @@ from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
-
-EX_CONFIG = 78
-"""Exit status of a node whose configuration cannot work (sysexits.h)."""
+from ltm_ros.runtime.handler import EX_CONFIG
 
 LOOK_S = 1.0
 UNWATCHED_S = 60.0

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
@@ -27,16 +26,17 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.fuel_map.kernels import compile_kernels
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,
@@ -51,22 +51,6 @@ from ltm_ros.runtime.topics import (
 
 BURN_SOURCE = "fuel_map/burn"
 """Under which the store keeps burns; no camera can have this name."""
-
-
-class FuelMapConfig(NodeConfig):
-    folder: str = ""
-    """Where the map is kept from run to run, and written on request; relative to the site file. Empty: the map ends
-    with the node. Never taken from the wire."""
-    export_path: str = ""
-    """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
-    accept_unknown_cameras: bool = False
-    """Count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
-    allow_clear_and_burn: bool = False
-    """Serve `fuel_map/clear` and `fuel_map/burn`, with which anybody in the graph forgets or burns what it knows."""
-    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
-    max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Seconds by which a frame may be late."""
 
 
 class FuelMap(Handler[FuelMapConfig]):

@@ -27,11 +27,11 @@ from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
 from ltm_core.locating.turn_evidence import STEP
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -98,7 +98,7 @@ class Locate(Handler[LocateConfig]):
         lifetime = round(config.track_lifetime * 1e9)
         memory = round(config.turn_memory * 1e9)
         self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks, memory_ns=memory)
-        self._scenes = {name: SceneFilter.of(site, name) for name in site.cameras}
+        self._scenes = {name: site_scene_filter(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._rotations: dict[str, Float64Array] = {name: np.zeros(3) for name in site.cameras}
         """By which stated poses are corrected."""

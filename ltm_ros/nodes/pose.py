@@ -15,13 +15,13 @@ from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pipeline.site_surface import site_terrain
-from ltm_core.pose_estimation.mount.mount_io import memory_file, mount_terms, recall_memory, write_memory
+from ltm_core.pipeline.site_poses import mount_terms, site_terrain
+from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -56,7 +56,7 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
     def __init__(self, config: PoseKeepingConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        self._scene = SceneFilter.of(site, config.camera)
+        self._scene = site_scene_filter(site, config.camera)
         if site.refine_poses is None:
             raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
         terrain, self._search = site_terrain(site)

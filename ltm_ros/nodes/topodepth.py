@@ -15,7 +15,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, Verdict
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
-from ltm_core.pipeline.site_surface import ConfirmedTerrain, surface_versions
+from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.surface_versions_io import AS_GIVEN
 from ltm_core.vision.scene_view import SceneView
@@ -108,7 +108,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
         """`traced`: the version of the surface to which the frame was traced."""
         if self._versions is not None and traced != self._version:
-            over = ConfirmedTerrain.of(self._site, self._versions, traced)
+            over = confirmed_terrain(self._site, self._versions, traced)
             self._step.trace_to(None if over.top is over.ground else over.ground)
             self._version = traced
         if labels is None:

@@ -84,3 +84,8 @@ class NodeRow:
             ", ".join(f"{cause} {count}" for cause, count in causes.items()),
             tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
         )
+
+
+def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
+    """One row a node, by name, from the key -> value texts of their diagnostics."""
+    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]

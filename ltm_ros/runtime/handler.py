@@ -136,3 +136,7 @@ class NodeType(Generic[ConfigT]):
     name: str
     config: type[ConfigT]
     handler: Callable[[ConfigT, Outlet, Health], Handler[ConfigT]]
+
+
+EX_CONFIG = 78
+"""Exit status of a node whose configuration cannot work (sysexits.h)."""

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import RasterError, StoreError
-from ltm_core.pipeline.site_surface import ConfirmedTerrain, surface_versions
+from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site import Site
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.surface_versions_io import AS_GIVEN
 from ltm_msgs_py.confirmed_surface import msg_to_version
 from ltm_ros.runtime.health import Health, cause_of
@@ -50,7 +51,7 @@ class SurfaceFollower:
         try:
             name = self._versions.manifest().current
             if name != self._name:
-                self._take(ConfirmedTerrain.of(self._site, self._versions, name))
+                self._take(confirmed_terrain(self._site, self._versions, name))
                 self._name = name
                 self._health.note("surface_changed")
             self._late = False

@@ -45,9 +45,10 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.nodes.depth import Depth, DepthConfig
-from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.nodes.fuel_votes import FuelVotes
 from ltm_ros.nodes.locate import Locate, LocateConfig
 from ltm_ros.nodes.segmentation import Segmentation, SegmentationConfig

@@ -28,6 +28,7 @@ from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.pose_estimation.mount.mount_io import read_head_points, read_readings
 from ltm_core.pose_estimation.points.control_points import read_control_points, set_up_resection
 from ltm_core.raster.dem import Dem
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.surface.surface_versions_io import MANIFEST, Counted, SurfaceManifest, SurfaceVersion, SurfaceVersions
@@ -37,7 +38,6 @@ from ltm_core.vision.label_confidence import Calibration
 from ltm_core.vision.label_head import read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_lab.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_lab.evaluation.truth_frames_io import read_truth_frames
@@ -84,7 +84,7 @@ def _read_site(folder: Path) -> None:
     site = load_site(folder / "site.yaml")
     site.fuel_geometry(site.open_dem())
     for name, camera in site.cameras.items():
-        SceneFilter.of(site, name)
+        site_scene_filter(site, name)
         if camera.calibration is not None:
             camera.calibration.camera()
         if camera.pose is not None:

@@ -8,7 +8,7 @@ import sys
 import pytest
 from scenes.small_site import SmallSite
 
-from ltm_ros.launching.supervisor import EX_CONFIG
+from ltm_ros.runtime.handler import EX_CONFIG
 
 pytestmark = pytest.mark.graph
 

@@ -42,8 +42,9 @@ from ltm_lab.simulator.run import make_site, rasters_at
 from ltm_lab.simulator.scenario import CloudConfig
 from ltm_lab.tracers.march import march
 from ltm_lab.training.fusion_samples import frame_samples
+from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.depth import Depth, DepthConfig
-from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.nodes.fuel_votes import FuelVotes
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig

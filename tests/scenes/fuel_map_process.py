@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ltm_ros.fuel_map import persistence
-from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE

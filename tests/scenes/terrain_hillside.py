@@ -11,9 +11,9 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface import DepthFrame, Reference, SurfaceMap
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
-import numpy as np
-
 from ltm_core.fuel.codes import FuelSystem
-from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
-from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import FuelPrior
-from ltm_core.site.site import Site
+from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS
 from ltm_core.surface.surface_versions_io import SurfaceVersion
 
 NOTHING_SEEN = "nothing seen"
@@ -91,42 +84,6 @@ class Provenance:
 def landscape_units() -> dict[str, str]:
     """The unit of each band of a landscape, as tags."""
     return {f"unit_{name}": unit for name, unit in zip(LANDSCAPE_BANDS, LANDSCAPE_UNITS, strict=True)}
-
-
-def provenance_of(
-    site: Site,
-    layers: FuelLayers,
-    system: FuelSystem,
-    moment_ns: int | None = None,
-    landscape: Landscape | None = None,
-    surface: SurfaceVersion | None = None,
-    prior: FuelPrior | None = None,
-) -> Provenance:
-    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen.
-    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'. `prior`: that the codes of
-    a landscape were made with.
-    """
-    known = layers.code != NODATA
-    cells = int(known.sum())
-    newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns
-    looked = bool((layers.evidence > 0).any())
-    as_of = iso_moment(newest) if newest > 0 else NOTHING_SEEN if not looked else WITHOUT_DATES
-    # A map without dates is one of classes: its cells may be seen or the prior's.
-    dated = moment_ns is None and as_of != WITHOUT_DATES
-    seen = float((layers.evidence > 0)[known].mean()) if dated and cells else None
-    changed = float(layers.changed[known].mean()) if cells else 0.0
-    name = "none" if site.fuel.prior is None else site.fuel.prior.described()
-    digest = hashlib.sha256(np.ascontiguousarray(layers.prior, "<i2").tobytes()).hexdigest()[:16]
-    released = landfire_version(name)
-    of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
-    terrain = "" if landscape is None else landscape.terrain_note()
-    shape = "" if surface is None else surface_note(surface)
-    beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
-    own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
-    region = site.fuel.region
-    return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, region, system, software(), terrain, shape, own
-    )
 
 
 def surface_note(surface: SurfaceVersion) -> str:

@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.camera_config import PoseConfig
 from ltm_core.cameras.plausibility import PitchDeg
 from ltm_core.geometry.geodesy import SiteFrame
@@ -123,3 +124,25 @@ def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) ->
 
 def _short(value: float) -> float:
     return float(f"{value:.3g}")
+
+
+class PoseRefinementConfig(StrictModel):
+    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    for each camera. Angles in degrees."""
+
+    every: float = Field(10.0, ge=0)
+    """Seconds between two pictures that are looked at."""
+    gather: int = Field(6, ge=2)
+    """Clear pictures in which a mount's error is sought together,"""
+    most_gathered: int = Field(12, ge=2)
+    """and at most so many, where they leave it open."""
+    judged: int = Field(6, ge=1)
+    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    slipped: int = Field(4, ge=1)
+    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    least_slip_deg: float = Field(0.2, gt=0)
+    """A picture says so where it is off by more than this"""
+    slip_sigmas: float = Field(3.0, gt=0)
+    """and by so many of its standard deviations,"""
+    slip_sigma_deg: float = Field(3.0, gt=0)
+    """and this is the standard deviation of a slip's angles."""

@@ -9,9 +9,7 @@ with: where any of these has changed since, it is not used, and the mount's erro
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -24,12 +22,10 @@ from pydantic import Field, ValidationError
 from ltm_core.base.errors import PoseError, StoreError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.points.control_points import HeadPoints, read_point_rows
-from ltm_core.site.site import Site
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 
 READING_COLUMNS: dict[str, Sequence[str]] = {
@@ -116,20 +112,6 @@ class _Memory(StrictModel):
 
 def memory_file(folder: Path, camera: str) -> Path:
     return folder / f"mount_{camera}.json"
-
-
-def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
-    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
-    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
-    stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
-    rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
-    try:
-        files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
-    except OSError as error:
-        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
-    ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
-    lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
-    return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
 
 
 def write_memory(path: Path, watch: MountWatch, terms: str) -> None:

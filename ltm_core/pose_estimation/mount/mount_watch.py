@@ -29,6 +29,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
+from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import fit_head
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
@@ -41,7 +42,6 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_sl
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, skyline_fit
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
-from ltm_core.site.sections import PoseRefinementConfig
 
 _STEP_DEG, _STEPS = 0.25, 8
 """To either side."""
@@ -90,7 +90,7 @@ def skyline_turns(
 
 _KEPT = 16
 """Horizons: as many as a head has presets."""
-_mount_watch_STEP_DEG = 2.0
+_WATCH_STEP_DEG = 2.0
 """Directions that differ by less share a horizon."""
 _TRACKING = (*ROUNDS[::2], ROUNDS[-1])
 """Rounds of the fit in a picture of a mount that is known: it begins close by."""
@@ -279,13 +279,13 @@ class MountWatch:
 
     def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
         """About the prior direction, of the last few that were asked for, with its ridges."""
-        azimuth = round(prior.pose.angles_deg[0] / _mount_watch_STEP_DEG) * _mount_watch_STEP_DEG
+        azimuth = round(prior.pose.angles_deg[0] / _WATCH_STEP_DEG) * _WATCH_STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
         reach = search_reach(prior, self._search)
         key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
         if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
-            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _mount_watch_STEP_DEG)
+            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _WATCH_STEP_DEG)
             horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
             self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
             if len(self._horizons) > _KEPT:

@@ -178,7 +178,7 @@ def _distance(a: Pose, b: Pose) -> float:
     return float(np.abs(angles_between(a, b)).max())
 
 
-_skyline_poses_SETTLING = ((3.0, 1.0),) * 6
+_SKYLINE_SETTLING = ((3.0, 1.0),) * 6
 """As `ROUNDS`: further ones."""
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
@@ -246,7 +246,7 @@ def poses_on_skyline(
     near = math.radians(config.verdict.alternative_deg)
     middle = found[0].refined.pose
     found = [
-        hypothesis_from(h.refined.pose, h.refined.camera, _skyline_poses_SETTLING)
+        hypothesis_from(h.refined.pose, h.refined.camera, _SKYLINE_SETTLING)
         if abs(angles_between(middle, h.refined.pose)[0]) <= near
         else h
         for h in found

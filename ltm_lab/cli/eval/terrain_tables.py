@@ -15,7 +15,7 @@ from ltm_core.base.types import BoolArray
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pictures import to_png
-from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_lab.bench.measure import conditions as machine
 from ltm_lab.evaluation.figures_io import write_figures

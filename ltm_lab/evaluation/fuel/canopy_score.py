@@ -14,12 +14,12 @@ from ltm_core.fuel.codes import TreeCanopy
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.votes import VoteCaster
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import ConfirmedTerrain
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
 from ltm_core.surface import Reference, SurfaceMap
 from ltm_core.surface.change import confirmed_surface
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.terrain.hillside_ground import GEOMETRY, TOWERS

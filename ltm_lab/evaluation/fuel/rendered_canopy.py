@@ -15,8 +15,8 @@ from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.votes import VoteCaster
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
 from ltm_core.surface import Reference, SurfaceMap
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.fuel.canopy_truth_io import CanopyTruth

@@ -11,12 +11,12 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.mount.skyline_turns import SkylineTurns
 from ltm_core.pose_estimation.skyline.find_pose import Terrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.site.sections import PoseRefinementConfig
 from ltm_lab.evaluation.locating.smoke_score import TURNED_DEG
 from ltm_lab.evaluation.locating.smoke_trials import PoseErrors
 from ltm_lab.evaluation.pose.pose_trial import PreparedFrame

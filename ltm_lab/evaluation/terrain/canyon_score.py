@@ -14,7 +14,7 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import fuse
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap

@@ -8,7 +8,8 @@ from datetime import tzinfo
 
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import CameraConfig, PoseErrorConfig
+from ltm_core.site.sections import CameraConfig
+from ltm_core.surface.config import PoseErrorConfig
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ltm_core.base.errors import ImageError, LtmError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pipeline.site_poses import site_terrain
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_io import (
@@ -26,6 +26,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_io import (
     result_of,
 )
 from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between
+from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
@@ -146,8 +147,8 @@ class PoseRefinement:
         if camera not in self._views:
             segment = self._segment
             if segment is None:
-                segment = _labels_of(Segmenter.of(self._site, camera))
-            self._views[camera] = _CameraView(segment, SceneFilter.of(self._site, camera))
+                segment = _labels_of(site_segmenter(self._site, camera))
+            self._views[camera] = _CameraView(segment, site_scene_filter(self._site, camera))
         return self._views[camera]
 
     def _as_others(

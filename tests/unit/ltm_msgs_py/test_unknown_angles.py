@@ -14,7 +14,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import PoseErrorConfig
+from ltm_core.surface.config import PoseErrorConfig
 from ltm_msgs_py.pose import UNKNOWN_VARIANCES, msg_to_covariance, pose_to_msg
 
 POSE = Pose.from_angles((0.0, 0.0, 31.6), 40.0, 0.0, 0.0)

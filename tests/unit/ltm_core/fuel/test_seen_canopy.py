@@ -11,9 +11,9 @@ from ltm_core.base.types import Int16Array
 from ltm_core.fuel.canopy import ForestType, SeenCanopy, crown_fuel, measured_canopy, seen_canopy, with_seen_canopy
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pipeline.site_surface import ConfirmedTerrain
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 
 FINE = GridGeometry(0.0, 120.0, 2.0, 90, 60)
 FUEL = GridGeometry(0.0, 120.0, 30.0, 6, 4)

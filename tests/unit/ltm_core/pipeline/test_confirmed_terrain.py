@@ -12,9 +12,10 @@ from scenes.small_site import SmallSite, write_small_site
 from ltm_core.base.errors import StoreError
 from ltm_core.fuel.canopy import seen_canopy
 from ltm_core.pipeline.site_fuel import site_evidence_map
-from ltm_core.pipeline.site_surface import ConfirmedTerrain, exported_terrain, surface_versions
+from ltm_core.pipeline.site_surface import confirmed_terrain, exported_terrain, surface_versions
 from ltm_core.site.sections import DemConfig
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.surface_versions_io import FOLDER
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.fuel_map.services import write_landscapes
@@ -62,11 +63,11 @@ def test_the_version_of_the_moment_is_exported_and_none_without_a_state(small: S
 def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> None:
     versions = surface_versions(small.site, tmp_path / FOLDER)
     entry = versions.add(sunk(small, 4.0), BEGIN, 500)
-    one, other = (ConfirmedTerrain.of(small.site, versions, entry.version) for _ in range(2))
+    one, other = (confirmed_terrain(small.site, versions, entry.version) for _ in range(2))
     assert one.ground is other.ground
     assert one.top is other.top
     with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff' there"):
-        ConfirmedTerrain.of(small.site, versions, "f" * 16)
+        confirmed_terrain(small.site, versions, "f" * 16)
 
 
 def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite, tmp_path: Path) -> None:
@@ -76,7 +77,7 @@ def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite,
     versions.file(entry.version).write_bytes(b"cut")
     without = small.site.model_copy(update={"dem": DemConfig(path=tmp_path / "gone.tif")})
     with pytest.raises(StoreError, match="is not the file that was written"):
-        ConfirmedTerrain.of(without, versions, entry.version)
+        confirmed_terrain(without, versions, entry.version)
 
 
 def test_a_site_that_follows_nothing_exports_without_its_surface_raster(small: SmallSite, tmp_path: Path) -> None:
@@ -89,7 +90,7 @@ def test_without_a_raster_of_tree_tops_no_canopy_is_measured(small: SmallSite, t
     """Ground that sank below a wood says nothing of the trees on it, or beside it."""
     versions = surface_versions(small.site, tmp_path / FOLDER)
     entry = versions.add(sunk(small, 4.0), BEGIN, 500)
-    confirmed = ConfirmedTerrain.of(small.site, versions, entry.version)
+    confirmed = confirmed_terrain(small.site, versions, entry.version)
     assert confirmed.surface is not None
     assert seen_canopy(confirmed, small.site.fuel_geometry(small.dem)) is None
 

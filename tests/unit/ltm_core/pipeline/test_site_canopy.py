@@ -18,7 +18,7 @@ from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_canopy, site_evidence_map
-from ltm_core.pipeline.site_surface import TERRAIN_STORE, ConfirmedTerrain, open_stored_surface
+from ltm_core.pipeline.site_surface import TERRAIN_STORE, given_terrain, open_stored_surface
 from ltm_core.pipeline.stored_fuel import fuel_schema, open_stored_map, restore
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface import Reference, SurfaceMap
@@ -74,7 +74,7 @@ def test_new_trees_have_the_cover_that_labels_show_and_the_height_that_depth_doe
 ) -> None:
     evidence, region = wooded(small), FuelRegion.named("dry")
     stands_of(small, tmp_path, 8.0)
-    terrain, grid = ConfirmedTerrain.as_given(small.site), evidence.geometry
+    terrain, grid = given_terrain(small.site), evidence.geometry
     args = small.site, grid, evidence.layers(), evidence.prior, region, terrain
     nothing = site_canopy(*args)
     assert np.isnan(nothing.seen.cover).all()
@@ -116,7 +116,7 @@ def test_a_terrain_of_another_grid_is_told_and_the_export_goes_on(small: SmallSi
     finer = small.site.model_copy(update={"terrain": small.site.terrain.model_copy(update={"resolution": 5.0})})
     found = site_canopy(
         finer, evidence.geometry, evidence.layers(), evidence.prior, FuelRegion.named("dry"),
-        ConfirmedTerrain.as_given(finer), evidence, tmp_path,
+        given_terrain(finer), evidence, tmp_path,
     )  # fmt: skip
     assert "heights of trees are not from the terrain map" in found.note
     assert np.isnan(found.seen.height).all()

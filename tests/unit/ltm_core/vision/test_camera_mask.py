@@ -12,10 +12,10 @@ from scenes.small_site import MAST, write_small_site
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.finding import Verdict
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import CameraMask, MaskPolygon, read_mask, write_mask
-from ltm_core.vision.scene_view import SceneFilter
 
 
 def corner(height: int = MAST.height, width: int = MAST.width) -> np.ndarray:
@@ -36,7 +36,7 @@ def test_a_mask_comes_back_as_it_was_written(tmp_path: Path) -> None:
     hidden = corner()
     write_mask(tmp_path / "m.png", hidden)
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png", "here").hidden, hidden)
-    scene = SceneFilter.of(load_site(site_with(tmp_path, "m.png")), "mast")
+    scene = site_scene_filter(load_site(site_with(tmp_path, "m.png")), "mast")
     blocks = np.random.default_rng(3).integers(20, 235, (MAST.height // 8, MAST.width // 8, 3), np.uint8)
     view = scene.look(blocks.repeat(8, 0).repeat(8, 1))
     assert view.reason is None
@@ -53,7 +53,7 @@ def test_polygons_hide_the_pixels_that_they_cover(tmp_path: Path) -> None:
         {"class": "mast", "polygon": [[10, 20], [19, 20], [19, 143], [10, 143]]},
         {"class": "caption", "polygon": [[-5, -4], [260, -4], [260, 6], [-5, 6]], "reason": "over the edge is fine"},
     ]
-    scene = SceneFilter.of(load_site(site_with(tmp_path, polygons)), "mast")
+    scene = site_scene_filter(load_site(site_with(tmp_path, polygons)), "mast")
     expected = np.zeros((MAST.height, MAST.width), np.bool_)
     expected[20:144, 10:20] = True
     expected[:7] = True
@@ -63,7 +63,7 @@ def test_polygons_hide_the_pixels_that_they_cover(tmp_path: Path) -> None:
 
 def test_polygons_of_a_camera_without_calibration_are_drawn_in_the_size_of_its_pictures(tmp_path: Path) -> None:
     polygons = [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}]
-    scene = SceneFilter.of(load_site(site_with(tmp_path, polygons, "tower")), "tower")
+    scene = site_scene_filter(load_site(site_with(tmp_path, polygons, "tower")), "tower")
     assert scene.mask is None
     for height, width in ((18, 32), (36, 64)):
         hidden = scene.hidden(width, height)
@@ -79,7 +79,7 @@ def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
     content["cameras"]["mast"]["calibration"] |= {"width": 60_000, "height": 50_000}
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(ConfigError, match=r"cameras\.mast\.calibration: pictures of 60000 x 50000 .* raise the limit"):
-        SceneFilter.of(load_site(path), "mast")
+        site_scene_filter(load_site(path), "mast")
     content["cameras"]["mast"]["calibration"]["height"] = 10**29
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(ConfigError, match=r"calibration\.height: Input should be less than or equal to 65535"):
@@ -87,7 +87,7 @@ def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
 
 
 def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
-    scene = SceneFilter.of(write_small_site(tmp_path, recording=False).site, "tower")
+    scene = site_scene_filter(write_small_site(tmp_path, recording=False).site, "tower")
     assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None
 
 
@@ -119,7 +119,7 @@ def test_a_mask_that_cannot_be_is_told_in_words(tmp_path: Path, name: str) -> No
     said = wrong_files(tmp_path)[name]
     path = site_with(tmp_path, name)
     with pytest.raises(ConfigError, match=str(said)):
-        SceneFilter.of(load_site(path), "mast")
+        site_scene_filter(load_site(path), "mast")
     found = [f for f in check_site(path).findings if f.name == "mast: mask"]
     assert [f.verdict for f in found] == [Verdict.WRONG]
 
@@ -149,7 +149,7 @@ def test_a_path_out_of_the_sites_folder_is_refused(tmp_path: Path, away: str) ->
 def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: object, said: str) -> None:
     site = load_site(site_with(tmp_path, polygons))
     with pytest.raises(ConfigError, match=said):
-        SceneFilter.of(site, "mast")
+        site_scene_filter(site, "mast")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from scenes.networks import COLORS, write_classifier, write_domain_of, write_swa
 from ltm_core.base.errors import ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.site.label_errors import camera_label_errors
+from ltm_core.site.networks import camera_label_errors
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
 from ltm_core.vision.label_head import LabelHead, read_head

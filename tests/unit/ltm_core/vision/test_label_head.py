@@ -17,6 +17,7 @@ from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
+from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.vision.label_confidence import Agreement, load_calibration
 from ltm_core.vision.label_head import HeadFile, LabelHead, find_head, heads_folder, read_head, write_head
@@ -225,7 +226,7 @@ def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
     for camera, network in (("north", "landscape_v2"), ("east", "landscape_lite0")):
         depth = depth_manifest(site, camera, FusingConfig())
         assert depth.name == f"{network}_depth"
-        assert depth.model_file() == Segmenter.of(site, camera).model_path
+        assert depth.model_file() == site_segmenter(site, camera).model_path
 
 
 def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:

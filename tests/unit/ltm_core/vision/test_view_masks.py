@@ -13,10 +13,10 @@ from scenes.small_site import TOWER, write_small_site
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.finding import Verdict
 from ltm_core.geometry.pose import Pose
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking, MaskPolygon, ViewMask, write_mask
-from ltm_core.vision.scene_view import SceneFilter
 
 WIDE = TOWER.hfov_deg
 POLYGON = MaskPolygon(polygon=((0, 0), (9, 0), (9, 4)))
@@ -60,7 +60,7 @@ def test_each_view_has_its_mask_and_that_of_all_views(tmp_path: Path) -> None:
     hidden[30:90, 200:] = True
     write_mask(tmp_path / "north.png", hidden)
     views = [view("north", 0.0, "north.png"), view("east", 90.0, [rectangle(100, 5, 150, 60)], within_deg=2.0)]
-    scene = SceneFilter.of(load_site(site_with(tmp_path, views, mask=[rectangle(0, 0, 8, 320)])), "tower")
+    scene = site_scene_filter(load_site(site_with(tmp_path, views, mask=[rectangle(0, 0, 8, 320)])), "tower")
     caption, roof = np.zeros_like(hidden), np.zeros_like(hidden)
     caption[:8] = True
     roof[100:150, 5:60] = True
@@ -82,7 +82,7 @@ def test_each_view_has_its_mask_and_that_of_all_views(tmp_path: Path) -> None:
 
 def test_a_view_that_has_none_and_another_zoom_hide_nothing(tmp_path: Path) -> None:
     views = [view("north", 0.0, [rectangle(9, 5, 50, 60)], hfov_deg=30.0)]
-    scene = SceneFilter.of(load_site(site_with(tmp_path, views)), "tower")
+    scene = site_scene_filter(load_site(site_with(tmp_path, views)), "tower")
     picture = np.random.default_rng(2).integers(0, 255, (180, 320, 3), np.uint8)
     for looking in (Looking(0.0, -14.0, 62.0), Looking(0.0, 10.0, 30.0)):
         found = scene.look(picture, looking)
@@ -98,7 +98,7 @@ def test_of_two_views_the_nearer_is_taken(tmp_path: Path) -> None:
     views = [view("a", 10.0, [rectangle(0, 0, 3, 4)], within_deg=3.0), view("b", 12.0, [rectangle(0, 0, 5, 6)])]
     views[1]["within_deg"] = 3.0
     path = site_with(tmp_path, views)
-    scene = SceneFilter.of(load_site(path), "tower")
+    scene = site_scene_filter(load_site(path), "tower")
     for azimuth, count in ((10.9, 12), (11.1, 30)):
         found = scene.hidden(320, 180, Looking(azimuth, -14.0, WIDE))
         assert found is not None

@@ -9,7 +9,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.site.sections import TerrainConfig
+from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
 from ltm_lab.evaluation.metrics.change import ChangeScore

@@ -14,10 +14,10 @@ from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import LtmError
+from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.areas import NamedArea, read_areas, write_areas
 from ltm_core.vision.masks import Looking
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.pose import pose_to_msg
@@ -54,7 +54,7 @@ def test_a_person_confirms_what_is_proposed(photos: Path, tmp_path: Path) -> Non
     content = yaml.safe_load(site.read_text())
     content["cameras"]["tower"].update(line["cameras"]["tower"])
     site.write_text(yaml.safe_dump(content))
-    hidden = SceneFilter.of(load_site(site), "tower").hidden(WIDTH, HEIGHT)
+    hidden = site_scene_filter(load_site(site), "tower").hidden(WIDTH, HEIGHT)
     assert hidden is not None
     assert (hidden & corners()).sum() > 0.95 * corners().sum()
     assert {area.kind for area in read_areas(tmp_path / "tower_mask.json")} == {"lens"}
@@ -97,7 +97,7 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
     content = yaml.safe_load(small.path.read_text())
     content["cameras"]["tower"]["view_masks"] = [line]
     small.path.write_text(yaml.safe_dump(content))
-    scene = SceneFilter.of(load_site(small.path), "tower")
+    scene = site_scene_filter(load_site(small.path), "tower")
     assert scene.hidden(WIDTH, HEIGHT, Looking(10.0, -14.0, 62.0)) is None
     hidden = scene.hidden(WIDTH, HEIGHT, Looking(70.2, -14.0, 62.0))
     assert hidden is not None

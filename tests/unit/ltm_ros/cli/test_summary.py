@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from ltm_ros.cli.output import node_rows, outcome, print_nodes
+from ltm_ros.cli.output import outcome, print_nodes
+from ltm_ros.runtime.diagnostics import node_rows
 from ltm_ros.runtime.health import Health
 
 

@@ -28,7 +28,8 @@ from ltm_core.surface.reference_surface import Reference
 from ltm_msgs_py.grid import changed_to_msg, classes_to_msg, msg_to_classes
 from ltm_msgs_py.pointcloud import msg_to_fuel_cells
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.fuel_map.config import FuelMapConfig
+from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE, TERRAIN_CHANGE, TERRAIN_UPDATE

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_ros.launching.supervisor import EX_CONFIG, Backoff, NodeProcess, ProcessState, RestartPolicy, describe_exit
+from ltm_ros.launching.supervisor import Backoff, NodeProcess, ProcessState, RestartPolicy, describe_exit
+from ltm_ros.runtime.handler import EX_CONFIG
 
 QUICK = RestartPolicy(initial_s=0.01, maximum_s=0.02, config_tries=2)
 

@@ -26,12 +26,12 @@ from ltm_core.fuel.export.provenance import (
     Provenance,
     landfire_version,
     landscape_units,
-    provenance_of,
     software,
 )
 from ltm_core.fuel.life_form import NODATA, life_form_labels
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
 

@@ -1,0 +1,73 @@
+"""Open what a site file says about networks and masks of its cameras: segmenters, scene filters, label errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.site.site import Site
+from ltm_core.vision.head_choice_io import heads_to_choose
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
+from ltm_core.vision.masks import ViewMasks
+from ltm_core.vision.scene_view import SceneFilter, mask_maker
+from ltm_core.vision.segmenter import Segmenter
+
+
+def site_label_errors(site: Site) -> LabelErrors:
+    """What is known of the errors of the site's network. Raises ConfigError."""
+    given = site.fuel.label_errors
+    return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
+
+
+def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
+    """Those of the cameras whose network has a head of its own: a head errs otherwise than what it corrects.
+
+    Which of several a camera's pictures have chosen is not known of its votes: they err as all of them do in the mean.
+    Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
+    """
+    if site.fuel.label_errors is not None:
+        return {}
+    known: dict[str, LabelErrors] = {}
+    for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
+        if head != AUTO_HEAD:
+            known[head] = LabelErrors.of_head(site.model, head, site.heads)
+            continue
+        network = Manifest.find(site.model)
+        if files := list(heads_to_choose(network.serving(head), site.heads)[0]):
+            every = [LabelErrors.of_head(site.model, str(file.absolute())) for file in files]
+            known[head] = LabelErrors.mean([LabelErrors.of_model(network.heads_of or site.model), *every])
+    return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}
+
+
+def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -> Segmenter:
+    """Open the network of a site, or `model`, with the label head that the site file names for a camera.
+
+    Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`.
+    """
+    return Segmenter.open(model or site.model, threads, head=site.camera(camera).head, heads=site.heads)
+
+
+def site_scene_filter(site: Site, camera: str) -> SceneFilter:
+    """Return the scene filter of a camera. Raises ConfigError for a camera that the site lacks, and for an invalid
+    mask."""
+    config = site.camera(camera)
+    where, calibration = f"cameras.{camera}", config.calibration
+    longitude, latitude = (float(np.radians(angle)) for angle in site.frame.to_lonlat(0.0, 0.0))
+    place = longitude, latitude
+    size = None if calibration is None else (calibration.width, calibration.height)
+    if size is not None and size[0] * size[1] > site.limits.pixels:
+        raise ConfigError(
+            f"{where}.calibration: pictures of {size[0]} x {size[1]} pixels are larger than `limits: {{pixels: "
+            f"{site.limits.pixels}}}` allow; correct the calibration, or raise the limit"
+        )
+    views = None
+    if config.view_masks:
+        made = {v: mask_maker(v.mask, f"{where}.view_masks.{v.name}")[0] for v in config.view_masks}
+        views = ViewMasks(made, size)
+    if config.mask is None:
+        return SceneFilter(judged=config.judge_pictures, views=views, place=place)
+    make, own = mask_maker(config.mask, f"{where}.mask")
+    return SceneFilter(make, size or own, config.judge_pictures, views, place)

@@ -1,0 +1,24 @@
+"""Configure the node `fuel_map`."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from ltm_ros.runtime.handler import NodeConfig
+from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S
+
+
+class FuelMapConfig(NodeConfig):
+    folder: str = ""
+    """Where the map is kept from run to run, and written on request; relative to the site file. Empty: the map ends
+    with the node. Never taken from the wire."""
+    export_path: str = ""
+    """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
+    accept_unknown_cameras: bool = False
+    """Count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
+    allow_clear_and_burn: bool = False
+    """Serve `fuel_map/clear` and `fuel_map/burn`, with which anybody in the graph forgets or burns what it knows."""
+    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
+    """Seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
+    max_behind: float = Field(MAX_BEHIND_S, gt=0)
+    """Seconds by which a frame may be late."""
