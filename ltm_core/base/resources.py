@@ -17,7 +17,7 @@ def config_path(name: str) -> Path:
 def project_path(name: str) -> Path:
     """A file or folder that ships with the project, such as `bags/demo`. Raises ConfigError, as `config_path` does."""
     prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    roots = [Path(__file__).parents[1], *(Path(prefix) / "share/ltm" for prefix in (sys.prefix, *prefixes))]
+    roots = [Path(__file__).parents[2], *(Path(prefix) / "share/ltm" for prefix in (sys.prefix, *prefixes))]
     for root in roots:
         if (root / name).exists():
             return root / name

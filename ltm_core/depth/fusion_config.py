@@ -3,8 +3,8 @@
 Every constant of depth fusion, in one place, each with what it means and where it comes from.
 
 Three origins: *derived* from geometry or arithmetic, with no choice left; *fitted* to rendered frames by
-`ltm train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; and *chosen* by a person on the
-development scenarios, by RMSE of `ltm eval depth`. What each stage is worth, `ltm eval depth --without STAGE` tells.
+`ltm-lab train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; and *chosen* by a person on the
+development scenarios, by RMSE of `ltm-lab eval depth`. What each stage is worth, `ltm-lab eval depth --without STAGE` tells.
 
 Log odds are natural logarithms of p / (1 - p).
 """
@@ -30,7 +30,7 @@ def derived(default: Any, meaning: str, **bounds: float) -> Any:
 
 
 def fitted(default: Any, meaning: str) -> Any:
-    """A constant that `ltm train fusion` writes."""
+    """A constant that `ltm-lab train fusion` writes."""
     return Field(default, description=meaning, json_schema_extra={"origin": "fitted"})
 
 

@@ -35,7 +35,7 @@ _NAMES = tuple(form.name.lower() for form in LifeForm)
 class LabelCorrelation(StrictModel):
     """Intraclass correlations of a network's label errors: how much two pixels of one cell err alike beyond chance.
 
-    0: each errs for itself; 1: always both. Measured against truth by `ltm eval fuel BAG` (`label_correlation`).
+    0: each errs for itself; 1: always both. Measured against truth by `ltm-lab eval fuel BAG` (`label_correlation`).
     """
 
     cell: float = Field(ge=0, le=1)

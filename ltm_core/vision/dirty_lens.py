@@ -3,7 +3,7 @@ camera's own earlier pictures of the same view, while the rest is as sharp as ev
 
 What a part always looked like is the median of clear pictures of hours or days, so that a part which was always smooth,
 or which the weather often hides, says little. Fog takes detail as drops do; what tells them apart is that it drifts.
-The constants were chosen on half of a set of mountain photos with drops and smears drawn into them; `ltm eval
+The constants were chosen on half of a set of mountain photos with drops and smears drawn into them; `ltm-lab eval
 dirty-lens` scores them on others.
 """
 

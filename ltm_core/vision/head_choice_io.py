@@ -51,6 +51,6 @@ def _space(manifest: Manifest) -> DomainSpace:
     if space is None:
         raise ModelError(
             f"head {AUTO_HEAD!r}: nobody measured where pictures of network {manifest.name!r} lie, there is no "
-            f"{domain_path(manifest)}; measure it (ltm train domains), or name a head"
+            f"{domain_path(manifest)}; measure it (ltm-lab train domains), or name a head"
         )
     return space

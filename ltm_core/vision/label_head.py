@@ -179,7 +179,7 @@ def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path
         if is_file(place):
             return place
     raise ModelError(
-        f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm train "
+        f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm-lab train "
         f"head PHOTOS --out {Path(name).stem}"
     )
 

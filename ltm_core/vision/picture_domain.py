@@ -59,7 +59,7 @@ class DomainSpace(StrictModel):
         if len(statistics) != len(self.mean):
             raise ModelError(
                 f"map {self.map!r} of network {self.network!r} has {len(values)} channels; its domains were measured "
-                f"with {len(self.mean) // 2}: measure them again (ltm train domains)"
+                f"with {len(self.mean) // 2}: measure them again (ltm-lab train domains)"
             )
         return np.asarray(np.asarray(self.axes) @ (statistics - np.asarray(self.mean)), np.float64)
 

@@ -34,7 +34,7 @@ def load_domain(manifest: Manifest) -> DomainSpace | None:
         raise ModelError(
             f"{path}: is of network {space.network!r} with sha256 {space.sha256} and its map {space.map!r}; "
             f"{manifest.name!r} has {manifest.sha256} and {', '.join(manifest.maps) or 'no maps'}. Measure it again: "
-            f"ltm train domains FOLDER... --model {manifest.name}"
+            f"ltm-lab train domains FOLDER... --model {manifest.name}"
         )
     return space
 
@@ -46,7 +46,7 @@ def write_domain(path: Path, space: DomainSpace) -> None:
     data["axes"] = [_rounded(row) for row in data["axes"]]
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
     path.write_text(
-        f"# Where pictures lie for a head to be chosen, written by `ltm train domains`: docs/labels.md.\n{text}"
+        f"# Where pictures lie for a head to be chosen, written by `ltm-lab train domains`: docs/labels.md.\n{text}"
     )
 
 

@@ -5,7 +5,7 @@ a picture does not vote. The judgement is of one picture, reduced to some 480 co
 few milliseconds at most.
 
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
-`ltm eval usable` scores them on others.
+`ltm-lab eval usable` scores them on others.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NIGHT = 60.0
 """Grey level that 95 % of the picture stay below by night."""
 _DIM, _LOW_SUN_DEG = 145.0, 5.0
 """The same where the sun stands lower than that, in degrees: the camera has not made up for the light that is missing.
-A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm bench archive
+A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm-lab bench archive
 --month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 11 are as dim."""
 _GLARE, _GLARE_BELOW = 0.35, 0.2
 """Shares of the picture, and of its lower half, that are burnt out."""

@@ -1,4 +1,4 @@
-"""`ltm bench graph`: load test of a site's whole graph with the demo's frames, through real DDS.
+"""`ltm-lab bench graph`: load test of a site's whole graph with the demo's frames, through real DDS.
 
 Measures how many frames are finished, how many are shed, the latency to the fuel map, processor time by job, memory by
 process, and what the graph costs while nothing comes.

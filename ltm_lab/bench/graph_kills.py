@@ -1,4 +1,4 @@
-"""`ltm bench kills`: kills each process of a site's graph under load, and tells what became of every frame."""
+"""`ltm-lab bench kills`: kills each process of a site's graph under load, and tells what became of every frame."""
 
 from __future__ import annotations
 

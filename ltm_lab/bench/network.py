@@ -1,4 +1,4 @@
-"""`ltm bench network`: load test of one fuel map node with the votes of many towers, through real DDS.
+"""`ltm-lab bench network`: load test of one fuel map node with the votes of many towers, through real DDS.
 
 Measures frames a second, latency, processor time, memory and the store.
 """

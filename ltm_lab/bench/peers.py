@@ -1,4 +1,4 @@
-"""Adapters for the ray tracers that `ltm bench trace` compares: each is set up over a DEM and traces a view.
+"""Adapters for the ray tracers that `ltm-lab bench trace` compares: each is set up over a DEM and traces a view.
 
 The peers get their rays made and rotated beforehand, which is not counted; ours starts from a camera and a pose. The
 mesh peers see two triangles a cell and a flat earth.

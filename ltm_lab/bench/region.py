@@ -1,4 +1,4 @@
-"""`ltm bench region`: towers whose link was down, a broker and a region's map, killed at random.
+"""`ltm-lab bench region`: towers whose link was down, a broker and a region's map, killed at random.
 
 Whether the map then is, to the bit, the one of all frames, and how fast it caught up.
 """

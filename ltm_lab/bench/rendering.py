@@ -1,4 +1,4 @@
-"""`ltm bench render`: processor time, wall time and memory of one rendered frame and of setting up its scene."""
+"""`ltm-lab bench render`: processor time, wall time and memory of one rendered frame and of setting up its scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench segmentation`: photos a second that a segmentation node labels in its own process, through real DDS."""
+"""`ltm-lab bench segmentation`: photos a second that a segmentation node labels in its own process, through real DDS."""
 
 from __future__ import annotations
 

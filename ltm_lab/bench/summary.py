@@ -1,4 +1,4 @@
-"""Ratios between tracers and growth with raster size, from measured costs: the rows of `ltm bench trace --json`."""
+"""Ratios between tracers and growth with raster size, from measured costs: the rows of `ltm-lab bench trace --json`."""
 
 from __future__ import annotations
 

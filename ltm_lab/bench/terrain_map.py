@@ -1,4 +1,4 @@
-"""`ltm bench terrain`: processor time a 1080p frame, and memory, of updating a surface map of 4 km x 4 km at 1 m."""
+"""`ltm-lab bench terrain`: processor time a 1080p frame, and memory, of updating a surface map of 4 km x 4 km at 1 m."""
 
 from __future__ import annotations
 

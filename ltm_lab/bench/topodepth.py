@@ -1,4 +1,4 @@
-"""`ltm bench fusion`: processor time of fusing the traced and network depth of one frame, part by part.
+"""`ltm-lab bench fusion`: processor time of fusing the traced and network depth of one frame, part by part.
 
 The time of the depth network itself is not counted.
 """

@@ -1,4 +1,4 @@
-"""`ltm bench trace`: times our tracer and its peers on the same views of the same mountains, one process for each.
+"""`ltm-lab bench trace`: times our tracer and its peers on the same views of the same mountains, one process for each.
 
 Ours is timed in three states: *cold*, from a position where no camera stood before; *warm*, another view from the
 same position; and *still*, the same camera and pose again.

@@ -1,4 +1,4 @@
-"""`ltm bench votes`: the time to form the fuel votes of a frame, and the size of their message."""
+"""`ltm-lab bench votes`: the time to form the fuel votes of a frame, and the size of their message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm simulate`: renders a scenario to pictures with truth."""
+"""`ltm-lab simulate`: renders a scenario to pictures with truth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltm_ros.cli.output import writable_folder
 
 
 def simulate(
-    scenario: Annotated[Path, typer.Argument(help="Scenario YAML, such as config/scenarios/demo.yaml.")],
+    scenario: Annotated[Path, typer.Argument(help="Scenario YAML, such as ltm_lab/config/scenarios/demo.yaml.")],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the frames; made if missing.", callback=writable_folder)
     ],

@@ -24,7 +24,7 @@ PHOTOS, SENSOR_LOGGER, TRUE_POSES = "photos", "sensor_logger.zip", "true_poses.c
 def write_phone_capture(
     frames: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> int:
-    """Write the walk of a `ltm simulate` folder to `out`; the number of its photos.
+    """Write the walk of a `ltm-lab simulate` folder to `out`; the number of its photos.
 
     `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the same walk as the app records it.
     `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`.
@@ -38,7 +38,7 @@ def write_phone_capture(
         frame = SiteFrame(index["crs"], *(float(v) for v in index["origin"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordingError(
-            f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
+            f"{index_file}: no index of simulated frames ({error}); `ltm-lab simulate` writes one"
         ) from error
     names = {entry["camera_name"] for entry in entries}
     if len(names) != 1:

@@ -1,4 +1,4 @@
-"""`ltm eval BAG`: scores the fuel map that a recorded run ended with, beside the majority vote and the prior."""
+"""`ltm-lab eval BAG`: scores the fuel map that a recorded run ended with, beside the majority vote and the prior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws the figures of `ltm eval --report`: those of the paper, from a scored bag."""
+"""Draws the figures of `ltm-lab eval --report`: those of the paper, from a scored bag."""
 
 from __future__ import annotations
 

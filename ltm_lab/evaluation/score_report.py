@@ -1,4 +1,4 @@
-"""Writes the report of `ltm eval --report`: the paper's figures with a bag's own data, as PNG files and HTML."""
+"""Writes the report of `ltm-lab eval --report`: the paper's figures with a bag's own data, as PNG files and HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Converts the frames of `ltm simulate` to a recording for the graph, with truth on topics of its own."""
+"""Converts the frames of `ltm-lab simulate` to a recording for the graph, with truth on topics of its own."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_simulated_bag(
     progress: Callable[[int, int], None] = lambda done, total: None,
     date: str | None = None,
 ) -> int:
-    """Write the frames of a `ltm simulate` folder, of `date` alone if given, as a bag of site `site`; the number of
+    """Write the frames of a `ltm-lab simulate` folder, of `date` alone if given, as a bag of site `site`; the number of
     frames.
 
     `quality`: JPEG quality of the images, the scenario's unless given. Truth depth is along the optical axis (REP-118),
@@ -58,7 +58,7 @@ def write_simulated_bag(
         quality = int(index.get("jpeg_quality", 78)) if quality is None else quality
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordingError(
-            f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
+            f"{index_file}: no index of simulated frames ({error}); `ltm-lab simulate` writes one"
         ) from error
     entries = [e for e in entries if date is None or e.get("date") == date]
     entries.sort(key=lambda e: (e.get("reported", e).get("received_ns", e["stamp_ns"]), e["camera_name"]))

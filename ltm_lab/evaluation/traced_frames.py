@@ -1,4 +1,4 @@
-"""Photos of a recording with the depth traced from their poses, for `ltm train adapt`."""
+"""Photos of a recording with the depth traced from their poses, for `ltm-lab train adapt`."""
 
 from __future__ import annotations
 

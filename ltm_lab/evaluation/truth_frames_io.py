@@ -1,4 +1,4 @@
-"""Reads simulated frames with their true depth from a folder of `ltm simulate`."""
+"""Reads simulated frames with their true depth from a folder of `ltm-lab simulate`."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class _Index(_Lenient):
 
 
 def open_dem(folder: Path) -> Dem:
-    """The outdated DEM of a folder of `ltm simulate`, in the map frame. Raises RecordingError, RasterError."""
+    """The outdated DEM of a folder of `ltm-lab simulate`, in the map frame. Raises RecordingError, RasterError."""
     return Dem.open(folder / "dem.tif").in_frame(site_frame(folder))
 
 
@@ -183,7 +183,9 @@ def _index(folder: Path) -> _Index:
         return _Index.model_validate_json(read_text(file, LARGEST_INDEX, RecordingError))
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
-        raise RecordingError(f"{file}: no index of simulated frames ({found}); `ltm simulate` writes one") from error
+        raise RecordingError(
+            f"{file}: no index of simulated frames ({found}); `ltm-lab simulate` writes one"
+        ) from error
 
 
 def _frame(index: _Index) -> SiteFrame:

@@ -1,4 +1,4 @@
-"""Typed configuration of a simulated recording: the SCENARIO.yaml of `ltm simulate`."""
+"""Typed configuration of a simulated recording: the SCENARIO.yaml of `ltm-lab simulate`."""
 
 from __future__ import annotations
 

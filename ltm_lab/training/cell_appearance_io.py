@@ -1,4 +1,4 @@
-"""`ltm train appearance`: fits cell appearance on simulated sites, tests it on held-out sites, and writes it."""
+"""`ltm-lab train appearance`: fits cell appearance on simulated sites, tests it on held-out sites, and writes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measures where a network's pictures lie (`ltm train domains`), and where a head's photos do among them."""
+"""Measures where a network's pictures lie (`ltm-lab train domains`), and where a head's photos do among them."""
 
 from __future__ import annotations
 

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import sys
-
 import typer
 
-from ltm_core.base.errors import LtmError
-from ltm_lab.cli.bench import bench
-from ltm_lab.cli.eval import evaluate
-from ltm_lab.cli.simulate import simulate
-from ltm_lab.cli.train import train
 from ltm_ros.cli.cameras import cameras
 from ltm_ros.cli.certs import certs
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
+from ltm_ros.cli.entry import run_command_line
 from ltm_ros.cli.export import export
 from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
@@ -33,6 +25,7 @@ from ltm_ros.cli.reprocess import reprocess
 from ltm_ros.cli.run import run
 from ltm_ros.cli.status import status
 from ltm_ros.cli.trace import trace
+from ltm_ros.cli.train import train
 from ltm_ros.cli.upgrade import rollback, upgrade
 from ltm_ros.cli.view import view
 from ltm_ros.cli.viewshed import viewshed
@@ -58,7 +51,6 @@ cli.command()(viewshed)
 cli.command()(locate)
 cli.command()(mask)
 cli.command()(label)
-cli.command()(simulate)
 cli.add_typer(train, name="train")
 cli.command()(export)
 cli.command()(fire)
@@ -70,51 +62,28 @@ cli.command()(rollback)
 cli.command()(models)
 cli.command()(region)
 cli.command()(certs)
-cli.add_typer(bench, name="bench")
-cli.add_typer(evaluate, name="eval")
 
-_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""A file or a file system that the user must see to: what was checked before may change while a command works."""
+EXTRAS = {
+    "rclpy": "ltm[ros]",
+    "rerun": "ltm[view]",
+    "matplotlib": "ltm[report]",
+    "jinja2": "ltm[report]",
+    "laspy": "ltm[export]",
+    "pyarrow": "ltm[archive]",
+    "fsspec": "ltm[archive]",
+    "dask": "ltm[archive]",
+    "distributed": "ltm[archive]",
+    "s3fs": "ltm[archive]",
+    "prometheus_client": "ltm[tower]",
+    "paho": "ltm[region]",
+    "cryptography": "ltm[region]",
+}
+"""What to install for each Python package that only some commands need."""
 
 
 def app() -> None:
-    """Entry point: bad input ends with a message and status 1, not with a traceback."""
-    if not sys.stdout.isatty():
-        os.environ.setdefault("COLUMNS", "120")  # a log is no 80 characters wide: tables would lose figures
-    try:
-        cli()
-    except LtmError as error:
-        print(f"ltm: {error}", file=sys.stderr)
-        sys.exit(1)
-    except OSError as error:
-        if error.errno not in _PLACE_ERRORS:
-            raise
-        print(f"ltm: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
-    except ModuleNotFoundError as error:
-        extra = {
-            "rclpy": "ros",
-            "rerun": "view",
-            "mitsuba": "sim",
-            "torch": "train",
-            "matplotlib": "report",
-            "jinja2": "report",
-            "laspy": "export",
-            "pyarrow": "archive",
-            "fsspec": "archive",
-            "dask": "archive",
-            "distributed": "archive",
-            "s3fs": "archive",
-            "prometheus_client": "tower",
-            "paho": "region",
-            "cryptography": "region",
-            "rosbags": "eval",
-            "skimage": "eval",
-        }.get((error.name or "").partition(".")[0])
-        if extra is None:
-            raise
-        print(f"ltm: needs {error.name}: pip install 'ltm[{extra}]', or see `ltm doctor`", file=sys.stderr)
-        sys.exit(1)
+    """Run the command line `ltm`."""
+    run_command_line(cli, "ltm", EXTRAS)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_lab.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_lab.evaluation.truth_frames_io import read_truth_frames
+from ltm_lab.resources import lab_config
 from ltm_lab.simulator.scenario_io import load_scenario
 from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
@@ -103,7 +104,7 @@ def _polygons(folder: Path) -> list[bytes]:
 
 
 def _mask_truth(folder: Path) -> list[bytes]:
-    whole = json.loads(config_path("evaluation/hpwren_masks.json").read_text())
+    whole = json.loads(lab_config("evaluation/hpwren_masks.json").read_text())
     return [json.dumps(whole[:1]).encode()]
 
 

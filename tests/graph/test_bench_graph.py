@@ -1,4 +1,4 @@
-"""`ltm bench graph`: the real graph finishes the frames of its simulated cameras."""
+"""`ltm-lab bench graph`: the real graph finishes the frames of its simulated cameras."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench segmentation`: a real node answers every photo."""
+"""`ltm-lab bench segmentation`: a real node answers every photo."""
 
 from __future__ import annotations
 

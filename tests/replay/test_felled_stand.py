@@ -13,9 +13,9 @@ import yaml
 from rasterio.windows import from_bounds
 from typer.testing import CliRunner
 
-from ltm_core.base.resources import config_path
 from ltm_core.fuel.life_form import LifeForm
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
+from ltm_lab.resources import lab_config
 
 pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")
 pytestmark = pytest.mark.slow
@@ -48,7 +48,7 @@ def run(*arguments: object) -> None:
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recording and site: photos of the date after, an hour apart, four times; the rasters of the date before."""
     folder = tmp_path_factory.mktemp("felled")
-    scenario = yaml.safe_load(config_path("scenarios/felled_44.yaml").read_text())
+    scenario = yaml.safe_load(lab_config("scenarios/felled_44.yaml").read_text())
     scenario["dates"][0]["frames"] = False
     for number, camera in enumerate(scenario["cameras"]):
         camera["patrol"] |= {"rounds": 4, "every_s": 3600.0, "start_s": 0.5 * number}

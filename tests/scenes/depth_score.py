@@ -1,4 +1,4 @@
-"""Depth scores computed plainly, all pixels in memory at once: what the tally of `ltm eval` is held against."""
+"""Depth scores computed plainly, all pixels in memory at once: what the tally of `ltm-lab eval` is held against."""
 
 from __future__ import annotations
 

@@ -24,6 +24,7 @@ from ltm_core.tracing.trace_io import PictureConfig
 from ltm_core.uplink.config import RegionConfig
 from ltm_lab.cli import eval as eval_commands
 from ltm_lab.cli import train as train_commands
+from ltm_lab.cli.main import cli as lab_cli
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
 from ltm_ros.cli.main import cli
@@ -36,6 +37,7 @@ HISTORY = REPOSITORY / "CHANGELOG.md"
 """Names what was, too, so that only its links are checked."""
 TODAYS = [page for page in PAGES if page != HISTORY]
 
+PROGRAMS = ("ltm ", "ltm-lab ")
 DEFAULTS = {"eval": eval_commands.WHOLE, "train": train_commands.WHOLE}
 """What a group of commands runs where its first argument is none of them."""
 FOREIGN = {
@@ -49,7 +51,19 @@ FOREIGN = {
     "--nthreads",
 }
 """Options of pip, colcon, venv, MkDocs and Dask that the pages name by themselves."""
-ROOTS = ("ltm_core", "ltm_msgs_py", "ltm_ros", "config", "bags", "docs", "tests", "examples", "scripts", ".ci")
+ROOTS = (
+    "ltm_core",
+    "ltm_msgs_py",
+    "ltm_ros",
+    "ltm_lab",
+    "config",
+    "bags",
+    "docs",
+    "tests",
+    "examples",
+    "scripts",
+    ".ci",
+)
 
 _FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(r"`([^`\n]+)`")
@@ -86,24 +100,24 @@ def command_lines(page: Path) -> Iterator[str]:
             if line:
                 yield line
             line = raw.strip().removeprefix("$ ").removeprefix(".venv/bin/")
-            line = line if line.startswith("ltm ") else ""
+            line = line if line.startswith(PROGRAMS) else ""
         if line:
             yield line
-    yield from (span for span in _SPAN.findall(prose(page)) if span.startswith("ltm "))
-    yield from re.findall(r"^ {4,}(ltm .*)$", prose(page), re.MULTILINE)
+    yield from (span for span in _SPAN.findall(prose(page)) if span.startswith(PROGRAMS))
+    yield from re.findall(r"^ {4,}(ltm(?:-lab)? .*)$", prose(page), re.MULTILINE)
 
 
 @cache
-def described() -> Any:
-    """The command line as click knows it."""
-    return typer.main.get_command(cli)
+def described(program: str = "ltm") -> Any:
+    """Return a command line as click knows it."""
+    return typer.main.get_command(lab_cli if program == "ltm-lab" else cli)
 
 
 def faults(line: str) -> list[str]:
     """What the command line does not know of a documented `ltm` line."""
     said, _, comment = line.partition(" #")
-    tokens = shlex.split(re.sub(r"[\[\]|\\]", " ", said))[1:]
-    command, path = described(), "ltm"
+    path, *tokens = shlex.split(re.sub(r"[\[\]|\\]", " ", said))
+    command = described(path)
     while tokens and hasattr(command, "commands"):
         name = command.name
         if tokens[0] in command.commands:
@@ -137,7 +151,7 @@ def faults(line: str) -> list[str]:
     if arguments > sum(places) and -1 not in places and not hasattr(command, "commands"):
         wrong.append(f"{path} takes {sum(places)} arguments, not {arguments}")
     if comment:
-        wrong += [fault for other in _SPAN.findall(comment) if other.startswith("ltm ") for fault in faults(other)]
+        wrong += [fault for other in _SPAN.findall(comment) if other.startswith(PROGRAMS) for fault in faults(other)]
         named = re.findall(r"(?<![\w-])--[a-z][a-z-]*", _SPAN.sub("", comment))
         wrong += [f"{path} has no option {name}" for name in named if name not in options]
     return wrong
@@ -161,7 +175,7 @@ def test_commands_and_options_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_options_named_alone_exist(page: Path) -> None:
     named = {m for span in _SPAN.findall(prose(page)) for m in re.findall(r"^--[a-z][a-z-]*", span)}
-    assert named - all_options(described()) - FOREIGN == set()
+    assert named - all_options(described()) - all_options(described("ltm-lab")) - FOREIGN == set()
 
 
 def test_commands_are_found_at_all() -> None:
@@ -175,11 +189,11 @@ def test_commands_are_found_at_all() -> None:
         ("ltm replay bag --site s.yaml --ofline", "ltm replay has no option --ofline"),
         ("ltm replay bag --site s.yaml  # or --ofline", "ltm replay has no option --ofline"),
         ("ltm replay bag more", "ltm replay takes 1 arguments, not 2"),
-        ("ltm eval BAG --report DIR", ""),
-        ("ltm eval BAG --reprot DIR", "ltm eval bag has no option --reprot"),
-        ("ltm eval relative-depth FOLDER", ""),
-        ("ltm bench traces", "ltm bench has no command 'traces'"),
-        ("ltm train look FOLDER", "ltm train run takes 1 arguments, not 2"),
+        ("ltm-lab eval BAG --report DIR", ""),
+        ("ltm-lab eval BAG --reprot DIR", "ltm-lab eval bag has no option --reprot"),
+        ("ltm-lab eval relative-depth FOLDER", ""),
+        ("ltm-lab bench traces", "ltm-lab bench has no command 'traces'"),
+        ("ltm-lab train look FOLDER", "ltm-lab train run takes 1 arguments, not 2"),
         ("ltm export a.ltm --out b --format landscape", ""),
         ("ltm export a.ltm --out b --format landscapes", "ltm export --format is one of"),
         ("ltm export a.ltm --out --crs EPSG:5070", "ltm export --out wants a value"),
@@ -232,7 +246,7 @@ def python_files() -> frozenset[str]:
 def test_python_names_exist(page: Path) -> None:
     """Dotted names of our packages, in text and in the API pages (`::: ltm_core.raster.dem.Dem`)."""
     text = page.read_text(encoding="utf-8")
-    for name in set(re.findall(r"(?:`|::: |\]\[)((?:ltm_core|ltm_msgs_py|ltm_ros)(?:\.\w+)+)", text)):
+    for name in set(re.findall(r"(?:`|::: |\]\[)((?:ltm_core|ltm_msgs_py|ltm_ros|ltm_lab)(?:\.\w+)+)", text)):
         assert resolves(name), name
 
 

@@ -1,5 +1,5 @@
-"""Imports run one way: ltm_ros -> ltm_msgs_py -> ltm_core, ltm_core knows no ROS, and what a tower runs knows nothing
-of what makes, teaches and judges it. Read from the sources, so that imports inside functions count too."""
+"""Check that imports go one way: ltm_lab -> ltm_ros -> ltm_msgs_py -> ltm_core, no ROS in ltm_core, no cycle between
+folders or files. The sources are read, so that imports inside functions count too."""
 
 from __future__ import annotations
 
@@ -21,12 +21,8 @@ ROS = {
     "rosbag2_py", "sensor_msgs", "geometry_msgs", "nav_msgs", "std_msgs", "std_srvs", "diagnostic_msgs",
     "builtin_interfaces", "rosgraph_msgs", "rcl_interfaces", "cv_bridge", "tf2_ros", "rosbags", "mcap_ros2",
 }  # fmt: skip
-STUDY = {
-    "ltm_lab.evaluation", "ltm_lab.training", "ltm_lab.simulator", "ltm_lab.bench", "ltm_lab.tracers",
-    "ltm_lab.evaluation", "ltm_lab.bench", "ltm_ros.demo",
-}  # fmt: skip
-"""The study wing. The command line is the door to both wings: its modules import when a command runs."""
-DOOR = "ltm_ros.cli"
+LAB = {"ltm_lab"}
+PACKAGES = ("ltm_core", "ltm_msgs_py", "ltm_ros", "ltm_lab")
 TOWER = {
     "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
     "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
@@ -85,20 +81,23 @@ def within(module: str, places: set[str]) -> bool:
 
 
 @cache
-def runtime() -> frozenset[tuple[str, str]]:
-    """Each module of the runtime wing with each name that it imports."""
+def product() -> frozenset[tuple[str, str]]:
+    """Return each module of the product with each name that it imports."""
     return frozenset(
         (module, name)
         for top in ("ltm_core", "ltm_msgs_py", "ltm_ros")
         for module, path in modules(top).items()
-        if not within(module, STUDY | {DOOR})
         for name in imported(ast.walk(parsed(path)), module.rpartition(".")[0])
     )
 
 
 @pytest.mark.parametrize(
     ("package", "forbidden"),
-    [("ltm_core", ROS | {"ltm_msgs_py", "ltm_ros"}), ("ltm_msgs_py", {"ltm_ros"})],
+    [
+        ("ltm_core", ROS | {"ltm_msgs_py", "ltm_ros", "ltm_lab"}),
+        ("ltm_msgs_py", {"ltm_ros", "ltm_lab"}),
+        ("ltm_ros", {"ltm_lab"}),
+    ],
 )
 def test_nothing_imports_upwards(package: str, forbidden: set[str]) -> None:
     upwards = {
@@ -110,15 +109,15 @@ def test_nothing_imports_upwards(package: str, forbidden: set[str]) -> None:
     assert not upwards
 
 
-def test_runtime_imports_nothing_of_the_study_wing() -> None:
-    crossing = {f"{module} imports {name}" for module, name in runtime() if within(name, STUDY)}
+def test_the_product_never_imports_the_laboratory() -> None:
+    crossing = {f"{module} imports {name}" for module, name in product() if within(name, LAB)}
     assert not crossing
 
 
-def test_runtime_imports_no_package_that_only_the_study_wing_needs() -> None:
+def test_the_product_imports_no_package_that_it_does_not_install() -> None:
     own = {"ltm_core", "ltm_msgs_py", "ltm_ros", ""}
     allowed = TOWER | set(ON_DEMAND) | ROS | own | set(sys.stdlib_module_names)
-    strangers = {f"{m} imports {n}" for m, n in runtime() if n.partition(".")[0] not in allowed}
+    strangers = {f"{m} imports {n}" for m, n in product() if n.partition(".")[0] not in allowed}
     assert not strangers
 
 
@@ -136,7 +135,7 @@ def test_what_a_tower_imports_is_in_its_package() -> None:
     assert missing == []
 
 
-def test_nodes_load_no_study_package() -> None:
+def test_nodes_load_nothing_that_only_reports_need() -> None:
     """What is really loaded, whoever imports it: also through packages of others."""
     nodes = [path.stem for path in (REPOSITORY / "ltm_ros/nodes").glob("[a-z]*.py") if path.stem != "viewer"]
     assert len(nodes) > 5
@@ -153,7 +152,7 @@ print(*sys.modules, sep="\\n")
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
     study |= {"pyarrow", "dask", "distributed"}
-    assert not {name for name in loaded if within(name, STUDY | study)}
+    assert not {name for name in loaded if within(name, LAB | study)}
     # Those that trace, label and weigh nothing do without what costs up to a third of a second and 70 MB a process.
     heavy = ("numba", "scipy.spatial", "scipy.special", "scipy.ndimage", "scipy.interpolate", "rasterio", "onnxruntime")
     absent = {f"first.{name}" for name in heavy}
@@ -174,7 +173,7 @@ def running(tree: ast.Module) -> Iterator[ast.AST]:
 
 def test_no_modules_import_each_other() -> None:
     """Nor in a circle: imports inside functions, which hide one, count too."""
-    files = {name: path for top in ("ltm_core", "ltm_msgs_py", "ltm_ros") for name, path in modules(top).items()}
+    files = {name: path for top in PACKAGES for name, path in modules(top).items()}
     graph: dict[str, set[str]] = {}
     for module, path in files.items():
         names = set(imported(running(parsed(path)), module.rpartition(".")[0])) & files.keys()
@@ -184,6 +183,34 @@ def test_no_modules_import_each_other() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
+
+
+FACADE = {"ltm_core", "ltm_core.camera", "ltm_core.dem", "ltm_core.grid", "ltm_core.pose"}
+"""Modules that only hand on public names: they lie on top of all folders of `ltm_core`."""
+
+
+def folders() -> dict[str, set[str]]:
+    """Return each folder of the packages with the other folders that its files import."""
+    files = {name: path for top in PACKAGES for name, path in modules(top).items() if name not in FACADE}
+    folder = {n: n if p.name == "__init__.py" else n.rpartition(".")[0] for n, p in files.items()}
+    graph: dict[str, set[str]] = {}
+    for module, path in files.items():
+        names = set(imported(running(parsed(path)), module.rpartition(".")[0])) & files.keys()
+        graph.setdefault(folder[module], set()).update(folder[name] for name in names)
+    return {name: needed - {name} for name, needed in graph.items()}
+
+
+def test_no_folders_import_each_other() -> None:
+    try:
+        TopologicalSorter(folders()).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+def test_algorithms_do_not_know_the_site_file() -> None:
+    above = {"ltm_core.site", "ltm_core.pipeline"}
+    reading = {name for name, needed in folders().items() if name.startswith("ltm_core.") and needed & above}
+    assert reading <= above
 
 
 def test_every_way_to_import_is_seen() -> None:

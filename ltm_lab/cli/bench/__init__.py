@@ -1,4 +1,4 @@
-"""`ltm bench`: measures the cost of each part; `ltm bench trace` compares the tracer with other ray tracers."""
+"""`ltm-lab bench`: measures the cost of each part; `ltm-lab bench trace` compares the tracer with other ray tracers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench archive`: one map whatever works a recording again, and what a frame costs."""
+"""`ltm-lab bench archive`: one map whatever works a recording again, and what a frame costs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench bounds`: the memory of the largest messages that are taken, and the time in which larger are dropped."""
+"""`ltm-lab bench bounds`: the memory of the largest messages that are taken, and the time in which larger are dropped."""
 
 from __future__ import annotations
 

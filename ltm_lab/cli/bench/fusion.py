@@ -1,4 +1,4 @@
-"""`ltm bench fusion`: processor time of fusing one frame's traced and network depth."""
+"""`ltm-lab bench fusion`: processor time of fusing one frame's traced and network depth."""
 
 from __future__ import annotations
 

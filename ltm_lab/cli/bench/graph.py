@@ -1,4 +1,4 @@
-"""`ltm bench graph`: how many frames a site's whole graph finishes on this machine, and what becomes of the others."""
+"""`ltm-lab bench graph`: how many frames a site's whole graph finishes on this machine, and what becomes of the others."""
 
 from __future__ import annotations
 

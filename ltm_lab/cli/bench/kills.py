@@ -1,4 +1,4 @@
-"""`ltm bench kills`: how much is lost, and for how long, where a process of a site's graph is killed under load."""
+"""`ltm-lab bench kills`: how much is lost, and for how long, where a process of a site's graph is killed under load."""
 
 from __future__ import annotations
 

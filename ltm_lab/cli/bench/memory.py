@@ -1,4 +1,4 @@
-"""`ltm bench memory`: the most memory that each command takes on a large DEM."""
+"""`ltm-lab bench memory`: the most memory that each command takes on a large DEM."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench network`: how many towers one fuel map node can serve."""
+"""`ltm-lab bench network`: how many towers one fuel map node can serve."""
 
 from __future__ import annotations
 

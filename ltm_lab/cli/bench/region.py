@@ -1,4 +1,4 @@
-"""`ltm bench region`: whether and how fast a region's map catches up after an outage, with and without kills."""
+"""`ltm-lab bench region`: whether and how fast a region's map catches up after an outage, with and without kills."""
 
 from __future__ import annotations
 

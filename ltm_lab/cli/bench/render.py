@@ -1,4 +1,4 @@
-"""`ltm bench render`: the cost of one simulated frame."""
+"""`ltm-lab bench render`: the cost of one simulated frame."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_lab.resources import lab_config
 from ltm_ros.cli.output import JsonFile
 
 
@@ -21,7 +22,6 @@ def render(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.base.resources import config_path
     from ltm_lab.bench.measure import conditions
     from ltm_lab.bench.rendering import run_rendering
     from ltm_lab.evaluation.figures_io import write_figures
@@ -29,7 +29,7 @@ def render(
 
     console = Console()
     state = conditions(("mitsuba", "drjit", "numpy", "numba"))
-    config = load_scenario(scenario or config_path("scenarios/demo.yaml"))
+    config = load_scenario(scenario or lab_config("scenarios/demo.yaml"))
     with console.status("rendering"):
         cost = run_rendering(config, near)
     table = Table(

@@ -1,4 +1,4 @@
-"""`ltm bench segmentation`: the cost of labelling a photo, and the photos a second of a segmentation node."""
+"""`ltm-lab bench segmentation`: the cost of labelling a photo, and the photos a second of a segmentation node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench sources`: what asking many cameras costs, and how true the stamps are."""
+"""`ltm-lab bench sources`: what asking many cameras costs, and how true the stamps are."""
 
 from __future__ import annotations
 

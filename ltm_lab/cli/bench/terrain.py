@@ -1,4 +1,4 @@
-"""`ltm bench terrain`: the cost of updating the surface map."""
+"""`ltm-lab bench terrain`: the cost of updating the surface map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench votes`: the cost of forming a frame's votes, and the size of their message."""
+"""`ltm-lab bench votes`: the cost of forming a frame's votes, and the size of their message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval`: scores against truth. `ltm eval BAG` scores a recorded run; the other commands score one part each.
+"""`ltm-lab eval`: scores against truth. `ltm-lab eval BAG` scores a recorded run; the other commands score one part each.
 
 A part is one module `ltm_lab/cli/eval/<part>.py` with a function of the same name, which imports what it needs when it
 runs.
@@ -36,7 +36,7 @@ WHOLE = "bag"
 
 
 class EvalGroup(TyperGroup):
-    """A group whose default command is `bag`: `ltm eval out/demo/recording`."""
+    """A group whose default command is `bag`: `ltm-lab eval out/demo/recording`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         if args and args[0] not in self.commands and not {"--help", "-h"} & set(args[:1]):

@@ -1,4 +1,4 @@
-"""`ltm eval BAG`: scores a recorded run against the truth that was recorded or kept with it."""
+"""`ltm-lab eval BAG`: scores a recorded run against the truth that was recorded or kept with it."""
 
 from __future__ import annotations
 

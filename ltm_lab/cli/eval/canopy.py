@@ -1,4 +1,4 @@
-"""`ltm eval canopy`: cover and height of cells whose surface has changed, against the truth of exact scenes."""
+"""`ltm-lab eval canopy`: cover and height of cells whose surface has changed, against the truth of exact scenes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 def canopy(
-    scenes: Annotated[str, typer.Option(help="Exact hillside scenes of `ltm eval terrain`, with commas.")] = (
+    scenes: Annotated[str, typer.Option(help="Exact hillside scenes of `ltm-lab eval terrain`, with commas.")] = (
         "felled,burn,growth,cut"
     ),
     seeds: Annotated[str, typer.Option(help="Of ground, plants and noise; commas.")] = "23",
     looks: Annotated[int, typer.Option(help="Images of each tower, two hours apart.", min=2)] = 4,
     frames: Annotated[
         list[Path] | None,
-        typer.Option(help="Instead: a folder of `ltm simulate`, of which trees are taken for new; repeatable."),
+        typer.Option(help="Instead: a folder of `ltm-lab simulate`, of which trees are taken for new; repeatable."),
     ] = None,
     model: Annotated[str, typer.Option(help="With --frames: the network that labels.")] = DEFAULT_MODEL,
     depth: Annotated[

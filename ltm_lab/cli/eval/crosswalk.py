@@ -1,4 +1,4 @@
-"""`ltm eval crosswalk`: scores FBFM40 -> FBFM13 on fuel maps."""
+"""`ltm-lab eval crosswalk`: scores FBFM40 -> FBFM13 on fuel maps."""
 
 from __future__ import annotations
 

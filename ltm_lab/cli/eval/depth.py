@@ -1,4 +1,4 @@
-"""`ltm eval depth`: scores traced, network and fused depth against truth, by range."""
+"""`ltm-lab eval depth`: scores traced, network and fused depth against truth, by range."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Labels(StrEnum):
 
 def depth(
     source: Annotated[
-        Path | None, typer.Argument(help="Folder of `ltm simulate`, or a bag with truth; default: bags/demo.")
+        Path | None, typer.Argument(help="Folder of `ltm-lab simulate`, or a bag with truth; default: bags/demo.")
     ] = None,
     model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "tcmonodepth",
     depth_maps: Annotated[

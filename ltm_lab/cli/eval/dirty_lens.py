@@ -1,4 +1,4 @@
-"""`ltm eval dirty-lens`: whether a lens that became dirty is told, and a clean one is not."""
+"""`ltm-lab eval dirty-lens`: whether a lens that became dirty is told, and a clean one is not."""
 
 from __future__ import annotations
 

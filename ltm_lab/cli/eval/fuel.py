@@ -1,4 +1,4 @@
-"""`ltm eval fuel`: scores the evidence map and the paper's majority vote, in trials of known truth or on a bag."""
+"""`ltm-lab eval fuel`: scores the evidence map and the paper's majority vote, in trials of known truth or on a bag."""
 
 from __future__ import annotations
 

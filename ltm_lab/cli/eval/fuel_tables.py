@@ -1,4 +1,4 @@
-"""Runs the trials of `ltm eval fuel` and prints their tables."""
+"""Runs the trials of `ltm-lab eval fuel` and prints their tables."""
 
 from __future__ import annotations
 

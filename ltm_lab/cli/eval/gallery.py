@@ -1,4 +1,4 @@
-"""`ltm eval gallery`: real photos with what the system makes of them, as a page."""
+"""`ltm-lab eval gallery`: real photos with what the system makes of them, as a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval heads`: which head `head: auto` chooses for photos, each by itself."""
+"""`ltm-lab eval heads`: which head `head: auto` chooses for photos, each by itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval locate`: scores located places against smoke of known place, and against surveyed control points."""
+"""`ltm-lab eval locate`: scores located places against smoke of known place, and against surveyed control points."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def locate(
     draw: Annotated[int, typer.Option(help="With --dem: each number has other cases on the same rasters.", min=0)] = 0,
     frames: Annotated[
         list[Path] | None,
-        typer.Option(help="Instead: folders of `ltm simulate`, whose eyes are three watched cameras. Repeatable."),
+        typer.Option(help="Instead: folders of `ltm-lab simulate`, whose eyes are three watched cameras. Repeatable."),
     ] = None,
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")

@@ -1,4 +1,4 @@
-"""`ltm eval locate --fires`: whether a turned camera is named by the marks of several fires."""
+"""`ltm-lab eval locate --fires`: whether a turned camera is named by the marks of several fires."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval locate --frames`: is a turned camera named by a fire's marks and by its pictures, rendered ones?"""
+"""`ltm-lab eval locate --frames`: is a turned camera named by a fire's marks and by its pictures, rendered ones?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval mask`: what `ltm mask` proposes, against areas that a person has drawn."""
+"""`ltm-lab eval mask`: what `ltm mask` proposes, against areas that a person has drawn."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_lab.resources import lab_config
 from ltm_ros.cli.output import JsonFile
 
 KINDS = ("lens", "caption", "structure", None)
@@ -16,7 +17,9 @@ def mask(
     photos: Annotated[Path, typer.Argument(help="Folder of the photos that the truth names.")],
     truth: Annotated[
         Path | None,
-        typer.Option(help="JSON of cameras, their pictures and areas; default: config/evaluation/hpwren_masks.json."),
+        typer.Option(
+            help="JSON of cameras, their pictures and areas; default: ltm_lab/config/evaluation/hpwren_masks.json."
+        ),
     ] = None,
     model: Annotated[str, typer.Option(help="Segmentation network; default: the shipped one.")] = "",
     json_path: JsonFile = None,
@@ -27,7 +30,6 @@ def mask(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.base.resources import config_path
     from ltm_core.storage.photo_io import read_rgb
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.mask_proposals import propose_mask
@@ -35,7 +37,7 @@ def mask(
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.segmentation.mask_score import MaskScore, read_mask_truths, score_proposals
 
-    truths = read_mask_truths(config_path("evaluation/hpwren_masks.json") if truth is None else truth)
+    truths = read_mask_truths(lab_config("evaluation/hpwren_masks.json") if truth is None else truth)
     segmenter = Segmenter.open(model or DEFAULT_MODEL)
     table = Table(
         "camera", "frames", "what", "right", "wrong", "drawn", "missed", "IoU", title="proposed masks, photos"

@@ -1,4 +1,4 @@
-"""`ltm eval mount`: how well a few landmarks calibrate a pan-tilt head, on simulated heads."""
+"""`ltm-lab eval mount`: how well a few landmarks calibrate a pan-tilt head, on simulated heads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval pose`: poses found in rendered pictures, or in a real one with control points, against the truth."""
+"""`ltm-lab eval pose`: poses found in rendered pictures, or in a real one with control points, against the truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class SkyLabels(StrEnum):
 
 def pose(
     folders: Annotated[
-        list[Path] | None, typer.Argument(help="Folders of `ltm simulate`, such as of config/scenarios/pose_*.yaml.")
+        list[Path] | None,
+        typer.Argument(help="Folders of `ltm-lab simulate`, such as of ltm_lab/config/scenarios/pose_*.yaml."),
     ] = None,
     engabreen: Annotated[
         Path | None, typer.Option(help="Instead: the real photo with control points, in this folder.")
@@ -66,7 +67,7 @@ def pose(
         _real(engabreen, model, pictures, json_path)
         return
     if not folders:
-        raise ConfigError("give folders of `ltm simulate`, or --engabreen with the real photo's folder")
+        raise ConfigError("give folders of `ltm-lab simulate`, or --engabreen with the real photo's folder")
     _rendered(
         folders,
         sensors,

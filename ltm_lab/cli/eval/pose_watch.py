@@ -1,4 +1,4 @@
-"""`ltm eval pose-watch`: the live watch of mounts on rendered frames: false alarms, turns that are noticed, time."""
+"""`ltm-lab eval pose-watch`: the live watch of mounts on rendered frames: false alarms, turns that are noticed, time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 def pose_watch(
     folders: Annotated[
-        list[Path], typer.Argument(help="Folders of `ltm simulate`, such as of config/scenarios/pose_*.yaml.")
+        list[Path],
+        typer.Argument(help="Folders of `ltm-lab simulate`, such as of ltm_lab/config/scenarios/pose_*.yaml."),
     ],
     turn: Annotated[float, typer.Option(help="Degrees by which cameras are then turned, unknown to all.", min=0.1)] = 1,
     sigma: Annotated[float, typer.Option(help="Degrees, stated of each angle of the poses.", min=0.01)] = 0.3,

@@ -1,4 +1,4 @@
-"""`ltm eval recorded-poses`: by how much a recording's poses are off the true ones."""
+"""`ltm-lab eval recorded-poses`: by how much a recording's poses are off the true ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval relative-depth`: compares networks of relative depth on frames of known depth."""
+"""`ltm-lab eval relative-depth`: compares networks of relative depth on frames of known depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltm_ros.cli.output import JsonFile
 
 
 def relative_depth(
-    folder: Annotated[Path, typer.Argument(help="Folder of `ltm simulate`, or of several such folders.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of `ltm-lab simulate`, or of several such folders.")],
     model: Annotated[list[str] | None, typer.Option("--model", help="Model name or manifest; again for more.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many frames of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
@@ -35,7 +35,7 @@ def relative_depth(
 
     places = [folder] if (folder / "frames.json").is_file() else sorted(p.parent for p in folder.glob("*/frames.json"))
     if not places:
-        raise RecordingError(f"{folder}: no frames.json; expected a folder of `ltm simulate`, or folders of them")
+        raise RecordingError(f"{folder}: no frames.json; expected a folder of `ltm-lab simulate`, or folders of them")
     networks = [DepthNetwork.open(name, threads) for name in model or [DEFAULT_DEPTH_MODEL, "tcmonodepth"]]
     console, labels = Console(), LabelSet.load()
     result: dict[str, object] = {}

@@ -1,4 +1,4 @@
-"""`ltm eval segmentation`: compares label networks on labelled frames, rendered ones and photos."""
+"""`ltm-lab eval segmentation`: compares label networks on labelled frames, rendered ones and photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of `ltm eval segmentation` and `ltm train head`: scores side by side, and what is taken for what."""
+"""Tables of `ltm-lab eval segmentation` and `ltm train head`: scores side by side, and what is taken for what."""
 
 from __future__ import annotations
 

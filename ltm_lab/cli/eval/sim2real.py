@@ -1,4 +1,4 @@
-"""`ltm eval sim2real REAL SIM`: measures how far simulated pictures are from real ones."""
+"""`ltm-lab eval sim2real REAL SIM`: measures how far simulated pictures are from real ones."""
 
 from __future__ import annotations
 

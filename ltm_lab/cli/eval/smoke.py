@@ -1,4 +1,4 @@
-"""`ltm eval smoke`: what is told of smoke before the land, against smoke that a person has drawn."""
+"""`ltm-lab eval smoke`: what is told of smoke before the land, against smoke that a person has drawn."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_lab.resources import lab_config
 from ltm_ros.cli.output import JsonFile
 
 
@@ -14,7 +15,7 @@ def smoke(
     photos: Annotated[Path, typer.Argument(help="Folder of the photos that the truth names.")],
     truth: Annotated[
         Path | None,
-        typer.Option(help="JSON of pairs of photos and smoke; default: config/evaluation/hpwren_smoke.json."),
+        typer.Option(help="JSON of pairs of photos and smoke; default: ltm_lab/config/evaluation/hpwren_smoke.json."),
     ] = None,
     model: Annotated[str, typer.Option(help="Segmentation network; default: the shipped one.")] = "",
     json_path: JsonFile = None,
@@ -26,7 +27,6 @@ def smoke(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.base.resources import config_path
     from ltm_core.base.types import UInt8Array
     from ltm_core.storage.photo_io import read_rgb
     from ltm_core.vision.manifest import DEFAULT_MODEL
@@ -34,7 +34,7 @@ def smoke(
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.segmentation.smoke_score import read_pairs, score_pair
 
-    pairs = read_pairs(config_path("evaluation/hpwren_smoke.json") if truth is None else truth)
+    pairs = read_pairs(lab_config("evaluation/hpwren_smoke.json") if truth is None else truth)
     segmenter = Segmenter.open(model or DEFAULT_MODEL)
 
     @cache

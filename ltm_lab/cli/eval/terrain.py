@@ -1,4 +1,4 @@
-"""`ltm eval terrain`: scores the surface map on exact scenes, a real site, frames with truth, or a recorded run."""
+"""`ltm-lab eval terrain`: scores the surface map on exact scenes, a real site, frames with truth, or a recorded run."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def terrain(
         typer.Option(help="Instead: the real site rm22 of sandbar_seg, with later surveys, in this folder."),
     ] = None,
     frames: Annotated[
-        Path | None, typer.Option(help="Instead: frames of `ltm simulate` with two dates, in this folder.")
+        Path | None, typer.Option(help="Instead: frames of `ltm-lab simulate` with two dates, in this folder.")
     ] = None,
     bag: Annotated[
         Path | None, typer.Option(help="Instead: a recorded run with a terrain node, and truth beside its site.")

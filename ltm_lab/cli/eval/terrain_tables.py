@@ -1,4 +1,4 @@
-"""Runs the scores of `ltm eval terrain` and prints and draws their results."""
+"""Runs the scores of `ltm-lab eval terrain` and prints and draws their results."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def simulated_frames(
     pictures: Path | None,
     out: Path | None,
 ) -> None:
-    """Frames of `ltm simulate` at its last or the named date, the surface of its first date given: from true depth, and
+    """Frames of `ltm-lab simulate` at its last or the named date, the surface of its first date given: from true depth, and
     from what each of `networks` measures in their photos, and their labels. Before them the map has looked `watched`
     times at those of the first date.
     """

@@ -1,4 +1,4 @@
-"""`ltm eval update`: whether depth follows the surface that views have confirmed, offline or in the live graph."""
+"""`ltm-lab eval update`: whether depth follows the surface that views have confirmed, offline or in the live graph."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def update(
-    scenes: Annotated[str, typer.Option(help="Exact hillside scenes of `ltm eval terrain`, with commas.")] = (
+    scenes: Annotated[str, typer.Option(help="Exact hillside scenes of `ltm-lab eval terrain`, with commas.")] = (
         "felled,burn"
     ),
     seed: Annotated[int, typer.Option(help="Of ground, plants and noise.")] = 23,

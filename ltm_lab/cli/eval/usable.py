@@ -1,4 +1,4 @@
-"""`ltm eval usable`: whether pictures that can be used are told from those that cannot."""
+"""`ltm-lab eval usable`: whether pictures that can be used are told from those that cannot."""
 
 from __future__ import annotations
 

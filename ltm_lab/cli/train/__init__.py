@@ -1,6 +1,6 @@
 """`ltm train`: trains the default network, adapts it to a site's own cameras, and fits constants of fuel and fusion.
 
-It also labels photos to train on. `ltm train CONFIG` is short for `ltm train run CONFIG`.
+It also labels photos to train on. `ltm-lab train CONFIG` is short for `ltm-lab train run CONFIG`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from ltm_lab.cli.train.built import built
 from ltm_lab.cli.train.depth import depth
 from ltm_lab.cli.train.domains import domains
 from ltm_lab.cli.train.fusion import fusion
-from ltm_lab.cli.train.head import head
 from ltm_lab.cli.train.photos import photos
 from ltm_ros.cli.output import writable_folder
 
@@ -30,7 +29,7 @@ WHOLE = "run"
 
 
 class TrainGroup(TyperGroup):
-    """A group whose default command is `run`: `ltm train config/training/landscape_lite0.yaml`."""
+    """A group whose default command is `run`: `ltm-lab train ltm_lab/config/training/landscape_lite0.yaml`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         if args and args[0] not in self.commands and args[0] not in ("--help", "-h"):
@@ -40,7 +39,8 @@ class TrainGroup(TyperGroup):
 
 def run(
     config: Annotated[
-        Path | None, typer.Argument(help="Training configuration, such as config/training/landscape_lite0.yaml.")
+        Path | None,
+        typer.Argument(help="Training configuration, such as ltm_lab/config/training/landscape_lite0.yaml."),
     ] = None,
     config_option: Annotated[Path | None, typer.Option("--config", help="The same, as an option.")] = None,
     frames: Annotated[
@@ -71,7 +71,7 @@ def run(
     need_torch()
     chosen = config or config_option
     if chosen is None:
-        raise ConfigError("name a training configuration: ltm train config/training/landscape_lite0.yaml")
+        raise ConfigError("name a training configuration: ltm-lab train ltm_lab/config/training/landscape_lite0.yaml")
     settings = load_yaml(chosen, TrainingConfig)
     if steps is not None:
         settings = _with_steps(settings, steps)
@@ -95,7 +95,6 @@ train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(fusion)
 train.command()(domains)
-train.command()(head)
 train.command()(photos)
 train.command()(appearance)
 train.command()(blend)

@@ -1,4 +1,4 @@
-"""`ltm train adapt`: adapts a network's depth head to a site's own views, with traced depth as truth."""
+"""`ltm-lab train adapt`: adapts a network's depth head to a site's own views, with traced depth as truth."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def adapt(
             network, taught, config, lambda step, loss: bar.update(task, completed=step, description=f"loss {loss:.3f}")
         )
     after = depth_error(network, judged, config)
-    why = f"{manifest.name}, its depth adapted to a site by `ltm train adapt`"
+    why = f"{manifest.name}, its depth adapted to a site by `ltm-lab train adapt`"
     written = export_adapted(network, manifest, name, LabelSet.load(), out, why)
     whose = f"{len(judged)} later frames" if kept else "the same frames"
     console.print(f"{len(taught)} frames taught; median depth error of {whose}: {before:.1%} before, {after:.1%} after")

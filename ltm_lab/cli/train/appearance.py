@@ -1,4 +1,4 @@
-"""`ltm train appearance`: fits what a fuel cell of each life form looks like to a network, for the fuel map."""
+"""`ltm-lab train appearance`: fits what a fuel cell of each life form looks like to a network, for the fuel map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from ltm_ros.cli.output import writable_file
 
 
 def appearance(
-    frames: Annotated[list[Path], typer.Argument(help="Folders of `ltm simulate`: two sites or more, of one date.")],
+    frames: Annotated[
+        list[Path], typer.Argument(help="Folders of `ltm-lab simulate`: two sites or more, of one date.")
+    ],
     model: Annotated[str, typer.Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
     out: Annotated[
         Path | None,
@@ -42,7 +44,7 @@ def appearance(
         learnt = learn_cell_appearance(sites, labels)
     count = sum(len(site.votes) for site in sites)
     places = ", ".join(site.scenario for site in sites)
-    source = f"ltm train appearance on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
+    source = f"ltm-lab train appearance on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
     file = out or config_path("fuel/label_errors") / f"{name}.yaml"
     write_cell_appearance(file, learnt, source)
     for form, right, voted in learnt.right:

@@ -1,4 +1,4 @@
-"""`ltm train blend`: averages the weights of two networks, of which one was trained on from the other."""
+"""`ltm-lab train blend`: averages the weights of two networks, of which one was trained on from the other."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def blend(
 ) -> None:
     """Weights between two networks: what the second learnt late without much of what it forgot (Wortsman et al. 2022).
 
-    Both must descend from one training. The result is exported, calibrated and scored as after `ltm train run`.
+    Both must descend from one training. The result is exported, calibrated and scored as after `ltm-lab train run`.
     """
     from rich.console import Console
 

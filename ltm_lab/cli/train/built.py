@@ -1,4 +1,4 @@
-"""`ltm train built`: teaches a network masts, huts, dishes and roofs, by some that are drawn into photos."""
+"""`ltm-lab train built`: teaches a network masts, huts, dishes and roofs, by some that are drawn into photos."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def built(
         samples = cue_samples(before, taught, config)
     with console.status("teaching"):
         found = with_cue(weights, fit_cue(samples, base.maps, config))
-    why = f"{base.name}, taught what is built by `ltm train built`"
+    why = f"{base.name}, taught what is built by `ltm-lab train built`"
     written = export_adapted(found, base, name or f"{base.name}_built", labels, out, why)
     after = Segmenter.open(written, threads, labels)
     for folder in judged or []:

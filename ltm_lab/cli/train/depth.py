@@ -1,4 +1,4 @@
-"""`ltm train depth`: gives a network of labels the depth of another one, so that one encoder serves both."""
+"""`ltm-lab train depth`: gives a network of labels the depth of another one, so that one encoder serves both."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def depth(
         )
     if judged:
         console.print(table)
-    why = f"{base.name}, with the depth of {of.name} by `ltm train depth`"
+    why = f"{base.name}, with the depth of {of.name} by `ltm-lab train depth`"
     written = export_adapted(found, base, name or f"{base.name}_one", LabelSet.load(), out, why)
     console.print(f"{len(taught)} photos taught; wrote {written} and {written.stem}_depth.yaml, of one file")
 

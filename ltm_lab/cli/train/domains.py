@@ -1,4 +1,4 @@
-"""`ltm train domains`: measures where the pictures lie that taught a network, for heads to be chosen by the picture."""
+"""`ltm-lab train domains`: measures where the pictures lie that taught a network, for heads to be chosen by the picture."""
 
 from __future__ import annotations
 

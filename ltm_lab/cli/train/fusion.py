@@ -1,4 +1,4 @@
-"""`ltm train fusion`: the constants of depth fusion, fitted to rendered frames."""
+"""`ltm-lab train fusion`: the constants of depth fusion, fitted to rendered frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from ltm_ros.cli.output import writable_file
 
 def fusion(
     frames: Annotated[
-        list[Path], typer.Argument(help="Folders of `ltm simulate`; DIR:RASTER: with a raster of what stands or stood.")
+        list[Path],
+        typer.Argument(help="Folders of `ltm-lab simulate`; DIR:RASTER: with a raster of what stands or stood."),
     ],
     model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = DEFAULT_DEPTH_MODEL,
     segmentation: Annotated[str, typer.Option(help="Network of the labels; default: the shipped one.")] = "",
@@ -87,6 +88,6 @@ def fusion(
         console.print(f"farthest from the file: {worst} by {off[worst]:.3g}")
         raise typer.Exit(0 if off[worst] <= check else 1)
     places = " ".join(Path(str(given).partition(":")[0]).name for given in frames)
-    source = f"ltm train fusion {places} --model {manifest.name}; labels of {segmenter.manifest.name}"
+    source = f"ltm-lab train fusion {places} --model {manifest.name}; labels of {segmenter.manifest.name}"
     write_fusion_config(path, fit.config, source)
     console.print(f"written: {path}", markup=False)

@@ -1,4 +1,4 @@
-"""`ltm train photos`: labels real photos with teacher networks, to train on."""
+"""`ltm-lab train photos`: labels real photos with teacher networks, to train on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ablation of depth fusion: the configuration with one stage left out, for `ltm eval depth --without STAGE`."""
+"""Ablation of depth fusion: the configuration with one stage left out, for `ltm-lab eval depth --without STAGE`."""
 
 from __future__ import annotations
 

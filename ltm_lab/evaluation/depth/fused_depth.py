@@ -1,6 +1,6 @@
 """Scores traced, network and fused depth against truth, under known errors of pose, terrain and view.
 
-The errors are applied on purpose (see `Condition`). `ltm eval depth` prints the scores.
+The errors are applied on purpose (see `Condition`). `ltm-lab eval depth` prints the scores.
 """
 
 from __future__ import annotations

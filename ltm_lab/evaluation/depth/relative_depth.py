@@ -37,7 +37,7 @@ class RelativeDepthScore:
 def score_relative_depth(network: DepthNetwork, frames: Iterable[Frame], seed: int = 0) -> RelativeDepthScore:
     """Score a network on frames whose true depth is known; others are passed over.
 
-    Raises ModelError for a metric network (its camera matters: `ltm eval depth`).
+    Raises ModelError for a metric network (its camera matters: `ltm-lab eval depth`).
     """
     sums, counts = np.zeros(len(RANGE_BINS) - 1), np.zeros(len(RANGE_BINS) - 1, np.int64)
     right = pairs = seen = unfit = 0
@@ -49,7 +49,7 @@ def score_relative_depth(network: DepthNetwork, frames: Iterable[Frame], seed: i
         found = network.predict(frame.image, Camera.from_fov(width, height, 50.0))
         if found.kind == "metric":
             raise ModelError(
-                f"{network.manifest.name}: gives metres, which need a camera; score it with ltm eval depth"
+                f"{network.manifest.name}: gives metres, which need a camera; score it with ltm-lab eval depth"
             )
         values = at_pixels_of(found.values, (height, width), (height, width))
         known = np.isfinite(values) & np.isfinite(frame.inverse)

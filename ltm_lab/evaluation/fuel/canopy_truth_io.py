@@ -1,4 +1,4 @@
-"""Reads the true canopy of a date of a folder of `ltm simulate`, by fuel cell."""
+"""Reads the true canopy of a date of a folder of `ltm-lab simulate`, by fuel cell."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ UNBOUND: Final[Mapping[str, Mapping[int, int]]] = {
               202: 12, 203: 12, 204: 13},
 }  # fmt: skip
 """The regions' tables until they were bound to the fuel type: of each code the commonest partner in a real set,
-whatever its life form. What `ltm eval crosswalk` calls "unbound"."""
+whatever its life form. What `ltm-lab eval crosswalk` calls "unbound"."""
 _GROUPS: Final[Mapping[str, tuple[range, range]]] = {
     "grass": (range(101, 110), range(1, 4)),
     "shrub": (range(141, 150), range(4, 8)),

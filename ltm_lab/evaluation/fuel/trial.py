@@ -2,7 +2,7 @@
 
 Pixels are traced over the terrain with each frame's true pose to find what they show; the network's errors are drawn
 for them; and they are voted with the pose that is believed. Only that is simulated: votes, evidence and majority are
-the system's own. `ltm eval fuel` runs the trials.
+the system's own. `ltm-lab eval fuel` runs the trials.
 """
 
 from __future__ import annotations

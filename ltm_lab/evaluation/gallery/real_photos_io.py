@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.points.control_points import ControlPoints, read_control_points
@@ -18,6 +17,7 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.photo_io import open_picture, read_rgb
 from ltm_lab.evaluation.gallery.parts import Part
 from ltm_lab.evaluation.terrain.canyon_io import PHOTOS, SURVEYS
+from ltm_lab.resources import lab_config
 from ltm_lab.training.photo_sets import PhotoSets
 
 ENGABREEN = SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0)
@@ -72,12 +72,12 @@ def mountain_names() -> tuple[str, ...]:
 
 
 def mountain_sets() -> PhotoSets:
-    return load_yaml(config_path("training/mountain_photos.yaml"), PhotoSets)
+    return load_yaml(lab_config("training/mountain_photos.yaml"), PhotoSets)
 
 
 def canyon_areas(date: str, shape: tuple[int, int]) -> UInt8Array:
     """Class ids (H, W) of the areas that a person named in the canyon's photo of a date, 255 elsewhere."""
-    sets = load_yaml(config_path("training/canyon_photos.yaml"), PhotoSets)
+    sets = load_yaml(lab_config("training/canyon_photos.yaml"), PhotoSets)
     return _resized(sets.by_hand(Path(PHOTOS[date]).stem), shape)
 
 

@@ -16,7 +16,7 @@ from ltm_lab.evaluation.truth_frames_io import dates, is_curved, open_dem, site_
 def rendered_terrain(folder: Path, alone: bool, canopy: bool) -> Terrain:
     """The site's DEM within those of the range around and of the region to the horizon, at whose end the world ends;
     `alone`: without them, and nothing is known of what lies beyond. `canopy`: with the true surface raster of the first
-    date. Raises RecordingError where a folder of `ltm simulate` has none of these.
+    date. Raises RecordingError where a folder of `ltm-lab simulate` has none of these.
     """
     frame = site_frame(folder)
     dem = open_dem(folder)
@@ -25,7 +25,7 @@ def rendered_terrain(folder: Path, alone: bool, canopy: bool) -> Terrain:
         for name in ("dem_around.tif", "dem_region.tif"):
             if not (folder / name).is_file():
                 raise RecordingError(
-                    f"{folder / name} is missing: `ltm simulate SCENARIO --out {folder} --site-only` writes it"
+                    f"{folder / name} is missing: `ltm-lab simulate SCENARIO --out {folder} --site-only` writes it"
                 )
             levels.append(Dem.open(folder / name).in_frame(frame))
         dem = DemStack(levels)

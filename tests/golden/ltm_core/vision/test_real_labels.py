@@ -17,7 +17,7 @@ from ltm_lab.training.labelled_frames import read_frames
 def test_towers_without_any_teaching(shared_data: Path) -> None:
     counted = (Label.SKY, Label.SHRUB, Label.BARE, Label.BUILT)
     score = score_frames(Segmenter.open(), read_frames(shared_data / "hpwren_towers", 7), macro=counted)
-    assert score.macro_f1 >= 0.62  # 0.64 by `ltm eval segmentation`
+    assert score.macro_f1 >= 0.62  # 0.64 by `ltm-lab eval segmentation`
     assert score.labels.f1[Label.SHRUB] >= 0.74  # 0.77
     assert score.labels.f1[Label.BUILT] > 0.15  # 0.22
 

@@ -175,7 +175,7 @@ def test_what_auto_chooses_among_and_what_it_passes_over_is_told(tmp_path: Path)
         ((_, message),) = [found for found in said(check, verdict) if found[0] == "head auto"]
         return message
 
-    assert "ltm train domains" in told(Verdict.WRONG)
+    assert "ltm-lab train domains" in told(Verdict.WRONG)
     space = write_domain_of(network, [np.full((40, 70, 3), COLORS["lime"], np.uint8)])
     assert told(Verdict.DOUBTFUL).endswith("of north: chosen by the picture among landscape")
     domain = {"axes": space.checksum, "centre": [0.0, 1.0, 0.0], "spread": 0.5, "sites": 2}

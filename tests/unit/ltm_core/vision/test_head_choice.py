@@ -169,7 +169,7 @@ def test_a_network_of_which_nobody_knows_where_pictures_lie_cannot_choose(manife
     with pytest.raises(ModelError, match="expected the same, even number"):
         _auto(manifest)
     file.unlink()
-    with pytest.raises(ModelError, match="ltm train domains"):
+    with pytest.raises(ModelError, match="ltm-lab train domains"):
         _auto(manifest)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ltm_core.base.resources import config_path
 from ltm_core.base.types import UInt8Array
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.geometry.camera import Camera
@@ -23,6 +22,7 @@ from ltm_core.vision.manifest import DEFAULT_MODEL, MODEL_PATH_VARIABLE, Manifes
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 from ltm_lab.evaluation.metrics.skyline import SkylineTally, skyline
+from ltm_lab.resources import lab_config
 
 
 def _photo(path: Path, size: tuple[int, int]) -> UInt8Array:
@@ -45,7 +45,7 @@ def test_the_sky_of_held_out_photos_is_that_of_the_sky_network(
 ) -> None:
     monkeypatch.setenv(MODEL_PATH_VARIABLE, str(shared_models))
     teacher, ours = Segmenter.open("skyseg_u2netp"), Segmenter.open()
-    names = yaml.safe_load(config_path("training/mountain_photos.yaml").read_text())["held_out"]["photos_test"][::5]
+    names = yaml.safe_load(lab_config("training/mountain_photos.yaml").read_text())["held_out"]["photos_test"][::5]
     score, tally = SegmentationScore.empty(2), SkylineTally()
     for name in names:
         photo = _photo(shared_data / "mountain_photos" / "images" / f"{name}.jpg", (512, 341))

@@ -18,7 +18,7 @@ from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.bench.peers import PEERS, PeerKind, TracedView
 from ltm_lab.bench.summary import growth, rows
 from ltm_lab.bench.tracing import SCENES, Measured, bench_pose
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
 
 
 @pytest.mark.parametrize("kind", PEERS, ids=lambda kind: kind.name)

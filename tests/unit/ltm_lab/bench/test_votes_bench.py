@@ -1,4 +1,4 @@
-"""`ltm bench votes`: what it measures is what a frame of that size gives, and its message keeps its bound."""
+"""`ltm-lab bench votes`: what it measures is what a frame of that size gives, and its message keeps its bound."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_lab.bench.votes import VIEWS
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
 
 
 def test_every_view_is_measured_and_its_message_fits(tmp_path: Path) -> None:

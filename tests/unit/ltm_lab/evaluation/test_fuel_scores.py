@@ -25,13 +25,13 @@ from ltm_core.site.site_io import load_site
 from ltm_core.vision.label_confidence import Calibration, load_calibration
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import Manifest
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.false_changes import false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_lab.evaluation.fuel.map_score import score_map
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_run import Recorded
 
 SIDE = 48

@@ -1,4 +1,4 @@
-"""`ltm eval gallery` on made photos of towers, and what it says without data."""
+"""`ltm-lab eval gallery` on made photos of towers, and what it says without data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from ltm_core.vision.labels import Label
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
 
 SIZE = (60, 90)
 

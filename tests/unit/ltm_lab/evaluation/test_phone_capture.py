@@ -17,7 +17,7 @@ from ltm_ros.recordings.importing.build import import_photos
 
 
 def frames(folder: Path, walks: list[dict[str, Any]] | None = None) -> list[Pose]:
-    """Two frames of a walk as `ltm simulate` leaves them; their true poses."""
+    """Two frames of a walk as `ltm-lab simulate` leaves them; their true poses."""
     folder.mkdir()
     entries, poses = [], []
     for k, portrait in enumerate((False, True)):

@@ -1,4 +1,4 @@
-"""`ltm eval relative-depth`: networks whose answers are known, scored against true depth."""
+"""`ltm-lab eval relative-depth`: networks whose answers are known, scored against true depth."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.depth.monocular import DepthKind, DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
+from ltm_lab.cli import main
 from ltm_lab.evaluation.depth.relative_depth import bin_names, score_relative_depth
 from ltm_lab.training.labelled_frames import Frame
-from ltm_ros.cli import main
 
 SHAPE = (60, 100)
 
@@ -84,7 +84,7 @@ def test_a_network_that_has_near_and_far_the_wrong_way_round_has_no_fit() -> Non
 
 
 def test_metres_are_not_for_this_command() -> None:
-    with pytest.raises(ModelError, match=r"known: gives metres.*ltm eval depth"):
+    with pytest.raises(ModelError, match=r"known: gives metres.*ltm-lab eval depth"):
         score_relative_depth(Known(np.ones(SHAPE), "metric"), [_frame(_depth())])
 
 

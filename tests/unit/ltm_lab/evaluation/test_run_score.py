@@ -22,6 +22,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
 from ltm_lab.evaluation.fuel.map_score import Share
 from ltm_lab.evaluation.run_score import SHARED, TRUTHS, BagScore, score_bag
@@ -32,7 +33,6 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_run import Recorded
 
 CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)

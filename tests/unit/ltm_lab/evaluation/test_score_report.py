@@ -19,6 +19,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.score_report import ReportInputs, figures_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
@@ -26,7 +27,6 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_run import Recorded
 
 CAMERA = Camera.from_fov(96, 60, 60.0)

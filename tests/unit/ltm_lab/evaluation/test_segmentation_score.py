@@ -1,4 +1,4 @@
-"""`ltm eval segmentation`: a network whose answers are known, scored on frames with truth."""
+"""`ltm-lab eval segmentation`: a network whose answers are known, scored on frames with truth."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.cli import main
 from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
 from ltm_lab.evaluation.segmentation.network_score import score_frames
 from ltm_lab.training.labelled_frames import read_frames
 from ltm_lab.training.temperature_scaling import balanced, fit_temperature
-from ltm_ros.cli import main
 
 
 def _frame(folder: Path, name: str, shift: int = 0) -> None:

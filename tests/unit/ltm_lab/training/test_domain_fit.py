@@ -14,8 +14,8 @@ from ltm_core.base.errors import ModelError
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.picture_domain import DomainSpace
 from ltm_core.vision.picture_domain_io import load_domain, write_domain
+from ltm_lab.cli.main import cli
 from ltm_lab.training.domain_fit import fit_head_domain, fit_space, held_out_odds
-from ltm_ros.cli.main import cli
 
 
 def test_the_network_s_pictures_have_no_mean_and_unit_spread_on_each_axis() -> None:

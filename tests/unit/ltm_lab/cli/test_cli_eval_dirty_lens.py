@@ -1,4 +1,4 @@
-"""`ltm eval dirty-lens`: what it counts."""
+"""`ltm-lab eval dirty-lens`: what it counts."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scenes.tower_pictures import tower_picture
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.segmentation import dirty_pictures
 from ltm_lab.evaluation.segmentation.dirty_pictures import CASES
-from ltm_ros.cli.main import cli
 
 
 def run(*arguments: object) -> None:

@@ -1,4 +1,4 @@
-"""`ltm eval canopy`: what it refuses."""
+"""`ltm-lab eval canopy`: what it refuses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""`ltm eval usable`: what it counts on photos whose state is known."""
+"""`ltm-lab eval usable`: what it counts on photos whose state is known."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scenes.tower_pictures import tower_picture
 from typer.testing import CliRunner
 
 from ltm_core.vision.usable import judge
+from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.segmentation.spoilt_pictures import WAYS, spoilt
-from ltm_ros.cli.main import cli
 
 
 def test_refused_photos_are_named_and_spoilt_ones_counted(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`ltm simulate`: bad scenarios end with the file, the line and the remedy; what it writes."""
+"""`ltm-lab simulate`: bad scenarios end with the file, the line and the remedy; what it writes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_lab.cli.main import cli
 from ltm_lab.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.cli.main import cli
 from ltm_ros.recordings.importing.capture_files import CaptureFiles
 from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger
 

@@ -1,4 +1,4 @@
-"""`ltm eval smoke` on painted photos: a plume before a slope, and a pair without."""
+"""`ltm-lab eval smoke` on painted photos: a plume before a slope, and a pair without."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenes.networks import write_classifier
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.cli.main import cli
+from ltm_lab.cli.main import cli
 
 
 def run(*arguments: object) -> str:

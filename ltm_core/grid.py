@@ -1,0 +1,5 @@
+"""Raster geometry: `from ltm_core.grid import GridGeometry`."""
+
+from ltm_core.geometry.grid import GridGeometry
+
+__all__ = ["GridGeometry"]

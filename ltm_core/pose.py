@@ -1,0 +1,5 @@
+"""Camera poses: `from ltm_core.pose import Pose`."""
+
+from ltm_core.geometry.pose import Pose
+
+__all__ = ["Pose"]

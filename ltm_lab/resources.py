@@ -1,0 +1,10 @@
+"""Find the configuration files of the laboratory: scenarios, trainings and lists of real photos."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def lab_config(name: str) -> Path:
+    """Return the path of `ltm_lab/config/<name>`."""
+    return Path(__file__).parent / "config" / name
