@@ -17,13 +17,14 @@ import numpy as np
 from ltm_core.base.resources import config_path, project_path
 from ltm_core.base.types import Float64Array
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
+from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.range_image import DepthImage, RangeImage
-from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import PosedImage
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site

@@ -12,7 +12,8 @@ from typing import Any
 from std_msgs.msg import String
 
 from ltm_core.base.errors import MessageError
-from ltm_core.surface.surface_versions_io import AS_GIVEN, VERSION, SurfaceManifest
+from ltm_core.surface.surface_manifest import AS_GIVEN, SurfaceManifest
+from ltm_core.surface.surface_versions_io import VERSION
 
 _LONGEST = 4096
 

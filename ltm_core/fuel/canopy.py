@@ -1,15 +1,4 @@
-"""Estimate the canopy of fuel cells: stand heights, crown base and bulk density, and what remains after change.
-
-Base and bulk density of conifer crowns, from the cover and height of a stand, by published allometry.
-
-Cruz, Alexander and Wakimoto (2003, Int. J. Wildland Fire 12(1), 39-50) give both for four forest types of western North
-America, of the basal area B (m2/ha), the number of stems N (1/ha) and the height H (m):
-
-    ln density = a + b ln B + c ln N,    base = d + e H + f B
-
-B and N follow from cover and height: crowns stand at random, so that N pi r^2 = -ln(1 - cover), their radius r is
-0.15 H, and stems are H / 70 thick. These two shares are assumed, and so are the standard errors; what is used is only
-how both change from one stand to another, in which the shares all but cancel. Of broadleaved stands it says nothing.
+"""Estimate the canopy of fuel cells: heights of stands, and what remains after change.
 
 Canopy of fuel cells by what cameras have seen: its cover and height, and what follows for crown base and density.
 
@@ -30,79 +19,16 @@ where it is not. It is above that of the canopy from above, since of crowns besi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Final
 
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
+from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.fuel_change import LEAST_SHARE
 from ltm_core.surface.surface_map import SurfaceMap
-
-BROADLEAVED: Final = (9, 182, 186, 189)
-"""Codes of broadleaf litter, of either system (Scott and Burgan 2005: TL2, TL6, TL9)."""
-DENSITY_ERROR, BASE_ERROR = 0.4, 0.5
-"""Standard error as a share of the value; assumed: Cruz' plots scatter by about as much around his curves."""
-MOST_DENSITY: Final = 0.45
-"""Bulk density, kg/m3, to which a stand is followed at most, unless it was said to be denser; assumed. Low stands lie
-outside of those that the lines were drawn of: one of 15 m that is now 3 m high would come to 8 kg/m3."""
-_CROWN_RADIUS: Final = 0.15
-_SLENDERNESS: Final = 70.0
-_MOST_COVER: Final = 0.95
-_LEAST_BASE: Final = 0.05
-"""Of the height: below the stands of which the line was drawn it would be less than nothing."""
-
-
-class ForestType(StrEnum):
-    DOUGLAS_FIR = "douglas_fir"
-    PONDEROSA_PINE = "ponderosa_pine"
-    LODGEPOLE_PINE = "lodgepole_pine"
-    MIXED_CONIFER = "mixed_conifer"
-
-
-_DENSITY: Final = {
-    ForestType.DOUGLAS_FIR: (-7.380, 0.479, 0.625),
-    ForestType.PONDEROSA_PINE: (-6.649, 0.435, 0.579),
-    ForestType.LODGEPOLE_PINE: (-7.852, 0.349, 0.711),
-    ForestType.MIXED_CONIFER: (-8.445, 0.319, 0.859),
-}
-_BASE: Final = {
-    ForestType.DOUGLAS_FIR: (-1.771, 0.554, 0.045),
-    ForestType.PONDEROSA_PINE: (0.134, 0.393, 0.049),
-    ForestType.LODGEPOLE_PINE: (-1.475, 0.613, 0.043),
-    ForestType.MIXED_CONIFER: (-1.463, 0.578, 0.026),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class CrownFuel:
-    """(...) `base`: height of the crowns' base, m; `density`: canopy bulk density, kg/m3; 0 where nothing stands."""
-
-    base: Float64Array
-    density: Float64Array
-
-
-def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) -> CrownFuel:
-    """Of stands with `cover` (...) in % and `height` (...) in metres."""
-    share, tall = np.clip(cover / 100, 0.0, _MOST_COVER), np.maximum(height, 0.0)
-    stands = (share > 0) & (tall > 0)
-    tall = np.where(stands, tall, 1.0)
-    stems = np.where(stands, -np.log1p(-share), 1.0) / (np.pi * (_CROWN_RADIUS * tall) ** 2) * 1e4
-    basal_area = stems * np.pi / 4 * (tall / _SLENDERNESS) ** 2
-    a, b, c = _DENSITY[forest]
-    d, e, f = _BASE[forest]
-    base = np.clip(d + e * tall + f * basal_area, _LEAST_BASE * tall, tall)
-    density = np.exp(a + b * np.log(basal_area) + c * np.log(stems))
-    return CrownFuel(np.where(stands, base, 0.0), np.where(stands, density, 0.0))
-
-
-def broadleaved(codes: Int16Array) -> BoolArray:
-    """(...) where a code's trees have no crown fuel to speak of."""
-    return np.isin(codes, BROADLEAVED)
-
 
 TALL = 2.0
 """Metres above ground from which on plants are canopy: the height break of airborne surveys of tree cover."""

@@ -24,8 +24,8 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Int16Array, Int64Array
-from ltm_core.fuel.canopy import ForestType
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
+from ltm_core.fuel.stand_allometry import ForestType
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 

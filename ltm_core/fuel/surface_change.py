@@ -19,7 +19,8 @@ from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.storage.tile_store import Key, Tile
+from ltm_core.storage.tile_store import Key
+from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
 from ltm_core.surface.layers import SurfaceLayers

@@ -27,7 +27,7 @@ import numpy as np
 
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.locating.directions import KNOTS, NEXT_DRIFT, DirectionTable
-from ltm_core.locating.locator import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
 from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem

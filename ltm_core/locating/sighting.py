@@ -19,8 +19,8 @@ from ltm_core.locating.directions import (
     marked_directions,
     turned_table,
 )
-from ltm_core.locating.locator import LocatingConfig
 from ltm_core.locating.region import Mark
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.locating.sight_likelihood import SightLikelihood, level_errors, sight_likelihood
 from ltm_core.raster.dem import Dem

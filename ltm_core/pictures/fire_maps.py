@@ -13,11 +13,11 @@ from ltm_core.fire.effect import FireEffect
 from ltm_core.fire.pyretechnics import FireRun
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.pictures.drawing import panel
 from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas, Scale, bare_map
 from ltm_core.pictures.legend import label_legend
 from ltm_core.pictures.maps import interesting_bounds
 from ltm_core.pictures.photo_overlays import label_colors
+from ltm_core.pictures.sheets import panel
 from ltm_core.raster.dem import Dem
 
 FLAME: Final = Scale.of(

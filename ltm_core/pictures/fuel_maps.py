@@ -25,10 +25,11 @@ from ltm_core.fuel.colors import code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import Anchor, draw_texts, panel, with_axes
-from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, label_legend, with_legend
+from ltm_core.pictures.drawing import UNLABELLED, Anchor, ClassPalette, draw_texts
+from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.photo_overlays import label_colors
+from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)

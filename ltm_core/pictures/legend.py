@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -14,20 +13,7 @@ from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array, RgbImage
-from ltm_core.pictures.drawing import draw_texts, metres, text_width
-
-UNLABELLED = 255
-
-
-class ClassPalette(Protocol):
-    """Class names and their RGB colours, indexed by class id; `ltm_core.vision.labels.LabelSet` is one."""
-
-    @property
-    def names(self) -> Any: ...
-
-    @property
-    def colors(self) -> Any: ...
-
+from ltm_core.pictures.drawing import ClassPalette, draw_texts, metres, text_width
 
 SKY_COLOR = (222, 232, 240)
 UNKNOWN_COLOR = (70, 70, 74)

@@ -1,4 +1,6 @@
-"""The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
+"""Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
+
+The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
 
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
@@ -12,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from ltm_core.base.errors import PoseError
+from ltm_core.base.errors import ImageError, PoseError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
@@ -26,7 +28,7 @@ from ltm_core.pipeline.site_surface import given_terrain
 from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_versions_io import AS_GIVEN
+from ltm_core.surface.surface_manifest import AS_GIVEN
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.tracer import TracerStatistics
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
@@ -35,6 +37,25 @@ from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation
 from ltm_core.vision.smoke import SmokeMemory
+
+
+@dataclass(frozen=True, eq=False)
+class PosedImage:
+    """`image`: (H, W, 3) uint8 RGB; `stamp_ns`: when it was taken, nanoseconds. Raises ImageError on another shape."""
+
+    image: UInt8Array
+    camera: Camera
+    pose: Pose
+    stamp_ns: int
+    camera_name: str
+
+    def __post_init__(self) -> None:
+        expected = (self.camera.height, self.camera.width, 3)
+        if self.image.shape != expected or self.image.dtype != np.uint8:
+            raise ImageError(
+                f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
+                f"its calibration says {expected} uint8"
+            )
 
 
 class TracingConfig(StrictModel):

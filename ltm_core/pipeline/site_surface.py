@@ -19,12 +19,14 @@ from ltm_core.raster.shared_rasters import shared
 from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.disk_io import is_file
-from ltm_core.storage.tile_store import StoreSchema, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_manifest import AS_GIVEN
 from ltm_core.surface.surface_map import Added, SurfaceMap
-from ltm_core.surface.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersions
+from ltm_core.surface.surface_versions_io import FOLDER, SurfaceVersions
 from ltm_core.surface.tile_pool import KIND, schema_of
 from ltm_core.vision.labels import LabelSet
 

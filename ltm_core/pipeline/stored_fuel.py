@@ -22,8 +22,8 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
 from ltm_core.storage.text_io import load_array
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
-from ltm_core.storage.tile_store_schema import with_all_fields
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile, with_all_fields
 from ltm_core.surface.change import Changed
 
 STORE_KIND: Final = "fuel"

@@ -1,18 +1,21 @@
-"""Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
+"""Lay out the cells of a surface map in memory, and the sums of one frame's observations over them.
+
+Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
 
 A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ltm_core.base.types import RecordArray, UInt8Array
-from ltm_core.storage.tile_store import Field
+from ltm_core.base.types import Int32Array, Int64Array, RecordArray, UInt8Array
+from ltm_core.storage.tile_store_schema import Field
 
 TILE = 64
 """Cells a side of a tile."""
@@ -85,3 +88,83 @@ def place_of(row: int, col: int, across: int) -> int:
     """Of a cell of the grid, which is `across` tiles wide."""
     tile = (row >> TILE_BITS) * across + (col >> TILE_BITS)
     return (tile << PLACE_BITS) | ((row & (TILE - 1)) << TILE_BITS) | (col & (TILE - 1))
+
+
+SUM = np.dtype(
+    [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("relative_variance", "f4"), ("pose", "f4"),
+     ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
+     ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4"),
+     ("label", "u1"), ("_", "u1", 3)]
+)  # fmt: skip
+"""Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
+above the reference at which a ray passed it (infinite: none did), and by how many sigmas of range it did; and of the
+pixels that speak by their labels, how many count (`labelled`), how high it is that stood there, and the sums of the
+log odds of those that say it is gone and of those that say it stays.
+"""
+
+
+class FrameSums(NamedTuple):
+    """`used`: how many cells and tiles are in use. `cells`: their sums. `tiles`: the tiles by their number in this
+    frame, and `number_of` the inverse by tile, -1 where it is not seen. `at`: by number of the tile and cell in it,
+    1 + where its sums are, 0 where it is not seen.
+    """
+
+    used: Int64Array
+    cells: RecordArray
+    tiles: Int32Array
+    number_of: Int32Array
+    at: Int32Array
+
+    @classmethod
+    def empty(cls, most: int, tiles: int) -> FrameSums:
+        """For at most `most` cells of a grid of `tiles` tiles; memory is claimed as it is used."""
+        return cls(
+            np.zeros(2, np.int64),
+            np.empty(most, SUM),
+            np.empty(tiles, np.int32),
+            np.full(tiles, -1, np.int32),
+            np.zeros((tiles, CELLS), np.int32),
+        )
+
+    @property
+    def seen_tiles(self) -> Int32Array:
+        """Tiles that the frame touches, in row-major order."""
+        return np.sort(self.tiles[: self.used[1]])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def clear(sums: FrameSums) -> None:
+    """Forget the last frame."""
+    for i in range(sums.used[0]):
+        place = sums.cells[i].place
+        sums.at[sums.number_of[place >> PLACE_BITS], place & (CELLS - 1)] = 0
+    for i in range(sums.used[1]):
+        sums.number_of[sums.tiles[i]] = -1
+    sums.used[:] = 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def sum_of(sums: FrameSums, place: int) -> int:
+    """Where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
+    tile, k = place >> PLACE_BITS, place & (CELLS - 1)
+    number = sums.number_of[tile]
+    if number < 0:
+        number = sums.used[1]
+        sums.used[1] += 1
+        sums.number_of[tile] = number
+        sums.tiles[number] = tile
+    found = sums.at[number, k]
+    if found == 0:
+        if sums.used[0] >= len(sums.cells):
+            return -1
+        one = sums.cells[sums.used[0]]
+        sums.used[0] += 1
+        found = sums.used[0]
+        sums.at[number, k] = found
+        one.place = place
+        one.number = one.weight = one.moment = one.relative_variance = one.pose = 0.0
+        one.off_count = one.off_weight = one.off_moment = one.off_pose = 0.0
+        one.lowest = math.inf
+        one.stood = one.labelled = one.gone = one.stays = one.labelled_pose = 0.0
+        one.label = NO_LABEL
+    return int(found) - 1

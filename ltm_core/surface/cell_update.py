@@ -20,8 +20,7 @@ from numba import njit
 
 from ltm_core.base.kernels import prefetch
 from ltm_core.base.types import Int32Array
-from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, TileCells
-from ltm_core.surface.frame_sums import FrameSums
+from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, FrameSums, TileCells
 
 TALL = 10.0
 """Metres: what rises that high at once is a building or, more often, something that passes before the camera."""

@@ -1,10 +1,4 @@
-"""Detect changed surface cells where independent views agree, and confirm changed regions.
-
-What a surface map has confirmed: the cells on whose change independent views agree, and their heights now.
-
-The map goes on comparing images with the reference that it was given. So what it has confirmed is neither found a
-second time, nor undone because depth is traced to it from then on.
-"""
+"""Detects surface change: cells where independent views agree that the surface differs from the reference."""
 
 from __future__ import annotations
 
@@ -19,14 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
-from ltm_core.storage.tile_store import Key, Tile
+from ltm_core.storage.tile_store import Key
+from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.surface.cell_layout import TILE
 from ltm_core.surface.cell_update import Rules, independent, mean_variance
 from ltm_core.surface.config import TerrainConfig
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
 from ltm_core.surface.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise
 from ltm_core.surface.reference_surface import Reference
-from ltm_core.surface.surface_map import SurfaceMap
 
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
@@ -229,35 +222,3 @@ def _summary(
                 relative[r, c] = mean_variance(n, n / relative_variance[r, c], pose, mask, rules.repeated_error_share)
                 sure[r, c] = independent(mask, first[r, c], last[r, c], rules.independent_after, rules.settle)
     return variance, relative, sure
-
-
-_STRIP = 256
-"""Rows that are worked on at a time: the layers of a whole site may be larger than memory."""
-
-
-def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """The changed cells, and how many cells independent views have judged.
-
-    Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
-    half is left. Bare earth itself follows where the ground is lower.
-    """
-    geometry = surface.reference.geometry
-    found: list[tuple[NDArray[Any], ...]] = []
-    seen = 0
-    top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
-    for row in range(top, top + height, _STRIP):
-        layers = surface.layers((row, left, min(_STRIP, top + height - row), width))
-        seen += int((layers.observed | (layers.change > 0)).sum())
-        changed = (layers.change > 0) & np.isfinite(layers.height)
-        rows, cols = np.nonzero(changed)
-        kind, now, bare = layers.change[changed], layers.height[changed], layers.bare[changed]
-        ground = np.where(kind == ChangeKind.LOWERED, now, np.float32(np.nan))
-        gone = (kind == ChangeKind.REMOVED) & (now - bare < (layers.reference[changed] - bare) / 2)
-        visible = np.where(kind == ChangeKind.LOWERED, now, np.where(gone, bare, np.fmax(now, bare)))
-        found.append((rows + row, cols + left, visible, ground))
-    if not found:
-        nothing = np.empty(0, np.float32)
-        return ConfirmedSurface(geometry, np.empty(0, np.int32), np.empty(0, np.int32), nothing, nothing), 0
-    rows, cols, visible, ground = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    cells = rows.astype(np.int32), cols.astype(np.int32)
-    return ConfirmedSurface(geometry, *cells, visible.astype(np.float32), ground.astype(np.float32)), seen

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.surface_versions_io import AS_GIVEN, SurfaceVersion
+from ltm_core.surface.surface_manifest import AS_GIVEN, SurfaceVersion
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,25 +1,17 @@
-"""Compute the layers of a surface map and write them as GeoTIFF."""
+"""The layers of a surface map as rasters: height, sigma, change and their dates."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array, UInt32Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.surface.cell_update import Rules
-from ltm_core.surface.change import ChangeKind, Window, estimate_variance, mosaic
+from ltm_core.surface.change import Window, estimate_variance, mosaic
 from ltm_core.surface.reference_surface import Reference
-from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.tile_pool import TilePool
 
 _FIELDS = (
@@ -104,119 +96,3 @@ def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules
 def _bit_counts(masks: UInt32Array) -> UInt8Array:
     bits = np.unpackbits(np.ascontiguousarray(masks).view(np.uint8).reshape(*masks.shape, 4), axis=-1)
     return np.asarray(bits.sum(axis=-1), np.uint8)
-
-
-UNSEEN = 255
-"""In the raster of changes: cells that independent views have not seen."""
-CHANGE_COLORS = {
-    ChangeKind.NONE: (236, 236, 232),
-    ChangeKind.REMOVED: (200, 60, 40),
-    ChangeKind.GROWN: (40, 140, 70),
-    ChangeKind.LOWERED: (120, 70, 170),
-}
-
-Exported = Literal["surface", "change"]
-BANDS: dict[Exported, dict[str, str]] = {
-    "surface": {"height": "m", "sigma": "m"},
-    "change": {"shift": "m", "sigma": "m", "kind": "1", "since": "days since 1970-01-01 UTC"},
-}
-"""Name and unit of the bands of `write_export`."""
-_STRIP = 256
-"""Rows that are written at a time: the layers of a whole site may be larger than memory."""
-
-
-def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry: GridGeometry) -> None:
-    """Write a surface map as one GeoTIFF of float32 bands with NaN as nodata; `geometry`: its grid, in a named CRS.
-
-    `surface`: *height*, the reference moved where change was accepted, known wherever the terrain is; *sigma*, of what
-    cameras measured of it, NaN where none has looked. `change`: *shift* in height that independent views agree on, 0
-    where they see none and NaN where they have not looked; *sigma*; *kind*, the ChangeKind of the tag kinds; *since*
-    when. Tags: as_of (newest frame, ISO 8601), kinds, cameras, heights. The file appears whole or not at all.
-
-    Raises ConfigError where it cannot be written.
-    """
-    import rasterio
-    from rasterio.errors import RasterioIOError
-    from rasterio.windows import Window
-
-    path, bands = Path(path), BANDS[what]
-    partial = path.with_name(f".{path.name}.partial")
-    height, width = geometry.shape
-    profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": "float32"}
-    profile |= {"crs": geometry.crs, "transform": geometry.transform(), "nodata": float("nan"), "bigtiff": "if_safer"}
-    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "predictor": 3}
-    try:
-        with rasterio.open(partial, "w", **profile) as sink:
-            for row in range(0, height, _STRIP):
-                rows = min(_STRIP, height - row)
-                for number, values in enumerate(_bands(surface, what, (row, 0, rows, width)), start=1):
-                    sink.write(values, number, window=Window(0, row, width, rows))
-            for number, (name, unit) in enumerate(bands.items(), start=1):
-                sink.set_band_description(number, name)
-                sink.set_band_unit(number, unit)
-            sink.update_tags(
-                as_of=_moment(surface.newest_ns),
-                kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
-                cameras=json.dumps(surface.cameras),
-                heights="metres in the vertical datum of the DEM",
-            )
-        partial.replace(path)
-    except (OSError, RasterioIOError) as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error}); name a place that can") from error
-
-
-def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int]) -> list[Float32Array]:
-    layers = surface.layers(window)
-    if what == "surface":
-        return [layers.height, layers.sigma]
-    known, nan = layers.observed | (layers.change > 0), np.float32(np.nan)
-    changed = layers.change > 0
-    return [
-        np.where(known, surface.accepted_shift(window), nan),
-        np.where(known, layers.sigma, nan),
-        np.where(known, layers.change, nan).astype(np.float32),
-        np.where(changed, layers.since / np.float32(86_400), nan).astype(np.float32),
-    ]
-
-
-def _moment(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() if stamp_ns else "no frame yet"
-
-
-def write_surface(
-    folder: Path | str, layers: SurfaceLayers, geometry: GridGeometry, newest_ns: int, cameras: Sequence[str]
-) -> list[Path]:
-    """Write `terrain_height.tif`, `_sigma`, `_change`, `_age` (hours from the last look to `newest_ns`) and `_since`
-    (s, with a second band: the mask of the cameras that agreed, bit i for the i-th of the tag `cameras`).
-
-    `geometry`: of the layers, in a named CRS. Each file appears whole or not at all. Raises ConfigError where the
-    folder is missing or cannot be written.
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: the folder does not exist; make it first")
-    seen = layers.last_seen > 0
-    age = np.where(seen, (newest_ns // 1_000_000_000 - layers.last_seen.astype(np.int64)) / 3600, np.nan)
-    change = np.where(layers.observed | (layers.change > 0), layers.change, np.uint8(UNSEEN)).astype(np.uint8)
-    kinds = json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind})
-    named = {"cameras": json.dumps(list(cameras))}
-    files = []
-    for name, array, nodata, tags in (
-        ("height", layers.height, float("nan"), None),
-        ("sigma", layers.sigma, float("nan"), None),
-        ("change", change, UNSEEN, {"kinds": kinds}),
-        ("age", age.astype(np.float32), float("nan"), None),
-        ("since", np.stack([layers.since, layers.by]), 0, named),
-    ):
-        path = folder / f"terrain_{name}.tif"
-        partial = path.with_name(f".{path.name}.partial")
-        colors = {int(k): v for k, v in CHANGE_COLORS.items()} if name == "change" else None
-        try:
-            write_geotiff(partial, array, geometry, nodata=nodata, colormap=colors, tags=tags)
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise ConfigError(f"{path}: cannot be written ({error})") from error
-        files.append(path)
-    return files

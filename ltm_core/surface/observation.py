@@ -12,9 +12,9 @@ from ltm_core.base.errors import ImageError, PoseError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RecordArray, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.surface.cell_layout import TILE
+from ltm_core.surface.cell_layout import TILE, FrameSums, clear
 from ltm_core.surface.expected_view import CameraView, ExpectedViews, Extremes, predict_view
-from ltm_core.surface.frame_sums import FrameSums, add_labels, clear
+from ltm_core.surface.label_kernel import add_labels
 from ltm_core.surface.observation_kernel import Limits, Pixels, observe
 from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
 from ltm_core.tracing import TerrainTracer

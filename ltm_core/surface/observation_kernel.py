@@ -24,9 +24,8 @@ import numpy as np
 from numba import njit
 
 from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
-from ltm_core.surface.cell_layout import NO_LABEL, place_of
+from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, place_of, sum_of
 from ltm_core.surface.expected_view import CameraView, direction
-from ltm_core.surface.frame_sums import FrameSums, sum_of
 from ltm_core.surface.reference_surface import (
     LEAST_INCIDENCE,
     ReferenceGrid,

@@ -10,7 +10,8 @@ import numpy as np
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float32Array, Float64Array, Int32Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, TileStore
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord
 from ltm_core.surface.cell_layout import TILE
 from ltm_core.surface.cell_update import Rules, merge
 from ltm_core.surface.change import Changed, decide, margin_of, mosaic

@@ -9,7 +9,8 @@ import numpy as np
 
 from ltm_core.base.types import Int32Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile
 from ltm_core.surface.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, TileCells
 
 KIND, VERSION = "terrain", 4

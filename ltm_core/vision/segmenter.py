@@ -21,7 +21,7 @@ from ltm_core.vision.manifest import AUTO_HEAD, DEFAULT_MODEL, SHIPPED_HEAD, Inp
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
 from ltm_core.vision.tensors import as_tensor, fitted, input_tensor, upsampled_winner
-from ltm_core.vision.vocabulary import load_text
+from ltm_core.vision.word_embeddings_io import load_text
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,4 @@
-"""Map words of a user to the classes of an open-vocabulary network.
-
-Maps words of a user to classes of a network: the open-vocabulary query of the paper.
+"""Maps words of a user to classes of a network: the open-vocabulary query of the paper.
 
 A network of kind `embeddings` answers words that its text file holds. Any other network knows a few classes; a word is
 then read as one of them through `config/vocabulary.yaml`, and the reading says so.
@@ -14,72 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
-from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
-
-LARGEST = 64 << 20
-"""Bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
-
-
-@dataclass(frozen=True, eq=False)
-class TextEmbeddings:
-    """Words and their directions: `names` (K), `vectors` (K, D) float32 of length 1, `scale` of the cosine."""
-
-    names: tuple[str, ...]
-    vectors: Float32Array
-    scale: float
-
-    def only(self, words: Sequence[str] | None) -> TextEmbeddings:
-        """These words alone, in their order; all where None. Raises ModelError for a word that is not there."""
-        if words is None:
-            return self
-        absent = sorted(set(words) - set(self.names))
-        if absent:
-            raise ModelError(f"no embedding of {', '.join(absent)}; words: {', '.join(self.names[:40])}")
-        return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
-
-    def scores(self, dense: Float32Array) -> Float32Array:
-        """`scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
-        length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
-        # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
-        cosine = np.einsum("kd,dhw->khw", self.vectors, dense) / np.maximum(length, 1e-12)
-        return np.asarray(np.float32(self.scale) * cosine, np.float32)
-
-
-def load_text(manifest: Manifest) -> TextEmbeddings:
-    """The text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than the
-    manifest states, a word twice, or one in `mapping` that is not there."""
-    path, spec = manifest.text_file(), manifest.text
-    if spec is None:
-        raise ModelError(f"model {manifest.name!r} has no text embeddings")
-    words, given = load_arrays(path, ("names", "embeddings"), LARGEST, ModelError)
-    if words.dtype.kind not in "US" or given.dtype.kind not in "fiu":
-        raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")
-    names, vectors = tuple(str(name) for name in words.ravel()), np.asarray(given, np.float32)
-    if vectors.shape != (len(names), spec.dimensions) or not names:
-        raise ModelError(
-            f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "
-            "row a name, as text.dimensions states"
-        )
-    if len(set(names)) != len(names):
-        raise ModelError(f"{path}: names repeat; each word once")
-    unknown = sorted(set(manifest.mapping) - set(names))
-    if unknown:
-        raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
-        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; make the file again")
-    return TextEmbeddings(names, vectors / length, spec.scale)
-
+from ltm_core.vision.word_embeddings_io import load_text
 
 _COLORS = (
     (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),

@@ -22,8 +22,8 @@ from ltm_lab.bench.archive_worker import (
     worker_cost,
 )
 from ltm_lab.bench.measure import peak_mb
-from ltm_ros.archive.content_digest import node_rules
 from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.node_rules import node_rules
 from ltm_ros.archive.plan import VOTES, plan
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run

@@ -20,10 +20,9 @@ from ltm_core.depth.expected_surface import FusionSettings, expect
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_measurement import DecisionRules, FusionRow, begin_row, compare_row
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities, OcclusionPrior, ground_contact, height_above
-from ltm_core.depth.pixel_fusion import log_against
+from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, begin_row, compare_row, log_against
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.vision.labels import LabelSet
 

@@ -1,6 +1,4 @@
-"""Compute digests of everything that a result depends on: files, parameters and source.
-
-Digests of all that a result hangs on: files by their content, configuration by its values, the program by its code.
+"""Digests of all that a result hangs on: files by their content, configuration by its values, the program by its code.
 
 Two runs that would make the same have the same digest; whatever changes what is made changes it.
 """
@@ -11,7 +9,7 @@ import hashlib
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -25,7 +23,6 @@ import ltm_msgs_py
 import ltm_ros.archive
 import ltm_ros.fuel_map
 import ltm_ros.recordings.importing
-from ltm_core.base.errors import ArchiveError
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.fuel.overlays_io import Burn
@@ -33,11 +30,7 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, Tracin
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest, label_columns
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
-from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
-from ltm_ros.archive.manifest import ManifestRules
-from ltm_ros.launching.graph import describe
-from ltm_ros.runtime.frame_join import FrameJoinConfig
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
 _PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")
@@ -192,51 +185,3 @@ def _by_content(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_by_content(item) for item in value]
     return value if isinstance(value, str | int | float | bool | None) else str(value)
-
-
-@dataclass(frozen=True)
-class NodeRules:
-    """How a site's nodes join, trace and label; `fusing`: None where the site has no depth network."""
-
-    manifest: ManifestRules
-    tracing: TracingConfig
-    labelling: LabellingConfig
-    fusing: FusingConfig | None
-
-
-def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
-    """Defaults are those of the nodes. Raises ConfigError."""
-    from ltm_ros.fuel_map.config import FuelMapConfig
-
-    graph = describe(site, path)
-
-    def given(label: str) -> dict[str, Any]:
-        return {k: v for k, v in graph.node(label).parameters.items() if k != "use_sim_time"}
-
-    def only(model: type[Any], label: str) -> Any:
-        values = {name: value for name, value in given(label).items() if name in model.model_fields}
-        return checked(model, values, f"parameters of {label}")
-
-    fuel_map = checked(FuelMapConfig, given("fuel_map"), "parameters of fuel_map")
-    join = only(FrameJoinConfig, f"{camera}/capture")
-    rules = ManifestRules(join, fuel_map.max_ahead, fuel_map.max_behind)
-    fusing = only(FusingConfig, f"{camera}/topodepth") if site.depth_model else None
-    return NodeRules(
-        rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation"), fusing
-    )
-
-
-def refuse_terrain(site: Site) -> None:
-    """Raises ArchiveError, with the remedy, for a site whose terrain an archive cannot work."""
-    if site.terrain is None:
-        raise ArchiveError(f"site {site.name} has no section `terrain`: add one, or run without --terrain")
-    if not site.depth_model or site.nodes.get("terrain", {}).get("depth_from_elsewhere"):
-        raise ArchiveError(
-            f"site {site.name}: the terrain of an archive needs what a depth network measures in its pictures: give "
-            "`depth_model` a network, and no depth from elsewhere, or run without --terrain"
-        )
-    if site.terrain.trace_confirmed:
-        raise ArchiveError(
-            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes then "
-            "hang on those before it; take the setting out of the site file for the archive, or run without --terrain"
-        )

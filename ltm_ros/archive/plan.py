@@ -1,15 +1,11 @@
-"""Plan the tasks of an archive, and report what a run would do."""
+"""The tasks of an archive, a camera's day each, and the names of what they make: digests of all that goes into it."""
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from statistics import mean, stdev
+from dataclasses import dataclass, field
 
 import numpy as np
-from rich.table import Table
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.base.utc_time import DAY_NS
@@ -19,9 +15,7 @@ from ltm_core.pipeline.fusing_step import FusingConfig
 from ltm_core.site.site import Site
 from ltm_ros.archive.content_digest import burns_digest, digest, evidence_digest, measured_digest, votes_digest
 from ltm_ros.archive.files import CacheConfig
-from ltm_ros.archive.frame_files import frame_files
-from ltm_ros.archive.manifest import ArchiveFrame, days_of
-from ltm_ros.archive.run import Plan
+from ltm_ros.archive.manifest import ArchiveFrame
 
 VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
 """Folders of results."""
@@ -125,72 +119,4 @@ def other_files(site: str) -> ArchiveError:
     return ArchiveError(
         f"{site}, or a file that it names, is another one here than where the run was started; give all workers the "
         "same files"
-    )
-
-
-_TRIED = 3
-"""Frames of a camera that are worked for the estimate, after one that is worked for the kernels and the network to be
-there."""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """CPU seconds a frame from picture to votes, and to what the terrain takes where that is worked, the standard error
-    of their mean, and bytes of both a frame."""
-
-    cpu_s: float
-    error_s: float
-    made_bytes: float
-
-
-def cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> Cost:
-    """Of a camera's frames, from a few of them spread over all; nothing is kept."""
-    steps = {task.frames[0].camera: task for task in planned.tasks}
-    wanted = [VOTES, MEASURED] if planned.options.terrain else [VOTES]
-    chosen = [frames[round(k * (len(frames) - 1) / max(_TRIED - 1, 1))] for k in range(_TRIED)]
-    seconds, sizes = [], []
-    for frame in [chosen[0], *chosen]:
-        begin = time.process_time()
-        made = frame_files(replace(steps[frame.camera], frames=(frame,)), planned.settings, wanted)
-        seconds.append(time.process_time() - begin)
-        sizes.append(sum(map(len, made.values())))
-    return Cost(mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:]))
-
-
-def dry_run_table(planned: Plan) -> list[Table]:
-    """Frames, gaps and costs by camera; and what could not be taken, with the reason."""
-    about = Table(title=f"{len(planned.frames)} frames in {len(planned.tasks)} tasks", caption=_caption(planned))
-    for column in ("camera", "frames", "days", "days without", "GB in", "core-hours", "made, MB"):
-        about.add_column(column, justify="left" if column == "camera" else "right")
-    days = days_of(planned.frames)
-    for camera in sorted({frame.camera for frame in planned.frames}):
-        frames = [frame for frame in planned.frames if frame.camera == camera]
-        its = sorted(day for name, day in days if name == camera)
-        cost = cost_of(frames, planned)
-        hours, error = (seconds * len(frames) / 3600 for seconds in (cost.cpu_s, cost.error_s))
-        about.add_row(
-            camera,
-            str(len(frames)),
-            str(len(its)),
-            str(its[-1] - its[0] + 1 - len(its)),
-            f"{sum(frame.size_bytes for frame in frames) / 1e9:.3g}",
-            f"{hours:.3g} ± {error:.1g}",
-            f"{cost.made_bytes * len(frames) / 1e6:.3g}",
-        )
-    lost = Table(title="not taken")
-    for column in ("camera", "cause", "frames", "first reason"):
-        lost.add_column(column, overflow="fold")
-    for failure in (*planned.manifest.unread, *planned.manifest.failures):
-        lost.add_row(failure.place, failure.cause, str(failure.count), failure.why)
-    for note in planned.manifest.damage:
-        lost.add_row("", "damage", "", note)
-    return [about, lost] if lost.row_count else [about]
-
-
-def _caption(planned: Plan) -> str:
-    to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
-    return (
-        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} held more than once; core-hours to "
-        f"{to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} as of "
-        "single frames"
     )

@@ -31,12 +31,13 @@ from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.evidence_merge import merged_parts
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.fuel.surface_change import SOURCE, LivingFuelMap
-from ltm_core.pipeline.frame import MeasuredFrame
+from ltm_core.pipeline.frame_at_work import MeasuredFrame
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import UNCOMMITTED, SiteTerrain, terrain_grid
 from ltm_core.pipeline.stored_fuel import SurfaceMoves, fuel_schema, take_news
 from ltm_core.site.site import Site
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, TileStore
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.frame_files import LostFrame, lost_of_measured, read_measured
 from ltm_ros.archive.manifest import ArchiveFrame

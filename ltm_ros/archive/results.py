@@ -1,20 +1,13 @@
-"""Keep an archive's results in a folder, and find whether the map in it is current.
-
-Whether the map that is there is the one that a run would make again: then nothing is left to do.
-
-A run's record says of what its map was made and which files were published; it is taken away before any of them is
-written over, and comes last.
-"""
+"""The folder that holds an archive's results, on disk or on S3: a file is there whole, or not at all."""
 
 from __future__ import annotations
 
 import io
-import json
 import os
 import posixpath
 import shutil
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,18 +15,6 @@ from typing import Any, BinaryIO
 import fsspec
 
 from ltm_core.base.errors import ArchiveError
-from ltm_core.base.resources import config_path
-from ltm_core.fuel.overlays_io import Burn
-from ltm_core.site.site import Site
-from ltm_ros.archive.content_digest import (
-    burns_digest,
-    digest,
-    evidence_digest,
-    file_digest,
-    map_code_digest,
-    map_settings,
-)
-from ltm_ros.archive.publish import RUN, sha256_of
 
 
 class ResultFolder:
@@ -134,49 +115,3 @@ def _write_whole(place: Path, content: BinaryIO) -> None:
 
 def _names(protocol: Any) -> tuple[str, ...]:
     return (protocol,) if isinstance(protocol, str) else tuple(protocol)
-
-
-def map_digest(
-    site: Site, files: Sequence[str], burns: Sequence[Burn], terrain: bool, allowed: Sequence[object]
-) -> str:
-    """Of all that a map and what is written of it hang on. Raises LtmError for files of the site that are not there.
-
-    Args:
-        files: results of the tasks, whose names tell what they hold, in the order of the plan.
-        allowed: the share that may fail, and what has failed until then.
-    """
-    burned = burns_digest(burns)
-    shipped = file_digest(config_path("fuel")), file_digest(config_path(site.labels))
-    return digest(
-        map_code_digest(),
-        map_settings(site),
-        evidence_digest(site),
-        shipped,
-        list(files),
-        burned,
-        terrain,
-        list(allowed),
-    )
-
-
-def standing_record(results: ResultFolder, made_of: str) -> dict[str, Any] | None:
-    """The record of the run that made just this map, if all of it is there: its stores by their content, and by name
-    what people read."""
-    try:
-        record = json.loads(results.read(RUN)) if results.has(RUN) else {}
-        if record.get("made_of") != made_of:
-            return None
-        stores: dict[str, str] = record["stores"]
-        files = set(record["files"])
-        for name, expected in stores.items():
-            if not results.has(name):
-                return None
-            with results.open(name) as file:
-                if sha256_of(file) != expected:
-                    return None
-        folders = {name.rpartition("/")[0] for name in files}
-        there = {f"{folder}/{name}".lstrip("/") for folder in folders for name in results.names(folder)}
-        named = sum(failure["count"] for failure in record["failures"])
-        return record if files <= there and named == record["frames"]["failed"] else None
-    except (ValueError, LookupError, TypeError, ArchiveError):  # of another version, or spoiled: the map is made again
-        return None

@@ -23,15 +23,16 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.tile_pool import KIND as TERRAIN_KIND
-from ltm_ros.archive.content_digest import code_digest, node_rules, refuse_terrain
+from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
+from ltm_ros.archive.node_rules import node_rules, refuse_terrain
 from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
-from ltm_ros.archive.publish import RUN, publish
+from ltm_ros.archive.publish import RUN, map_digest, publish, standing_record
 from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
-from ltm_ros.archive.results import ResultFolder, map_digest, standing_record
+from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.sampling import Sample, chosen
 from ltm_ros.archive.scan import recordings, scan
 

@@ -24,7 +24,7 @@ from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_o
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
 from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
-from ltm_ros.archive.pictures import PHOTOS, PlacedMessage, is_pose_list, photo_messages
+from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.recordings.importing.photo_folder import POSES
 from ltm_ros.runtime.topics import CAMERA_INPUTS, IMAGE_COMPRESSED, IMAGE_RAW, camera_topic

@@ -25,7 +25,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
 from ltm_core.pictures import to_png
-from ltm_core.pictures.photo_overlays import depth_picture, map_picture
+from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.pose_estimation.mount.mount_io import append_reading
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site

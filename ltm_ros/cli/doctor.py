@@ -38,7 +38,8 @@ def doctor(
     """Look at the installation. Exit code 1 when something required is missing."""
     from rich.console import Console
 
-    from ltm_ros.tower.doctor import Condition, as_json, examine, healthy, summed_up
+    from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
+    from ltm_ros.tower.doctor_finding import Condition
 
     findings = examine(site)
     if json:

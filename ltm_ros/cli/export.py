@@ -123,7 +123,7 @@ def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, un
     from ltm_core.base.errors import ConfigError
     from ltm_core.pipeline.site_surface import open_stored_surface
     from ltm_core.site.site_io import load_site
-    from ltm_core.surface.layers import BANDS, write_export
+    from ltm_core.surface.surface_io import BANDS, write_export
 
     if site is None:
         raise ConfigError(f"{source} holds what differs from its site's terrain: name the site file with --site")

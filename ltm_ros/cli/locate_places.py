@@ -176,7 +176,7 @@ def _places(
     """Names, places (N, 3) in the map frame, and where they were marked (N, 2), of control points."""
     frame = scene.frame
     if points is not None:
-        from ltm_core.pose_estimation.points.control_points import read_control_points
+        from ltm_core.pose_estimation.points.resection_io import read_control_points
 
         read = read_control_points(points, frame, first_pixel)
         return list(read.names), np.array(read.places), np.array(read.pixels)

@@ -94,7 +94,7 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
     from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
-    from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior
+    from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
 

@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ltm_core.geometry.camera import Camera
-    from ltm_core.pose_estimation.points.control_points import ResectionSetup
     from ltm_core.pose_estimation.points.resection import Resection
     from ltm_core.pose_estimation.points.resection_check import TracedErrors
+    from ltm_core.pose_estimation.points.resection_io import ResectionSetup
 
 
 def fit_to_points(
@@ -34,15 +34,15 @@ def fit_to_points(
     from rich.markup import escape
 
     from ltm_core.geometry.geodesy import ray_bend
-    from ltm_core.pose_estimation.points.control_points import (
+    from ltm_core.pose_estimation.points.resection import resect
+    from ltm_core.pose_estimation.points.resection_adjustment import Parameter
+    from ltm_core.pose_estimation.points.resection_io import (
         held_notes,
         read_control_points,
         set_up_resection,
         write_pose,
         write_report,
     )
-    from ltm_core.pose_estimation.points.resection import resect
-    from ltm_core.pose_estimation.points.resection_adjustment import Parameter
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.tracing.trace_io import GuessConfig

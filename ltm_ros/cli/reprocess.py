@@ -46,8 +46,8 @@ def reprocess(
     """
     from rich.console import Console
 
+    from ltm_ros.archive.dry_run import dry_run_table
     from ltm_ros.archive.files import CacheConfig
-    from ltm_ros.archive.plan import dry_run_table
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
     from ltm_ros.cli.progress import counting_bar

@@ -32,7 +32,7 @@ def trace(
 
     from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.photo_overlays import depth_picture, map_picture
+    from ltm_core.pictures.trace import depth_picture, map_picture
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing import TerrainTracer

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ltm_core.base.types import Int16Array, UInt8Array
 from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.pipeline.stored_fuel import JOURNALED
-from ltm_core.storage.tile_store import CellChanges, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import CellChanges
 
 
 class ShownLayers:

@@ -12,7 +12,8 @@ from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.stored_fuel import restore, votes_of, votes_to_bytes
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, Key, Tile, TileStore
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, Tile
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace

@@ -25,7 +25,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import provenance_of, site_canopy, spare_heights
 from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.site.site import Site
-from ltm_core.storage.tile_store import Key, Tile, TileStore
+from ltm_core.storage.tile_store import Key, TileStore
+from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import stamp_of
 

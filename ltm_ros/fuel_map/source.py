@@ -28,7 +28,7 @@ from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_versions_io import SurfaceVersion
+from ltm_core.surface.surface_manifest import SurfaceVersion
 from ltm_core.vision.labels import LabelSet
 
 

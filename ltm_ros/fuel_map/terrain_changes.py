@@ -14,7 +14,7 @@ from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.stored_fuel import SURFACE_LAYER, SurfaceMoves, take_news
-from ltm_core.storage.tile_store import CellChanges
+from ltm_core.storage.tile_store_schema import CellChanges
 from ltm_core.surface.change import ChangeKind
 from ltm_msgs_py.grid import msg_to_changed, msg_to_classes, tile_window
 from ltm_msgs_py.stamp import stamp_of

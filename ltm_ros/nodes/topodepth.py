@@ -13,11 +13,11 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, Verdict
-from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site
-from ltm_core.surface.surface_versions_io import AS_GIVEN
+from ltm_core.surface.surface_manifest import AS_GIVEN
 from ltm_core.vision.scene_view import SceneView
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.confirmed_surface import msg_to_traced

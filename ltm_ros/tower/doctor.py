@@ -1,4 +1,4 @@
-"""Check what is installed, what is in use and what is missing, for `ltm doctor`."""
+"""Checks behind `ltm doctor`: what is installed, what is in use and what is missing."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import asdict
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -21,27 +20,7 @@ import ltm_core
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
-
-
-class Condition(StrEnum):
-    OK = "ok"
-    OPTIONAL = "optional"
-    """Absent, and only some commands need it."""
-    WARNING = "warning"
-    """Works, but not well."""
-    MISSING = "missing"
-    """The system does not work without it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    area: str
-    name: str
-    state: Condition
-    detail: str
-    remedy: str = ""
-    """Command that mends it."""
-
+from ltm_ros.tower.doctor_finding import Condition, Finding
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",

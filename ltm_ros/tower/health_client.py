@@ -14,7 +14,7 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site_io import load_site
 from ltm_ros.runtime.ports import bind_error, refusal
-from ltm_ros.tower.doctor import Condition, Finding
+from ltm_ros.tower.doctor_finding import Condition, Finding
 from ltm_ros.tower.web_server import read_token, secret
 
 LARGEST = 16 << 20

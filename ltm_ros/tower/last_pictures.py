@@ -26,8 +26,7 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.drawing import to_jpeg, to_png
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.pictures.drawing import UNLABELLED, ClassPalette, to_jpeg, to_png
 from ltm_core.pictures.maps import MapCamera, furnished, interesting_bounds, nearest, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site

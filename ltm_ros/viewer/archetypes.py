@@ -14,7 +14,8 @@ from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, error_colors, error_legend
+from ltm_core.pictures.drawing import UNLABELLED, ClassPalette
+from ltm_core.pictures.legend import error_colors, error_legend
 from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960

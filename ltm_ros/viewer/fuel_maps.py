@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ltm_core.base.types import BoolArray, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_jpeg
+from ltm_core.pictures.drawing import ClassPalette
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, CameraMark, FuelCanvas
-from ltm_core.pictures.legend import PAPER, ClassPalette
+from ltm_core.pictures.legend import PAPER
 from ltm_core.raster.dem import Dem
 from ltm_ros.fuel_map.pictures import seen_window
 

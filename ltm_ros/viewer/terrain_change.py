@@ -9,9 +9,9 @@ import rerun as rr
 
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import UNLABELLED
+from ltm_core.pictures.drawing import UNLABELLED
 from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.layers import CHANGE_COLORS
+from ltm_core.surface.surface_io import CHANGE_COLORS
 
 PICTURE_PIXELS = 1600
 """Longer side of the picture of changes."""

@@ -19,8 +19,8 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
+from ltm_core.pictures.drawing import UNLABELLED, ClassPalette
 from ltm_core.pictures.fuel_maps import CameraMark
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_ros.viewer import archetypes, scene_geometry

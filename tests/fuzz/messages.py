@@ -33,7 +33,7 @@ from ltm_core.fuel.votes import VoteCaster
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.surface.change import Changed
-from ltm_core.surface.surface_versions_io import AS_GIVEN, SurfaceManifest
+from ltm_core.surface.surface_manifest import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.confirmed_surface import manifest_to_msg, traced_to_msg

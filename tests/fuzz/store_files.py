@@ -18,7 +18,8 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_KIND, fuel_schema, open_stored_map, votes_to_bytes
 from ltm_core.site.site_io import load_site
-from ltm_core.storage.tile_store import CellChanges, FrameRecord, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord
 from ltm_core.vision.labels import LabelSet
 
 

@@ -26,12 +26,13 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.pose_estimation.mount.mount_io import read_head_points, read_readings
-from ltm_core.pose_estimation.points.control_points import read_control_points, set_up_resection
+from ltm_core.pose_estimation.points.resection_io import read_control_points, set_up_resection
 from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.surface.surface_versions_io import MANIFEST, Counted, SurfaceManifest, SurfaceVersion, SurfaceVersions
+from ltm_core.surface.surface_manifest import SurfaceManifest, SurfaceVersion
+from ltm_core.surface.surface_versions_io import MANIFEST, Counted, SurfaceVersions
 from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
 from ltm_core.vision.areas import read_areas
 from ltm_core.vision.label_confidence import Calibration

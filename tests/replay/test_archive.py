@@ -31,9 +31,10 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
+from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
 from ltm_ros.archive.task import work
 from ltm_ros.cli.main import cli

@@ -24,8 +24,7 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import encode_rgb
-from ltm_ros.archive import files
-from ltm_ros.archive import pictures as photo_folder
+from ltm_ros.archive import files, photo_folder
 from ltm_ros.archive.engine import serial
 from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run

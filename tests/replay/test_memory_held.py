@@ -13,7 +13,8 @@ from scenes.small_site import NAME
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import UNCOMMITTED
-from ltm_core.storage.tile_store import Field, FrameRecord, StoreSchema, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import Field, FrameRecord, StoreSchema
 from ltm_ros.launching.graph import describe
 from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.process_memory import memory_in_use

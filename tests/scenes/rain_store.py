@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.storage.tile_store import CellChanges, Field, StoreSchema, Tile, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import CellChanges, Field, StoreSchema, Tile
 
 GRID = GridGeometry(480_015.0, 4_150_915.0, 30.0, 21, 13, "EPSG:26911")
 SCHEMA = StoreSchema("weather", 3, GRID, 8, {"rain": Field(np.float32, (4,)), "seen": Field(np.int64)})

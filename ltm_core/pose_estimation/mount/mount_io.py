@@ -25,7 +25,8 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.points.control_points import HeadPoints, read_point_rows
+from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.resection_io import read_point_rows
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 
 READING_COLUMNS: dict[str, Sequence[str]] = {

@@ -18,7 +18,7 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain
-from ltm_core.pose_estimation.skyline.pose_hypothesis import UNKNOWN_DEG, PosePrior
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.photo_io import open_picture
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file

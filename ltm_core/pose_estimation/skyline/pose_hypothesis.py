@@ -1,107 +1,20 @@
-"""Hold the prior of a pose, and a pose that a photo may have."""
+"""Hold a pose that a photo may have, and decide whether it is accepted."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, axes_of_angles, pose_covariance
-from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.geometry.rotations import vector_of_matrix
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose
-
-UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
-"""Sigma of an azimuth of which nothing is known."""
-
-
-@dataclass(frozen=True, eq=False)
-class PosePrior:
-    """A pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
-
-    An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
-    Raises PoseError for sigmas that are none.
-    """
-
-    pose: Pose
-    azimuth_sigma_deg: float = 1.5
-    pitch_sigma_deg: float = 0.5
-    roll_sigma_deg: float = 0.5
-    position_sigma: float = 0.0
-    height_sigma: float = 0.0
-
-    def __post_init__(self) -> None:
-        angles = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
-        if not all(math.isfinite(s) and s > 0 for s in angles):
-            raise PoseError(f"sigmas of azimuth, pitch and roll must be positive degrees, got {angles}")
-        places = (self.position_sigma, self.height_sigma)
-        if not all(math.isfinite(s) and s >= 0 for s in places):
-            raise PoseError(f"sigmas of position and height must be metres, 0 or more, got {places}")
-
-    @classmethod
-    def of_covariance(cls, pose: Pose, covariance: Float64Array) -> PosePrior:
-        """From a (6, 6) covariance as in `pose_covariance`; raises PoseError where its angles have none."""
-        slopes = angle_slopes(pose)
-        angles = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
-        place = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
-        azimuth, pitch, roll = (float(a) for a in angles)
-        return cls(pose, azimuth, pitch, roll, float(max(place[0], place[1])), float(place[2]))
-
-    @property
-    def heading_known(self) -> bool:
-        return self.azimuth_sigma_deg < 0.99 * UNKNOWN_DEG  # it may have come through a covariance
-
-    @property
-    def sigmas(self) -> Float64Array:
-        """(6,): x, y, z (m), azimuth, pitch, roll (rad)."""
-        angles = np.radians([self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg])
-        return np.array([self.position_sigma, self.position_sigma, self.height_sigma, *angles])
-
-    @property
-    def covariance(self) -> Float64Array:
-        """(6, 6) as in `pose_covariance`."""
-        angles = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
-        return pose_covariance(self.pose, self.position_sigma, self.height_sigma, *angles)
-
-    def deviation(self, pose: Pose) -> Float64Array:
-        """(6,) of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
-        return np.concatenate([pose.position - self.pose.position, angles_between(self.pose, pose)])
-
-
-def angles_between(a: Pose, b: Pose) -> Float64Array:
-    """Azimuth, pitch and roll (3,), radians in [-pi, pi), by which `b` differs from `a`."""
-    change = np.radians(np.subtract(b.angles_deg, a.angles_deg))
-    return np.asarray((change + math.pi) % (2 * math.pi) - math.pi, np.float64)
-
-
-def angle_slopes(pose: Pose) -> Float64Array:
-    """(3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down, where
-    azimuth and roll turn about one axis, each takes half of a turn about it."""
-    return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
-
-
-def rotations_of(angles_deg: Float64Array) -> Float64Array:
-    """(P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
-    a, p, r = np.radians(angles_deg).T
-    zero = np.zeros_like(a)
-    forward = np.stack([np.sin(a) * np.cos(p), np.cos(a) * np.cos(p), np.sin(p)], axis=-1)
-    level_right = np.stack([np.cos(a), -np.sin(a), zero], axis=-1)
-    level_down = np.cross(forward, level_right)
-    c, s = np.cos(r)[:, None], np.sin(r)[:, None]
-    return np.stack([c * level_right + s * level_down, c * level_down - s * level_right, forward], axis=-1)
-
-
-def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
-    """A pose turned by a rotation vector (3,) about the map's axes, and shifted."""
-    matrix = matrix_of_vector(rotation) @ pose.rotation
-    u, _, vt = np.linalg.svd(matrix)  # many small turns stay a rotation
-    return Pose(pose.position if shift is None else pose.position + shift, u @ vt)
-
 
 _FOCAL_STEP = 0.02
 
@@ -216,3 +129,94 @@ def focal_candidates(focal_sigma: float) -> Float64Array:
         return np.ones(1)
     n = math.ceil(2 * focal_sigma / _FOCAL_STEP)
     return np.asarray(np.exp(_FOCAL_STEP * np.arange(-n, n + 1)), np.float64)
+
+
+MANY_PLANTS = 0.5
+"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's,"""
+OVERGROWN = 0.85
+"""and from which on hardly anything else is in the picture."""
+Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`word`, and why in words. `gap`: by how much the best alternative costs more (inf: there is none);
+    `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits.
+    """
+
+    word: Word
+    reason: str
+    gap: float
+    alternative_deg: float | None
+    sigma_deg: tuple[float, float, float]
+    support: float
+
+
+def judge(
+    hypotheses: Sequence[Hypothesis],
+    by_ridges: bool,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    plants: float,
+    gap_by_ridges: float | None = None,
+) -> Verdict:
+    """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
+    the share of trees and shrubs in the picture's land. `gap_by_ridges`: ridges alone are of the same pose, and
+    alternatives cost so much more by them.
+    """
+    v = config.verdict
+    nowhere = (math.inf, math.inf, math.inf)
+    if not hypotheses:
+        return Verdict(
+            "no_skyline", "neither a skyline nor a ridge of the DEM is in the picture", 0.0, None, nowhere, 0.0
+        )
+    best = hypotheses[0]
+    sigma = azimuth, pitch, roll = best.refined.sigma_deg
+    gap, other = math.inf, None
+    middle = best.about or best.refined.pose  # what is not part of a mean is an alternative to it
+    for hypothesis in hypotheses[1:]:
+        away = abs(float(angles_between(middle, hypothesis.refined.pose)[0]))
+        if away > math.radians(v.alternative_deg):
+            gap, other = hypothesis.cost - best.cost + (gap_by_ridges or 0.0), hypothesis.refined.pose.angles_deg[0]
+            break
+    support = best.refined.skyline.support
+
+    def verdict(word: Word, reason: str) -> Verdict:
+        return Verdict(word, reason, gap, other, sigma, support)
+
+    close = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None)
+    most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg
+    open_view = best.refined.skyline.open > v.open_share
+    if open_view:
+        most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
+    if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
+        known = "what ridges are in the picture" if by_ridges else "the skyline"
+        word: Word = "no_skyline" if by_ridges else "ambiguous"
+        return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
+    veiled, variance = best.refined.skyline.veiled, best.refined.skyline.variance
+    least = v.gap_asked(veiled, variance)
+    if by_ridges:
+        least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
+        if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
+            return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
+        if variance > v.ridges_variance:
+            return verdict(
+                "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
+            )
+    elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
+        doubt = "may be of land beyond the DEM" if open_view else "leaves an angle unsure"
+        return verdict("ambiguous", f"the skyline {doubt}, and its misfits' variance on the horizon is {variance:.1f}")
+    if gap < least:
+        hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
+        told = hidden if veiled > 0.03 and not by_ridges else ""
+        return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
+    asked = v.least_support if open_view else v.support_asked(max(sigma))
+    if not by_ridges and support < (asked if gap_by_ridges is None else v.sharp_support):
+        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
+    away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
+    if away_by.max() > v.contradiction:
+        name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
+        return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
+    return verdict(
+        "accepted", f"the next best azimuth costs {gap:.1f} more" if math.isfinite(gap) else "no alternative"
+    )

@@ -29,13 +29,13 @@ from ltm_core.geometry.pose_covariance import pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
     RidgeObservations,
     ridge_observations,
     skyline_observations,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 

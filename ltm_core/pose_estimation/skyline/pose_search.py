@@ -18,17 +18,10 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
     usual_score,
 )
 from ltm_core.pose_estimation.skyline.crest_cover import CoverHeights, everywhere
-from ltm_core.pose_estimation.skyline.find_pose import MANY_PLANTS
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import (
-    Hypothesis,
-    PosePrior,
-    angles_between,
-    focal_candidates,
-    rotations_of,
-    search_reach,
-)
+from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon

@@ -115,7 +115,7 @@ def _smoke(
     console: Console,
     json_path: Path | None,
 ) -> None:
-    from ltm_core.locating.locator import LocatingConfig
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_lab.bench.measure import conditions
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_score import smoke_trials
@@ -228,8 +228,8 @@ def _points(
     from rich.table import Table
 
     from ltm_core.geometry.geodesy import ray_bend
-    from ltm_core.locating.locator import LocatingConfig
-    from ltm_core.pose_estimation.points.control_points import read_control_points, set_up_resection
+    from ltm_core.locating.settings import LocatingConfig
+    from ltm_core.pose_estimation.points.resection_io import read_control_points, set_up_resection
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.tracing.trace_io import GuessConfig

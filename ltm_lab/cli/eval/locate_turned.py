@@ -27,7 +27,7 @@ def naming(
     """Cases with one camera turned by 2 degrees, and as many with none."""
     from rich.table import Table
 
-    from ltm_core.locating.locator import LocatingConfig
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_lab.bench.measure import conditions
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_sites import smoke_site

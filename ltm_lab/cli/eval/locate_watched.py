@@ -32,7 +32,7 @@ def watched(
     import numpy as np
     from rich.table import Table
 
-    from ltm_core.locating.locator import LocatingConfig
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_trials import PoseErrors

@@ -16,9 +16,8 @@ from ltm_core.fuel.votes import VoteCaster
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.surface import Reference, SurfaceMap
-from ltm_core.surface.change import confirmed_surface
 from ltm_core.surface.config import TerrainConfig
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
+from ltm_core.surface.confirmed_surface import ConfirmedSurface, confirmed_surface
 from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet

@@ -11,7 +11,8 @@ import numpy as np
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.pose_estimation.points.control_points import ControlPoints, read_control_points
+from ltm_core.pose_estimation.points.control_points import ControlPoints
+from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.photo_io import open_picture, read_rgb

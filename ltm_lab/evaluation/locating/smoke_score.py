@@ -14,7 +14,8 @@ import numpy as np
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import ray_bend
-from ltm_core.locating.locator import LocatingConfig, Location, Locator
+from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_lab.evaluation.locating.smoke_sites import MAST, SmokeSite

@@ -12,7 +12,8 @@ import numpy as np
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import ray_bend
-from ltm_core.locating.locator import LocatingConfig, Locator
+from ltm_core.locating.locator import Locator
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.locating.turn_watch import SLIPS, TurnVerdict, judged

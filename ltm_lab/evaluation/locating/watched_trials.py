@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from ltm_core.locating.locator import LocatingConfig, Locator
+from ltm_core.locating.locator import Locator
 from ltm_core.locating.picture_memory import remembered
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import LEVEL_SHARE
 from ltm_core.locating.turn_evidence import TurnEvidence
 from ltm_core.locating.turn_watch import MOST_PICTURES, TurnVerdict, judged

@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.pose_hypothesis import UNKNOWN_DEG, PosePrior
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
 
 _EYE = 1.5

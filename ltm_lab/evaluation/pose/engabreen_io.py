@@ -16,12 +16,12 @@ from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.points.control_points import read_control_points
 from ltm_core.pose_estimation.points.resection import Resection, resect
+from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.text_io import read_text
 from ltm_core.tracing import TerrainTracer

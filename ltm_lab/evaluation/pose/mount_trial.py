@@ -12,7 +12,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_fit import TILT_ZERO_SIGMA_DEG, fit_mount, widened
 from ltm_core.pose_estimation.skyline.find_pose import Terrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_slopes, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import PreparedFrame
 
 _ENCODER_DEG = 0.03

@@ -13,7 +13,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angle_slopes, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.tracing import TerrainTracer
 from ltm_lab.evaluation.pose.disturbance import Sensor, disturbed
 from ltm_lab.evaluation.truth_frames_io import TruthFrame

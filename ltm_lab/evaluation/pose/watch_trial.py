@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.find_pose import Terrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import PreparedFrame
 
 _ROUNDS = 2

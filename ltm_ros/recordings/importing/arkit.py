@@ -26,7 +26,8 @@ from ltm_msgs_py.image import decode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.sensed import Picture, Relative, Sensed
+from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.sensed import Relative, Sensed
 from ltm_ros.recordings.importing.video import later, read_video
 from ltm_ros.recordings.importing.video_pictures import frame_photo
 

@@ -22,10 +22,10 @@ from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.photo_folder import PhotoFolder
+from ltm_ros.recordings.importing.picture import Picture
 from ltm_ros.recordings.importing.pictures import find_pictures
 from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
-from ltm_ros.recordings.importing.sensed import Picture
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000

@@ -21,7 +21,7 @@ from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
 from ltm_ros.recordings.importing.photo_time import photo_time
-from ltm_ros.recordings.importing.sensed import Picture
+from ltm_ros.recordings.importing.picture import Picture
 from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,

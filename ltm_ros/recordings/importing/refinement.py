@@ -25,7 +25,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_io import (
     doubt_of_sky,
     result_of,
 )
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking

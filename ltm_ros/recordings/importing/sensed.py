@@ -1,17 +1,14 @@
-"""Hold one photo to import, and what the sensors of its device recorded."""
+"""What the sensors of a phone, drone or camera told of one photo, whichever file they wrote it to."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from pathlib import Path
 from typing import Literal
 
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.geometry.pose import Pose
-from ltm_ros.recordings.importing.photo import Photo
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +84,3 @@ _PARTS = (
     ("pitch_deg", "roll_deg", "tilt_sigma_deg"),
 )
 """What is known together, named by what says whether it is."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """`name`: what a pose file calls it. `path`: of its file, or of what it lies in and its name there. `read`: the
-    photo, each time anew: a season's photos do not fit in memory. `capture`: what a pose file calls all that was taken
-    with it in one go, where this tells of its begin; empty: nothing."""
-
-    name: str
-    path: Path
-    read: Callable[[], Photo]
-    capture: str = ""

@@ -17,7 +17,8 @@ from ltm_ros.recordings.importing.dji import read_subtitles, subtitles_of
 from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM, ExifFacts
 from ltm_ros.recordings.importing.gopro import read_gopro
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.sensed import Picture, Sensed
+from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.sensed import Sensed
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.recordings.importing.video import Video, later, read_video, telemetry
 

@@ -17,7 +17,8 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_core.storage.tile_store import FrameRecord, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_core.surface.cell_layout import FIELDS, TILE
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.tile_pool import schema_of

@@ -18,7 +18,6 @@ from ltm_core.depth.error_model import (
 )
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
-from ltm_core.depth.network_measurement import OWN, DecisionRules, FusionRow, average_row
 from ltm_core.depth.occlusion_prior import (
     DepthDiscontinuities,
     OcclusionPrior,
@@ -26,7 +25,7 @@ from ltm_core.depth.occlusion_prior import (
     mixture_moments,
     occlusion_log_odds,
 )
-from ltm_core.depth.pixel_fusion import network_chance, surely_terrain
+from ltm_core.depth.pixel_fusion import OWN, DecisionRules, FusionRow, average_row, network_chance, surely_terrain
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.depth.unseen_terrain import clear_unenclosed
 from ltm_core.geometry.camera import Camera

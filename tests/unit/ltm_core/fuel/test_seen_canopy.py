@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Int16Array
-from ltm_core.fuel.canopy import ForestType, SeenCanopy, crown_fuel, measured_canopy, seen_canopy, with_seen_canopy
+from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, with_seen_canopy
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.stand_allometry import ForestType, crown_fuel
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import ConfirmedSurface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.fuel.canopy import ForestType, broadleaved, crown_fuel
+from ltm_core.fuel.stand_allometry import ForestType, broadleaved, crown_fuel
 
 
 def test_a_stand_by_hand() -> None:

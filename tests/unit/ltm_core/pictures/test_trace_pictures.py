@@ -8,7 +8,7 @@ from scenes.rasters import rough_terrain, standing
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pictures.photo_overlays import depth_picture, draw_skyline, map_picture, shaded_view
+from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.tracing.trace_io import cell_counts

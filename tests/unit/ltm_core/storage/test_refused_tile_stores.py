@@ -15,7 +15,8 @@ import zstandard
 from scenes.rain_store import GRID, SCHEMA, changes, read_whole, tile
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.storage.tile_store import Field, FrameRecord, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import Field, FrameRecord
 
 _CLAIM = struct.pack("<IBQ", 0xFD2FB528, 0xE0, 1 << 45)
 

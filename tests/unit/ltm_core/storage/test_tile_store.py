@@ -13,8 +13,9 @@ from scenes.rain_store import GRID, SCHEMA, changes, tile
 from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, StoreError
-from ltm_core.storage.tile_store import Field, FrameRecord, StoreSchema, Tile, TileStore, Touch
+from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_file import grow
+from ltm_core.storage.tile_store_schema import Field, FrameRecord, StoreSchema, Tile, Touch
 
 
 def assert_same(found: Tile | None, expected: Tile) -> None:

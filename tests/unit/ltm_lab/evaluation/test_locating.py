@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes.located import hills
 
-from ltm_core.locating.locator import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
 from ltm_core.visibility.point_visibility import PointVisibility, project
 from ltm_lab.evaluation.locating.smoke_score import Case, Trial, smoke_trials

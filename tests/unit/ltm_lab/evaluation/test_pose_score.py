@@ -9,7 +9,7 @@ from scenes.mountain_view import eye, mountains, terrain, view
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import angles_between
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_lab.evaluation.pose.disturbance import Sensor, disturbed

@@ -11,7 +11,7 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label
 from ltm_lab.evaluation.fuel.trial_country import CAMERA, World, make_world, tower_views

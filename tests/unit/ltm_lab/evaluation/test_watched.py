@@ -10,7 +10,7 @@ import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.locator import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns

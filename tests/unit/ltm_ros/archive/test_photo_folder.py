@@ -14,7 +14,8 @@ from ltm_core.storage.photo_io import LARGEST_FILE
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import PictureReader, photo_messages, photo_picture
+from ltm_ros.archive.photo_folder import photo_messages, photo_picture
+from ltm_ros.archive.pictures import PictureReader
 
 
 def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

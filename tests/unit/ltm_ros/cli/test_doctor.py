@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from ltm_ros.cli.doctor import doctor as command
 from ltm_ros.launching import shared_memory
 from ltm_ros.tower import doctor
-from ltm_ros.tower.doctor import Condition, Finding
+from ltm_ros.tower.doctor_finding import Condition, Finding
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
 

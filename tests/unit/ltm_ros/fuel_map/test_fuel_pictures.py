@@ -33,7 +33,6 @@ from ltm_core.fuel.colors import code_color, code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import round_step, with_axes
 from ltm_core.pictures.fuel_maps import (
     CAMERAS,
     DOUBT,
@@ -48,6 +47,7 @@ from ltm_core.pictures.fuel_maps import (
     overlay_picture,
     seen_sheet,
 )
+from ltm_core.pictures.sheets import round_step, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter

@@ -9,8 +9,8 @@ from pathlib import Path
 from scenes.waiting import wait_for
 
 from ltm_ros.launching import supervisor
+from ltm_ros.launching.service_manager import LONGEST, all_watched, in_words
 from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartPolicy
-from ltm_ros.launching.watchdog import LONGEST, all_watched, in_words
 
 QUICK = RestartPolicy(initial_s=0.05, maximum_s=0.05, config_tries=2)
 

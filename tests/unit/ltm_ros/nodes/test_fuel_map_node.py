@@ -34,7 +34,8 @@ from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
-from ltm_core.storage.tile_store import FrameRecord, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg

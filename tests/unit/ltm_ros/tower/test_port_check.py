@@ -13,7 +13,7 @@ from scenes.small_site import NAME, write_small_site
 
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.tower import health_client as port_check
-from ltm_ros.tower.doctor import Condition
+from ltm_ros.tower.doctor_finding import Condition
 from ltm_ros.tower.web_server import Answer, WebServer
 
 

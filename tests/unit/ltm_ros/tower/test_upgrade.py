@@ -15,7 +15,8 @@ from scenes.tower import Tower, frames_of, write_package, write_store
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.storage.tile_store import Field, StoreSchema, TileStore
+from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage.tile_store_schema import Field, StoreSchema
 from ltm_ros.tower.releases import PackageError, Trial
 from ltm_ros.tower.service import ServiceError, ServiceState, SystemdService
 from ltm_ros.tower.store_copy import copy_stores, return_stores

@@ -18,13 +18,7 @@ from ltm_core.pose_estimation.mount.mount_fit import MountFit, fit_mount, widene
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import (
-    UNKNOWN_DEG,
-    PosePrior,
-    angle_slopes,
-    angles_between,
-    turned,
-)
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label
 

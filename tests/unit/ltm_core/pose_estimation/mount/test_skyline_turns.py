@@ -13,7 +13,7 @@ from ltm_core.pose_estimation.mount.mount_watch import skyline_turns
 from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.vision.labels import UNLABELLED
 
 pytestmark = pytest.mark.kernel

@@ -18,7 +18,8 @@ from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
-from ltm_core.pose_estimation.skyline.pose_hypothesis import UNKNOWN_DEG, Hypothesis, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label

@@ -11,18 +11,15 @@ import pytest
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_core.pose_estimation.skyline.find_pose import judge
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
-    UNKNOWN_DEG,
     Hypothesis,
-    PosePrior,
-    angles_between,
+    judge,
     mean_of_both,
     merged_with_others,
-    turned,
     widened_by_others,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
 CONFIG = VerdictConfig(

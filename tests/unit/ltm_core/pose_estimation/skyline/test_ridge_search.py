@@ -12,7 +12,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import Terrain
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis, PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
 from ltm_core.tracing.holes import PossibleGround
 from ltm_core.vision.labels import Label

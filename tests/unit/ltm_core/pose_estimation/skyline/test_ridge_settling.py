@@ -15,8 +15,8 @@ from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import Terrain
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SettlingConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_observations import RidgeObservations
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import (
     FEWEST,
     RefinedPose,

@@ -1,43 +1,27 @@
-"""Hold one camera frame, and run the steps of its camera on it without a graph."""
+"""A frame in the steps of its camera, for whoever has a frame and no graph: its votes, and what the terrain takes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from ltm_core.base.errors import ImageError
 from ltm_core.base.named_columns import Columns
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
+from ltm_core.pipeline.frame_steps import (
+    LabellingConfig,
+    LabellingStep,
+    PosedImage,
+    TracingConfig,
+    TracingStep,
+    VotingStep,
+    seen,
+)
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation
-
-
-@dataclass(frozen=True, eq=False)
-class PosedImage:
-    """`image`: (H, W, 3) uint8 RGB; `stamp_ns`: when it was taken, nanoseconds. Raises ImageError on another shape."""
-
-    image: UInt8Array
-    camera: Camera
-    pose: Pose
-    stamp_ns: int
-    camera_name: str
-
-    def __post_init__(self) -> None:
-        expected = (self.camera.height, self.camera.width, 3)
-        if self.image.shape != expected or self.image.dtype != np.uint8:
-            raise ImageError(
-                f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
-                f"its calibration says {expected} uint8"
-            )
 
 
 @dataclass(frozen=True)

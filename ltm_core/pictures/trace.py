@@ -1,0 +1,89 @@
+"""Pictures of one traced image: depth over the photo, and the ground that it covers on a map."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ltm_core.base.types import Float32Array, RgbImage, UInt32Array
+from ltm_core.geometry.range_image import RangeImage
+from ltm_core.pictures import (
+    MapCamera,
+    RangeScale,
+    overlay_depth,
+    range_legend,
+    terrain_map_picture,
+    with_legend,
+)
+from ltm_core.pictures.relief import brightness_at
+from ltm_core.raster.dem import Dem
+
+_SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
+_UNKNOWN = (70, 70, 74)
+_SKYLINE = (255, 255, 255)
+_WIDEST = 2200
+
+
+def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
+    """Ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a legend.
+
+    `photo`: (H, W, 3) uint8 of the camera's size. `dem`: the terrain that was traced. A picture wider than 2200 pixels
+    is drawn at every second, third, ... pixel.
+    """
+    step = -(-traced.camera.width // _WIDEST)
+    ranges = traced.range[::step, ::step]
+    traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
+    if photo is None:
+        base, opacity = shaded_view(traced, dem), 0.6
+    else:
+        base, opacity = _shrunk(photo, ranges.shape), 0.5
+    scale = RangeScale.of(ranges)
+    picture = draw_skyline(overlay_depth(base, ranges, scale, opacity), ranges)
+    return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
+
+
+def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
+    """Shaded relief with the cells that the picture sees, its camera and its field of view.
+
+    `counts`: pixels a cell, shape of the DEM.
+    """
+    horizontal = traced.horizontal()
+    known = horizontal[np.isfinite(horizontal)]
+    reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
+    x, y, _ = (float(v) for v in traced.pose.position)
+    camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
+    return terrain_map_picture(dem, counts > 0, [camera], title=title)
+
+
+def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
+    """The traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W, 3)."""
+    height, width = traced.range.shape
+    fade = np.linspace(0, 1, height)[:, None, None]
+    picture = np.broadcast_to(
+        (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (height, width, 3)
+    ).copy()
+    picture[np.isnan(traced.range)] = _UNKNOWN
+    known = np.isfinite(traced.range)
+    points = traced.points()[known]
+    light = brightness_at(dem, points[:, 0], points[:, 1])
+    picture[known] = (35 + 250 * np.nan_to_num(light, nan=0.7))[:, None]
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+
+
+def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
+    """`picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
+
+    Where unknown ground meets the sky there is no line: that edge is the DEM's, not the landscape's.
+    """
+    edge = np.isposinf(ranges[:-1]) & np.isfinite(ranges[1:])
+    thickness = max(1, round(picture.shape[0] / 540))
+    drawn = picture.copy()
+    for shift in range(thickness):
+        drawn[: edge.shape[0] - shift][edge[shift:]] = _SKYLINE
+    return drawn
+
+
+def _shrunk(photo: RgbImage, shape: tuple[int, ...]) -> RgbImage:
+    if photo.shape[:2] == shape:
+        return photo
+    return np.asarray(cv2.resize(photo, shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)

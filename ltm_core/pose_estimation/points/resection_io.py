@@ -1,0 +1,225 @@
+"""Reads and writes the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.pose_estimation.points.control_points import ControlPoints
+from ltm_core.pose_estimation.points.resection import Resection
+from ltm_core.raster.dem import Dem
+from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
+
+_COLUMNS: dict[str, Sequence[str]] = {
+    "name": ("id", "name", "point"),
+    "x": ("x", "x_e", "e", "east", "easting"),
+    "y": ("y", "y_n", "n", "north", "northing"),
+    "z": ("z", "h", "height", "elevation"),
+    "u": ("u", "col", "column", "px"),
+    "v": ("v", "row", "line", "py"),
+}
+
+
+@dataclass(frozen=True)
+class ResectionSetup:
+    """A guess placed in a map frame; `dem` only where one was given."""
+
+    frame: SiteFrame
+    camera: Camera
+    position: Float64Array
+    angles_deg: tuple[float, float, float] | None
+    """(azimuth, pitch, roll), from grid north; None: nothing is known of them."""
+    dem: Dem | None
+
+
+def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> ResectionSetup:
+    """Place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
+
+    Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
+    """
+    pose = guess.pose
+    if dem is not None:
+        frame, local = near_frame(guess, dem)
+        position = pose.position(local, frame)
+    else:
+        crs = crs or pose.crs
+        local = None
+        if crs is None:
+            raise ConfigError(
+                "without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem"
+            )
+        if pose.z is None:
+            raise ConfigError("without a DEM the camera's height above the ground does not help: give its z, or --dem")
+        x, y = pose.xy(SiteFrame(crs)) or (0.0, 0.0)
+        frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
+        position = (x - frame.x_origin, y - frame.y_origin, pose.z)
+    azimuth = pose.grid_azimuth_deg(frame, position, None)
+    angles = None if azimuth is None else (azimuth, pose.pitch_deg or 0.0, pose.roll_deg or 0.0)
+    return ResectionSetup(frame, guess.calibration.camera(), np.array(position), angles, local)
+
+
+def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> ControlPoints:
+    """Read a CSV with a header row: a name, map coordinates, pixel.
+
+    Columns (any case): id or name; x, y (also x_e, y_n, easting, northing) in the frame's CRS, or lon, lat in degrees;
+    z (or height, elevation); u (column) and v (row). `first_pixel`: the number of the first pixel's centre in the
+    file: 0 here and in OpenCV, 1 in Matlab, 0.5 where pixels are counted by their corners. Raises PoseError naming
+    file, line and column.
+    """
+    names, values = read_point_rows(path, frame, first_pixel)
+    return ControlPoints(names, values[:, :3], values[:, 3:5])
+
+
+def read_point_rows(
+    path: Path | str, frame: SiteFrame, first_pixel: float = 0.0, further: Mapping[str, Sequence[str]] = {}
+) -> tuple[tuple[str, ...], Float64Array]:
+    """Names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`, each by
+    the names that it may have. Raises PoseError as `read_control_points` does."""
+    path = Path(path)
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
+    try:
+        reader = csv.DictReader(lines)
+        columns = _columns(reader.fieldnames or [], path, {**_COLUMNS, **further})
+        rows = [_numbers(row, columns, f"{path}, line {reader.line_num}", further) for row in reader]
+    except csv.Error as error:
+        raise PoseError(f"{path}: not a CSV file ({error})") from error
+    if not rows:
+        raise PoseError(f"{path}: holds no control point")
+    names, values = tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows])
+    x, y = values[:, 0], values[:, 1]
+    if columns["x"].strip().lower().startswith("lon"):
+        x, y = frame.from_lonlat(x, y)
+    else:
+        x, y = x - frame.x_origin, y - frame.y_origin
+    return names, np.column_stack([x, y, values[:, 2], values[:, 3:5] - first_pixel, values[:, 5:]])
+
+
+def _columns(header: Sequence[str], path: Path, names_of: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """The file's column for each key of `names_of`; name may be missing."""
+    given = {name.strip().lower(): name for name in header}
+    wanted = dict(names_of)
+    if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
+        wanted |= {"x": ("lon", "longitude"), "y": ("lat", "latitude")}
+    found: dict[str, str] = {}
+    for key, names in wanted.items():
+        match = next((given[name] for name in names if name in given), None)
+        if match is not None:
+            found[key] = match
+        elif key != "name":
+            raise PoseError(
+                f"{path}: no column {key!r} (or {', '.join(names[1:])}) in {', '.join(header) or 'an empty header'}; "
+                f"control points need {', '.join(('id', *(key for key in names_of if key != 'name')))}"
+            )
+    return found
+
+
+def _numbers(
+    row: dict[str, str], columns: dict[str, str], place: str, further: Mapping[str, Sequence[str]]
+) -> tuple[str, list[float]]:
+    name = (row[columns["name"]] or "").strip() if "name" in columns else place.rpartition(" ")[2]
+    values = []
+    for key in ("x", "y", "z", "u", "v", *further):
+        text = row[columns[key]]
+        try:
+            values.append(float(text))
+        except (TypeError, ValueError):
+            raise PoseError(f"{place}: {columns[key]} is {text!r}, not a number (point {name})") from None
+    return name, values
+
+
+def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
+    """Write a pose file that `ltm trace` reads; how it was found stands in its comments."""
+    lengths = result.residual_px
+    notes = [
+        f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
+        "Standard deviations: " + ", ".join(f"{name} {value:.3g}" for name, value in result.sigmas.items()),
+        *(f"{name} was held: {reason}" for name, reason in result.held.items()),
+    ]
+    if result.outliers:
+        notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
+    write_pose_file(path, result.camera, result.pose, _pose_sigmas(result), guess, frame, notes)
+
+
+def _pose_sigmas(result: Resection) -> dict[str, float]:
+    """By the keys of a pose file; none of a held position of unknown sigma."""
+    x, y, z = np.sqrt(np.diag(result.pose_covariance)[:3])
+    sigmas = {"position_sigma": max(x, y), "height_sigma": z}
+    sigmas |= {f"{angle}_sigma_deg": result.sigmas[f"{angle}_deg"] for angle in ("azimuth", "pitch", "roll")}
+    return {key: float(f"{sigma:.3g}") for key, sigma in sigmas.items() if sigma > 0}
+
+
+def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
+    """A line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+
+    `position`: as it was given, map metres.
+    """
+    notes = []
+    median = float(np.median(result.residual_px))
+    for name, reason in result.held.items():
+        note = f"{name} is held: {reason}"
+        rejected = result.rejected.get(name)
+        if rejected is not None:
+            values = ", ".join(
+                f"{key} {value:{'.5f' if key == 'k1' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
+                for key, value in _in_crs(rejected.values, frame).items()
+            )
+            if name == "position":
+                away = float(np.linalg.norm(np.array(list(rejected.values.values())) - position))
+                values += f" ({away:.1f} m from the given place)"
+            note += (
+                f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
+                f"{median:.2f} px; --force {name} takes it"
+            )
+        notes.append(note)
+    return notes
+
+
+def _in_crs(values: dict[str, float], frame: SiteFrame) -> dict[str, float]:
+    shift = {"x": frame.x_origin, "y": frame.y_origin}
+    return {key: value + shift.get(key, 0.0) for key, value in values.items()}
+
+
+def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
+    """Write residuals, sigmas, the pose's covariance and what was rejected as JSON; positions in the frame's CRS."""
+    points = [
+        {
+            "name": name,
+            "u": float(pixel[0]),
+            "v": float(pixel[1]),
+            "du_px": _finite(error[0]),
+            "dv_px": _finite(error[1]),
+            "used": bool(used),
+        }
+        for name, pixel, error, used in zip(
+            result.points.names, result.points.pixels, result.residuals, result.used, strict=True
+        )
+    ]
+    content = {
+        "median_residual_px": _finite(float(np.median(result.residual_px))),
+        "sigma_px": result.sigma_px,
+        "fitted": ["angles", *result.fitted],
+        "held": result.held,
+        "rejected": {
+            name: asdict(rejected) | {"values": _in_crs(rejected.values, frame)}
+            for name, rejected in result.rejected.items()
+        },
+        "sigmas": result.sigmas,
+        "pose_covariance": result.pose_covariance.tolist(),
+        "points": points,
+    }
+    Path(path).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,68 @@
+"""Uses each label of an image as evidence whether vegetation of the reference still stands; compiled.
+
+Where something stands in the reference, a pixel's label is evidence on the cell that it would see: that the cell is as
+high as it was, or as low as bare earth. Whatever is surely seen in front of it hides it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
+from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, sum_of
+from ltm_core.surface.observation_kernel import Limits, Pixels
+from ltm_core.surface.reference_surface import ReferenceGrid, stood_at
+
+_EDGE = 0.5
+"""Of the height of what stood, by which a pixel's neighbours may see it differently."""
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def add_labels(
+    ground: ReferenceGrid,
+    expected_pixels: RecordArray,
+    ids: UInt8Array,
+    cosines: Float32Array,
+    gone: Float32Array,
+    depth: Pixels,
+    limits: Limits,
+    sums: FrameSums,
+) -> None:
+    """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.
+
+    Args:
+        expected_pixels: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.
+        gone: (256,) log odds by label that what stood is gone.
+        depth: what the same photo measures, edge to edge over it, at its own size.
+
+    At an edge, where ranges within a pixel differ by about as much as the height of what stood, the label may be that
+    of what is beside it: it does not count.
+    """
+    rows, cols = ids.shape
+    height, width = depth.depth.shape
+    for v in range(rows):
+        below = v * height // rows
+        for u in range(cols):
+            odds, pixel = gone[ids[v, u]], expected_pixels[v, u]
+            if odds == 0.0 or pixel.place < 0 or not limits.min_range < pixel.expected < limits.max_range:
+                continue
+            stood = stood_at(ground, pixel.place)
+            if not stood >= limits.stands or pixel.spread * pixel.incidence > _EDGE * stood:
+                continue
+            across = u * width // cols
+            if depth.informs[below, across]:
+                farthest = depth.depth[below, across] + limits.gate * depth.sigma[below, across]
+                if farthest < pixel.nearest * cosines[v, u]:
+                    continue
+            number = sum_of(sums, pixel.place)
+            if number < 0:
+                continue
+            one = sums.cells[number]
+            one.stood = stood
+            one.labelled += 1.0
+            one.gone += max(odds, np.float32(0.0))
+            one.stays += max(-odds, np.float32(0.0))
+            one.labelled_pose += pixel.pose_variance
+            if one.label == NO_LABEL:
+                one.label = ids[v, u]
