@@ -10,7 +10,6 @@ from std_msgs.msg import String
 from ltm_core.base.errors import StoreError
 from ltm_core.pipeline.site_surface import surface_versions
 from ltm_core.site.site import Site
-from ltm_core.surface import SurfaceMap
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface, confirmed_surface
 from ltm_core.surface.surface_manifest import SurfaceManifest
