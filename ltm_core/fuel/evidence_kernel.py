@@ -126,6 +126,7 @@ def spread(
                 total += weight
                 for f in range(forms):
                     out[i, f] += weight * shares[j, f]
+        # The mean over the cells that the frame sees.
         coverage[i] = seen / whole
         if total > 0:
             for f in range(forms):
@@ -253,6 +254,7 @@ def pooled(
         for v in range(views):
             share[:], lasting[:] = 0.0, 0.0
             whole, kept, peak, looks, begin, end = 0.0, 0.0, 0.0, 0.0, np.inf, 0.0
+            # One view: what it showed in all epochs, faded by age.
             for e in range(epochs):
                 if best[i, v, e] == 0:
                     continue
@@ -284,6 +286,7 @@ def pooled(
                     told[i, f] += weight * np.log((1 - forms * least) * lasting[f] / kept + least)
             total += worth
             largest = max(largest, worth)
+        # Views that resemble each other count less than independent ones.
         if total > 0:
             out[i] /= 1 + (total / largest - 1) * between_views
             told[i] /= 1 + (total / largest - 1) * between_views

@@ -49,6 +49,7 @@ def tell_by_look(
     if n == 0:
         return
     top, left = rows.min() - 1, cols.min() - 1
+    # A raster of the cells of the frame, to find the neighbours before and behind each.
     index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int32)
     for i in range(n):
         index[rows[i] - top, cols[i] - left] = i
@@ -70,6 +71,7 @@ def tell_by_look(
             knot += 1
         across = (cosine[i] - incidence[knot]) / (incidence[knot + 1] - incidence[knot])
         across = min(max(across, 0.0), 1.0)
+        # The sum of the weights of what is seen: the cell itself, its confidence, and its neighbours.
         told[:] = 0.0
         for side in range(2):
             part = across if side else 1.0 - across
@@ -92,6 +94,7 @@ def tell_by_look(
                 if seen != 0.0:
                     for f in range(FORMS):
                         told[f] += seen * of[1 + 3 * FORMS + g, f]
+        # Normalised over the known forms.
         most, whole = -np.inf, 0.0
         for f in range(FORMS):
             if known[f]:

@@ -129,6 +129,10 @@ def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     return x[None].astype(np.float32), y[:, None].astype(np.float32)
 
 
+EAST, NORTH, SURE = 0, 1, 2
+"""Columns of a cell's sums: x and y from the camera (m), and confidence (8 bits)."""
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _scan(
     distance: Any,
@@ -174,6 +178,7 @@ def _scan(
             ty[:] = y_tangent[v]
         else:
             ty[:] = y_tangent[v, 0]
+        # The cell of each pixel, or -1; without branches, for vector code.
         for u in range(width):
             x, y, d = np.float64(tx[u]), np.float64(ty[u]), np.float64(distance[v, u])
             square = 1.0 + x * x + y * y
@@ -186,6 +191,7 @@ def _scan(
             r = (y_max - np.float64(np.float32(north + ny))) / resolution - first_row
             seen = (reached <= farthest) & (c >= 0) & (c < cols) & (r >= 0) & (r < rows)
             place[u] = np.int32(r) * cols + np.int32(c) if seen else -1
+        # Runs of pixels that show one class in one cell.
         u = 0
         while u < width:
             here, label = place[u], labels[v, u]
@@ -196,12 +202,14 @@ def _scan(
             u += 1
             while u < width and place[u] == here and labels[v, u] == label:
                 u += 1
+            # A slot for each cell that is seen, in the order of first sight.
             slot = slots[here] - 1
             if slot < 0:
                 slot = used
                 used += 1
                 slots[here] = used
                 cells[slot] = (first_row + here // cols) * grid_width + first_col + here % cols
+            # Sums over the run, without pixels in places where the class cannot stand.
             kind, pixels = kinds[label], u - begin
             east_sum, north_sum, sure = 0.0, 0.0, 0
             for i in range(begin, u):
@@ -216,9 +224,9 @@ def _scan(
                 if has_confidence:
                     sure += confidence[v, i]
             counts[slot, label] += np.uint32(pixels)
-            sums[slot, 0] += east_sum
-            sums[slot, 1] += north_sum
-            sums[slot, 2] += sure
+            sums[slot, EAST] += east_sum
+            sums[slot, NORTH] += north_sum
+            sums[slot, SURE] += sure
     return used
 
 

@@ -98,6 +98,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
             if level == NO_LEVEL or heights[a, k] != heights[a, k]:
                 before = np.nan
                 continue
+            # The slope of this sample, and the stretch of samples that err alike with it; a finished one is a crest.
             r = ranges[k]
             slope = (heights[a, k] - z0) * inverse[k] - bend * r
             sigma = sigmas[level] * inverse[k]
@@ -113,6 +114,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
                 mu0, var0, score0, knot0, end0 = slope, own, score, knots[k], r + max(apart[level], _STRETCH * r)
             elif score > score0:
                 mu0, var0, score0, knot0 = slope, own, score, knots[k]
+            # The edge that hides the sample, and the chance that its foot is not seen.
             edge, edge_var, edge_knot = slope, own, knots[k]
             if mu0 > edge:
                 edge, edge_var, edge_knot = mu0, var0, knot0
@@ -138,6 +140,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
             before = edge
             if azimuth_density[a, knots[k]] <= 0:
                 continue
+            # What each crest far before gives, recomputed if a crest was added.
             if stale:
                 all_far, all_fit, all_at = 0.0, 0.0, 0.0
                 for i in range(count):
@@ -154,6 +157,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
                 if all_far > 0:
                     lifts[a, k] = max(all_at / all_far - slope, 0.0) * r
                 continue
+            # Smoke at the edge itself, and smoke that comes up over crests behind which the sample lies.
             m, v = slope_mean[a, edge_knot], slope_variance[a, edge_knot]
             near, near_fit = 0.0, 0.0
             if (low - m) * (edge - m) < 0 or min((low - m) ** 2, (edge - m) ** 2) < 49 * (v + edge_var):
@@ -169,6 +173,7 @@ def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: 
                     behind += far[i] * chance
                     behind_fit += far_fit[i] * chance
                     raised += far[i] * chance * max(at[i] - slope, 0.0) * r
+            # The sum, by whether the foot is seen.
             if lift > 0:
                 hidden[a, k], hidden_fit[a, k] = near + behind, near_fit + behind_fit
                 raised += near * lift

@@ -199,6 +199,7 @@ def update_cell(
     variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
     camera's looks that contradict the estimate are independent.
     """
+    # Does the observation agree with the estimate, and with the candidate that contradicts it?
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0
     if known:
@@ -216,6 +217,7 @@ def update_cell(
         c_miss = dz - e.c_dz
         c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeated_error_share)
         c_slack = rules.gate * math.sqrt(c_doubt + variance)
+    # It agrees: a further look of the estimate.
     if agrees:
         if bounded:
             return
@@ -241,6 +243,7 @@ def update_cell(
         if pending and abs(c_miss) > c_slack:
             e.c_looks = 0
         return
+    # It contradicts: a new candidate, or a further look of the one that waits.
     joins = pending and (abs(c_miss) <= c_slack or (bounded and c_miss > 0))
     if not joins:
         e.c_dz = dz
@@ -265,6 +268,7 @@ def update_cell(
     c.c_last = max(c.c_last, seconds)
     c.c_cameras |= bit
     c.c_frames = min(c.c_frames + 1, 65535)
+    # The candidate becomes the estimate when independent looks agree on it.
     passing = e.c_dz > TALL and e.c_looks < TALL_LOOKS and _bits(c.c_cameras) < 2
     if not passing and independent(
         c.c_cameras,

@@ -96,6 +96,7 @@ def cell_hit(
 
     Returns the range and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must go on from there.
     """
+    # Where the ray enters the strip, and how far it is to the next cell on either axis.
     m = o_minor + t * q
     if m < 0.0 or m > n_minor:
         return q, LEFT
@@ -112,6 +113,7 @@ def cell_hit(
     q_major = sign * (cell + far_major - o_major)
     q_minor = (lane + far_minor - o_minor) * per_t if t != 0.0 else np.inf
     for _ in range(_MOST_CELLS):
+        # Does the ray meet the surface of this cell?
         q_exit = max(min(q_major, q_minor), q)
         z_exit = ray_height(oz, s, bend, q_exit)
         dq = q_exit - q
@@ -131,6 +133,7 @@ def cell_hit(
                 return q, HIT
             if meets(f0, f1, a, dq):
                 return q + first_root(f0, f1, a, dq), HIT
+        # On to the next cell.
         q = q_exit
         z = z_exit
         if q_major <= q_minor:

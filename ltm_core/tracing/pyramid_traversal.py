@@ -193,6 +193,7 @@ def hit_between(
     iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
     level = min(level, offsets.size - 1) if level >= LEAF else 0
     entered = state != FRESH
+    # From block to block along the ray: down a level where it may meet ground, on where it cannot.
     while True:
         above = 1 if level > 0 else LEAF
         bx = ix >> level
@@ -205,6 +206,7 @@ def hit_between(
         q_y = ((y1 if ahead_y else y0) - oy) * inv_cy if cy != 0.0 else np.inf
         q_exit = min(max(min(q_x, q_y), q), end)
         z_exit = ray_height(oz, s, bend, q_exit)
+        # A block: the ray passes above its bound, or its parts are tried.
         if level > 0:
             block = np.uint64(offsets[level] + by * widths[level] + bx)
             dq = q_exit - q
@@ -215,6 +217,7 @@ def hit_between(
                     continue
                 entered = True
         else:
+            # A single cell: the bilinear surface, or the ceiling of a hole.
             at = np.uint64(iy * width + ix)
             below = np.uint64(at + np.uint64(width))
             h00 = float(nodes[at])
@@ -239,10 +242,12 @@ def hit_between(
                         return np.nan
                     entered = True
 
+        # Above all ground and climbing: sky.
         if climbs_on and entered and z_exit > top and s + 2.0 * bend * q_exit >= 0.0:
             return np.inf
         if q_exit >= end:
             break
+        # On to the next block, up a level where the larger block ends too.
         q = q_exit
         z = z_exit
         if q_x <= q_y:

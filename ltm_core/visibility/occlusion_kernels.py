@@ -87,6 +87,7 @@ def blocking_slope(
     best = least
     by_ceiling = False
     level = min(LEAF, top_level)
+    # From block to block towards the point: down a level if the block may hold a steeper slope.
     while True:
         i0, j0 = (i >> level) << level, (j >> level) << level
         size = 1 << level

@@ -29,6 +29,19 @@ _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 _ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])
 """By which sigmas are widened in the rounds of the robust fit."""
 
+# Columns of the photo's skyline, one row for each image column.
+AWAY, TANGENT = 0, 1  # azimuth from the optical axis (rad), tangent of the elevation
+BY_PITCH, BY_ROLL = 2, 3  # change of the tangent per radian of pitch and of roll
+EDGE_SIGMA = 4  # standard deviation of the edge, as a tangent
+NEAR_HEIGHT, NEAR_SIGMA, FAR_HEIGHT, FAR_SIGMA = 5, 6, 7, 8  # what grows on a near and on a far crest (m)
+DROP = 9  # from the skyline down to the crest below pale land, as a tangent
+# Columns of the terrain's horizon, one row for each azimuth.
+H_TANGENT, H_RANGE, H_CELL, H_BOUND = 0, 1, 2, 3  # tangent, range and cell size (m), bound of land beyond the DEM
+FRONT_TANGENT, FRONT_RANGE = 4, 5  # of a nearer crest, whose trees may hide the horizon
+H_FARNESS, FRONT_FARNESS = 6, 7  # weight of far cover, 0 to 1
+# Columns of the result, one row for each azimuth of the grid.
+COST, PITCH, ROLL = 0, 1, 2
+
 
 @dataclass(frozen=True, eq=False)
 class SkylineCosts:
@@ -101,7 +114,7 @@ def search_azimuths(
         ),
         out,
     )
-    return SkylineCosts(azimuths, out[:, 0], out[:, 1], out[:, 2])
+    return SkylineCosts(azimuths, out[:, COST], out[:, PITCH], out[:, ROLL])
 
 
 def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:
@@ -118,7 +131,9 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
     """Height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
-    return (1 - far) * column[5] + far * column[7], (1 - far) * column[6] + far * column[8]
+    return (1 - far) * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], (1 - far) * column[NEAR_SIGMA] + far * column[
+        FAR_SIGMA
+    ]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -141,8 +156,9 @@ def _search(
     gap, weight = np.empty(count), np.empty(count)
     front, front_sigma = np.empty(count), np.empty(count)
     for j in range(len(azimuths)):
+        # Each image column's misfit to the horizon, with its standard deviation and weight.
         for k in range(count):
-            x = (columns[k, 0] + azimuths[j] - start) / step
+            x = (columns[k, AWAY] + azimuths[j] - start) / step
             if whole:
                 x -= np.floor(x / total) * total
             i = int(x)
@@ -152,31 +168,33 @@ def _search(
             i1 = i + 1 if i + 1 < total else 0
             part = x - i
             # The range is that of the nearer one: at a step between two crests no mean of both.
-            r = min(horizon[i, 1], horizon[i1, 1])
+            r = min(horizon[i, H_RANGE], horizon[i1, H_RANGE])
             if not r > 0.0:
                 continue
-            t = (1 - part) * horizon[i, 0] + part * horizon[i1, 0]
-            slope = (horizon[i1, 0] - horizon[i, 0]) / step
-            cell = cell_share * horizon[i, 2]
-            far = horizon[i, 6] if horizon[i, 1] <= horizon[i1, 1] else horizon[i1, 6]
+            t = (1 - part) * horizon[i, H_TANGENT] + part * horizon[i1, H_TANGENT]
+            slope = (horizon[i1, H_TANGENT] - horizon[i, H_TANGENT]) / step
+            cell = cell_share * horizon[i, H_CELL]
+            far = horizon[i, H_FARNESS] if horizon[i, H_RANGE] <= horizon[i1, H_RANGE] else horizon[i1, H_FARNESS]
             height, cover_sigma = _cover(columns[k], far)
-            rise = height + cell_lift * horizon[i, 2]
-            error[k] = columns[k, 1] - t - rise / r
+            rise = height + cell_lift * horizon[i, H_CELL]
+            error[k] = columns[k, TANGENT] - t - rise / r
             s = dem_sigma**2 + cover_sigma**2 + cell * cell + position_sigma**2
-            sigma[k] = np.sqrt(columns[k, 4] ** 2 + (slope * half_step) ** 2 + s / (r * r))
-            gap[k] = max(0.0, max(horizon[i, 3], horizon[i1, 3]) - t - rise / r)
+            sigma[k] = np.sqrt(columns[k, EDGE_SIGMA] ** 2 + (slope * half_step) ** 2 + s / (r * r))
+            gap[k] = max(0.0, max(horizon[i, H_BOUND], horizon[i1, H_BOUND]) - t - rise / r)
             weight[k] = min(share, spacing * r / correlation)
+            # The same for a nearer crest whose trees may hide the horizon.
             front_sigma[k] = 0.0
-            r = horizon[i, 5]
+            r = horizon[i, FRONT_RANGE]
             if r > 0.0:
-                height, cover_sigma = _cover(columns[k], horizon[i, 7])
-                front[k] = columns[k, 1] + columns[k, 9] - horizon[i, 4] - height / r
+                height, cover_sigma = _cover(columns[k], horizon[i, FRONT_FARNESS])
+                front[k] = columns[k, TANGENT] + columns[k, DROP] - horizon[i, FRONT_TANGENT] - height / r
                 s = dem_sigma**2 + cover_sigma**2 + position_sigma**2
-                front_sigma[k] = np.sqrt(columns[k, 4] ** 2 + (0.5 * step) ** 2 + s / (r * r))
+                front_sigma[k] = np.sqrt(columns[k, EDGE_SIGMA] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
-        out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
+        out[j, COST], out[j, PITCH], out[j, ROLL] = 0.0, 0.0, 0.0
         if len(used) < 8:
             continue
+        # Robust fits of pitch and roll, from several starts; the cheapest is kept.
         ordered = np.sort(error[used])
         best = np.inf
         for begin in range(len(_STARTS) + 1):
@@ -190,12 +208,12 @@ def _search(
                 pa, pb = 0.0, 0.0
                 for n in range(used.size):
                     k = int(used[n])
-                    e = error[k] + a * columns[k, 2] + b * columns[k, 3]
+                    e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
                     free = e if e < 0 else max(0.0, e - gap[k])
                     s = sigma[k] * wide
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
-                    drop = columns[k, 9]
+                    drop = columns[k, DROP]
                     if gap[k] > 0 and e > 0:
                         low = e + drop if e + drop > -e else e
                         q = 1 + low * low / (4 * s * s)
@@ -212,36 +230,39 @@ def _search(
                     w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
                     if front_sigma[k] > 0.0:
                         s2 = front_sigma[k] * wide
-                        q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * s2 * s2)
+                        q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (4 * s2 * s2)
                         other = odds / s2 / (q2 * q2 * np.sqrt(q2))
                         if other > like:
                             w = weight[k] * other / (1 + other) * 1.25 / q2 / (s2 * s2)
                             target = front[k]
-                    paa += w * columns[k, 2] ** 2
-                    pab += w * columns[k, 2] * columns[k, 3]
-                    pbb += w * columns[k, 3] ** 2
-                    pa -= w * columns[k, 2] * target
-                    pb -= w * columns[k, 3] * target
+                    paa += w * columns[k, BY_PITCH] ** 2
+                    pab += w * columns[k, BY_PITCH] * columns[k, BY_ROLL]
+                    pbb += w * columns[k, BY_ROLL] ** 2
+                    pa -= w * columns[k, BY_PITCH] * target
+                    pb -= w * columns[k, BY_ROLL] * target
                 d = paa * pbb - pab * pab
                 a, b = (pbb * pa - pab * pb) / d, (paa * pb - pab * pa) / d
+            # The cost of the fit: minus the logarithm of the mixture's likelihood.
             cost = 0.5 * (a / pitch_sigma) ** 2 + 0.5 * (b / roll_sigma) ** 2
             for n in range(used.size):
                 k = int(used[n])
-                e = error[k] + a * columns[k, 2] + b * columns[k, 3]
+                e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
                 free = e if e < 0 else max(0.0, e - gap[k])
                 q = 1 + free * free / (4 * sigma[k] ** 2)
                 like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
                 if gap[k] > 0:
-                    low = min(abs(e), abs(e + columns[k, 9]))
+                    low = min(abs(e), abs(e + columns[k, DROP]))
                     q = 1 + low * low / (4 * sigma[k] ** 2)
                     like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
-                elif columns[k, 9] < 0:
-                    q = 1 + (e + columns[k, 9]) ** 2 / (4 * sigma[k] ** 2)
+                elif columns[k, DROP] < 0:
+                    q = 1 + (e + columns[k, DROP]) ** 2 / (4 * sigma[k] ** 2)
                     like = (1 - no_land) * like + no_land * odds / sigma[k] / (q * q * np.sqrt(q))
                 if front_sigma[k] > 0.0:
-                    q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * front_sigma[k] ** 2)
+                    q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (
+                        4 * front_sigma[k] ** 2
+                    )
                     like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))
                 cost -= share * np.log(1 + like)
             if cost < best:
                 best = cost
-                out[j, 0], out[j, 1], out[j, 2] = cost, a, b
+                out[j, COST], out[j, PITCH], out[j, ROLL] = cost, a, b

@@ -60,6 +60,10 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
     return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, behind, cell, linked)
 
 
+X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
+"""Columns of the geometry of rasters, finest first (metres)."""
+
+
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
 def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Array, Int32Array]:
     """Of each point the one that follows it at the next azimuth, -1 without, and its contour's number of points."""
@@ -261,15 +265,16 @@ def _sweep(
         hidden = False
         n = 0
         r = _NEAREST
+        # Outwards along the azimuth: the horizon so far, and a contour where ground comes into view again.
         while r < reach:
             x, y = ox + r * sx, oy + r * sy
-            h, size = math.nan, geometry[len(geometry) - 1, 2]
+            h, size = math.nan, geometry[len(geometry) - 1, RESOLUTION]
             for i in range(len(levels)):
-                col = (x - geometry[i, 0]) / geometry[i, 2] - 0.5
-                row = (geometry[i, 1] - y) / geometry[i, 2] - 0.5
+                col = (x - geometry[i, X_MIN]) / geometry[i, RESOLUTION] - 0.5
+                row = (geometry[i, Y_MAX] - y) / geometry[i, RESOLUTION] - 0.5
                 elevation = levels[i]
                 if row >= 0.0 and col >= 0.0 and row <= elevation.shape[0] - 1 and col <= elevation.shape[1] - 1:
-                    h, size = _height(elevation, row, col), geometry[i, 2]
+                    h, size = _height(elevation, row, col), geometry[i, RESOLUTION]
                     break
             if h == h:
                 last_r, last_h = r, h
