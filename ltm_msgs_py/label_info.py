@@ -39,31 +39,6 @@ def msg_to_model(msg: Any) -> str:
     return _checked(msg).model
 
 
-def msg_to_label_set(msg: Any) -> LabelSet:
-    """The label set that a `labels/info` message describes.
-
-    Raises MessageError on anything but the JSON of `LabelSet.info()`: unknown or missing keys, ids with gaps or out of
-    order, a name twice, a colour outside 0..255, another id for unlabelled.
-    """
-    info = _checked(msg)
-    ids = [label.id for label in info.labels]
-    names = [label.name for label in info.labels]
-    if ids != list(range(len(ids))) or len(set(names)) != len(names):
-        raise MessageError(
-            f"labels/info must have the ids 0..{len(ids) - 1} in order and distinct names; got {ids}, {names}"
-        )
-    if info.unlabelled != UNLABELLED:
-        raise MessageError(f"labels/info says unlabelled is {info.unlabelled}, here it is {UNLABELLED}")
-    for label in info.labels:
-        if not all(0 <= channel <= 255 for channel in label.color):
-            raise MessageError(f"labels/info: color of {label.name} is {label.color}, must be 0..255")
-    return LabelSet(
-        names=tuple(names),
-        colors=tuple((c[0], c[1], c[2]) for c in (label.color for label in info.labels)),
-        ground_cover=tuple(label.ground_cover for label in info.labels),
-    )
-
-
 def _checked(msg: Any) -> _LabelInfo:
     try:
         return _LabelInfo.model_validate_json(msg.data)

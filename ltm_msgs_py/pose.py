@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Pose as PoseMsg
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
@@ -37,11 +37,6 @@ def pose_to_msg(
             raise PoseError(f"pose covariance must be a finite 6 x 6 matrix, got {values.tolist()}")
         msg.pose.covariance = values.ravel()
     return msg
-
-
-def pose_to_stamped(pose: Pose, stamp_ns: int, frame_id: str = "map") -> PoseStamped:
-    """A pose without covariance. Raises MessageError on a bad stamp."""
-    return PoseStamped(header=make_header(stamp_ns, frame_id), pose=_pose_msg(pose))
 
 
 def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from ltm_core.base.errors import LtmError
 
 
-class Verdict(StrEnum):
+class SiteVerdict(StrEnum):
     OK = "ok"
     DOUBTFUL = "doubtful"
     """It runs, but may not be what is meant."""
@@ -17,15 +17,15 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class SiteFinding:
     """One thing that was looked at. `said`: what was found, and the remedy where something is amiss; one line."""
 
     area: str
     name: str
-    verdict: Verdict
+    verdict: SiteVerdict
     said: str
 
     @classmethod
-    def of(cls, area: str, name: str, error: LtmError | str, verdict: Verdict = Verdict.WRONG) -> Finding:
+    def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> SiteFinding:
         """Of an error or a doubt; its lines become one."""
         return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))

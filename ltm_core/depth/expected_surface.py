@@ -30,7 +30,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 
-class _Rules(NamedTuple):
+class _SurfaceRules(NamedTuple):
     """As compiled code takes them. `focal`: pixels; sigmas of direction, radians, and heights, metres."""
 
     focal: np.float32
@@ -73,7 +73,7 @@ def expected_surface(
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         (cover * plumb).astype(np.float32),
-        _Rules(
+        _SurfaceRules(
             np.float32(camera.fy),
             np.float32(angle_sigma),
             np.float32(dem_sigma),
@@ -94,7 +94,7 @@ def _expect(
     labels: UInt8Array,
     labelled: bool,
     cover: Float32Array,
-    rules: _Rules,
+    rules: _SurfaceRules,
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
@@ -139,7 +139,7 @@ def _cover(
     v: int,
     labels: UInt8Array,
     cover: Float32Array,
-    rules: _Rules,
+    rules: _SurfaceRules,
     surface: Float32Array,
     square: Float32Array,
 ) -> None:

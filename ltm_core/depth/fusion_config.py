@@ -21,7 +21,7 @@ from pydantic import BaseModel, Field
 
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.vision.manifest import FUSION_SUFFIX, Manifest
+from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
 
 
 def derived(default: Any, meaning: str, **bounds: float) -> Any:
@@ -272,12 +272,12 @@ def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, s
             yield f"{prefix}{name}", value, str(extra["origin"]), info.description or ""
 
 
-def fusion_path(manifest: Manifest) -> Path:
+def fusion_path(manifest: NetworkManifest) -> Path:
     """Where the constants that were fitted with a network lie."""
     return manifest.folder / f"{manifest.name}{FUSION_SUFFIX}"
 
 
-def load_fusion_config(manifest: Manifest) -> FusionConfig:
+def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
     """The constants beside a manifest; the defaults where there are none. Raises ConfigError for a wrong file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()

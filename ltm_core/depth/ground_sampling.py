@@ -12,7 +12,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArra
 from ltm_core.depth.fusion_config import FusionConfig, SamplingConfig
 
 
-class _Rules(NamedTuple):
+class _SamplingRules(NamedTuple):
     """As compiled code takes them. `steep`: relative change of depth over two rows that is grazed."""
 
     jump: np.float32
@@ -59,7 +59,7 @@ def ground_samples(
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         ground,
-        _Rules(
+        _SamplingRules(
             np.float32(config.surface.jump),
             np.float32(rules.unsure),
             np.float32(2.0 / (focal * np.tan(np.radians(rules.grazing_deg)))),
@@ -79,7 +79,7 @@ def _candidates(
     labels: UInt8Array,
     labelled: bool,
     ground: BoolArray,
-    rules: _Rules,
+    rules: _SamplingRules,
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
     """Rows, columns and depth of the pixels of a grid that are fit."""
     height, width = surface.shape

@@ -12,7 +12,7 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.geometry.camera import Camera
-from ltm_core.vision.manifest import DEPTH_KINDS, Manifest
+from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.tensors import input_tensor
 
@@ -46,7 +46,7 @@ class DepthNetwork:
     OnnxModel does, and for a network of labels; ConfigError for a wrong file of constants.
     """
 
-    def __init__(self, manifest: Manifest, threads: int = 1) -> None:
+    def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         if not manifest.output.is_depth:
             raise ModelError(
                 f"model {manifest.name!r} gives {manifest.output.kind} of labels, not depth; "
@@ -59,7 +59,7 @@ class DepthNetwork:
     @classmethod
     def open(cls, path_or_name: str | Path, threads: int = 1) -> DepthNetwork:
         """A network by its manifest's path, or by the name of one in `config/models`."""
-        return cls(Manifest.find(path_or_name), threads)
+        return cls(NetworkManifest.find(path_or_name), threads)
 
     def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
         """Depth of a photo (H, W, 3) uint8 RGB taken by `camera`.

@@ -67,7 +67,7 @@ class DecisionRules(NamedTuple):
 class FusionRow(NamedTuple):
     """One row of a photo, (W,) each, while it is fused.
 
-    `depth`, `sigma`: in as the terrain's, out as fused; `source`: `topodepth.Source`; `labels`: class ids. `seen`,
+    `depth`, `sigma`: in as the terrain's, out as fused; `source`: `topodepth.DepthSource`; `labels`: class ids. `seen`,
     `nearest`, `farthest`: inverse depth, 1/m, that the network sees, and its neighbours' extremes. `true`: the
     terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `less`: by how much
     less than `true` it would say; `off`: by how much nearer it sees than it would say, with the variance `joint`.
@@ -167,7 +167,7 @@ def fuse_pixels(
     config: FusionConfig,
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
-    `topodepth.Source`.
+    `topodepth.DepthSource`.
 
     `over`: (H, W) depth of a canopy raster, `network`: what it sees, `standing`: what may stand there, `labels`: (H, W)
     class ids; None where there is none.

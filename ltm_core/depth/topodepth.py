@@ -39,7 +39,7 @@ from ltm_core.depth.unseen_terrain import (
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 
-class Source(IntEnum):
+class DepthSource(IntEnum):
     """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
 
     UNKNOWN = 0
@@ -49,7 +49,7 @@ class Source(IntEnum):
     SKY = 4
 
 
-class Verdict(StrEnum):
+class FusionVerdict(StrEnum):
     """Whether an image's fused depth can be relied on."""
 
     OK = "ok"
@@ -70,11 +70,11 @@ class FusedDepth:
     """Fused depth of one photo.
 
     `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
-    `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, sky where labels say so
-    of what is unknown: where it differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's
-    fit to trusted ground. `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where
-    there was no network. `hidden`: (H, W) bool, where something else stands before the terrain and there is no depth;
-    None: nowhere.
+    `source`: (H, W) uint8 `DepthSource`. `ground`: (H, W) float32, the traced depth of bare ground, sky where labels
+    say so of what is unknown: where it differs from `depth`, what is seen stands before it. `inlier_ratio`: of the
+    network's fit to trusted ground. `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None
+    where there was no network. `hidden`: (H, W) bool, where something else stands before the terrain and there is no
+    depth; None: nowhere.
     """
 
     depth: Float32Array
@@ -82,7 +82,7 @@ class FusedDepth:
     source: UInt8Array
     ground: Float32Array
     inlier_ratio: float
-    verdict: Verdict
+    verdict: FusionVerdict
     reason: str
     pose: PoseCheck
     config: FusionConfig = field(repr=False)
@@ -92,7 +92,7 @@ class FusedDepth:
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
         """What the network alone measures: nothing where it, or the pose, cannot be relied on, where something else
         stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to edge)."""
-        if self.fit is None or self.verdict not in (Verdict.OK, Verdict.MOSTLY_UNKNOWN):
+        if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
         return _measured(self.fit, self.config, self.hidden, doubtful)
 
@@ -110,7 +110,7 @@ class FusedDepth:
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""
         line = self.fit.line if self.fit is not None else None
-        shares = cv2.calcHist([self.source], [0], None, [len(Source)], [0, len(Source)]).ravel() / max(
+        shares = cv2.calcHist([self.source], [0], None, [len(DepthSource)], [0, len(DepthSource)]).ravel() / max(
             1, self.source.size
         )
         return {
@@ -120,7 +120,7 @@ class FusedDepth:
             "scale": line.scale if line is not None else None,
             "shift": line.shift if line is not None else None,
             "regional": bool(self.fit is not None and self.fit.error_model.regional),
-            "share": {source.name.lower(): round(float(shares[source]), 4) for source in Source},
+            "share": {source.name.lower(): round(float(shares[source]), 4) for source in DepthSource},
             "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
         }
 
@@ -172,14 +172,14 @@ def fuse(
     fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
     # Where the network alone speaks of land beyond the raster, nothing is known.
     clear_unenclosed(ground, expected, sigma, source)
-    verdict, reason, ratio = Verdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
+    verdict, reason, ratio = FusionVerdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
     if hidden is not None:
         expected[hidden] = np.inf  # no unknown ground: it is asked what of it the terrain leaves unexplained
     unknown = unknown_share(expected)
     if unknown.whole > MOST_UNKNOWN:
-        verdict, reason = Verdict.MOSTLY_UNKNOWN, unknown.reason
+        verdict, reason = FusionVerdict.MOSTLY_UNKNOWN, unknown.reason
     if fit is not None and fit.trouble:
-        verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
+        verdict, reason = FusionVerdict.NETWORK_UNUSABLE, fit.trouble
     ground = _hide(hidden, expected, sigma, source, ground)
     return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit, hidden)
 
@@ -219,7 +219,7 @@ def _measured(
     return found
 
 
-class _Judged(NamedTuple):
+class _JudgedPhoto(NamedTuple):
     """A photo before anything is expected of its pixels. `ground`: (H, W) traced, with the sky that labels tell;
     `seen`: the same where the terrain is seen; `refused`: why nothing is to be fused, None: it is."""
 
@@ -228,7 +228,7 @@ class _Judged(NamedTuple):
     labels: UInt8Array | None
     edges: DepthDiscontinuities | None
     check: PoseCheck
-    refused: tuple[Verdict, str] | None
+    refused: tuple[FusionVerdict, str] | None
 
 
 def _judge(
@@ -241,7 +241,7 @@ def _judge(
     config: FusionConfig,
     hidden: BoolArray | None,
     unusable: str,
-) -> _Judged:
+) -> _JudgedPhoto:
     """Arguments and errors as of `fuse`."""
     as_traced = traced.depth()
     size = as_traced.shape
@@ -256,7 +256,7 @@ def _judge(
     camera, ground = traced.camera, as_traced
     told = DepthImage(ground, camera, traced.pose)
     if unusable:
-        return _Judged(ground, told, labels, None, PoseCheck.none(), (Verdict.PICTURE_UNUSABLE, unusable))
+        return _JudgedPhoto(ground, told, labels, None, PoseCheck.none(), (FusionVerdict.PICTURE_UNUSABLE, unusable))
     if labels is not None and hidden is not None:
         labels = labels_behind(hidden, labels, ground, classes.sky)
     if labels is not None:
@@ -270,20 +270,22 @@ def _judge(
     check = PoseCheck.none()
     if config.pose_check.enabled:
         check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
-    refused: tuple[Verdict, str] | None = None
+    refused: tuple[FusionVerdict, str] | None = None
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
-        refused = Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM"
+        refused = FusionVerdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM"
     elif check.suspected:
-        refused = Verdict.POSE_SUSPECTED, check.reason
+        refused = FusionVerdict.POSE_SUSPECTED, check.reason
     seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
-    return _Judged(ground, DepthImage(seen, camera, traced.pose), labels, edges, check, refused)
+    return _JudgedPhoto(ground, DepthImage(seen, camera, traced.pose), labels, edges, check, refused)
 
 
 def _traced_alone(
-    traced: Float32Array, verdict: Verdict, reason: str, check: PoseCheck, hidden: BoolArray | None
+    traced: Float32Array, verdict: FusionVerdict, reason: str, check: PoseCheck, hidden: BoolArray | None
 ) -> FusedDepth:
-    source = np.where(np.isfinite(traced), Source.TERRAIN, np.where(np.isnan(traced), Source.UNKNOWN, Source.SKY))
+    source = np.where(
+        np.isfinite(traced), DepthSource.TERRAIN, np.where(np.isnan(traced), DepthSource.UNKNOWN, DepthSource.SKY)
+    )
     source = source.astype(np.uint8)
     sigma = np.full(traced.shape, np.nan, np.float32)
     depth = traced if hidden is None else traced.copy()
@@ -297,5 +299,5 @@ def _hide(
     """Take away, in place, what hidden pixels have; the ground (not in place: it may be the tracer's own)."""
     if hidden is None:
         return ground
-    depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, Source.UNKNOWN
+    depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, DepthSource.UNKNOWN
     return np.asarray(np.where(hidden, np.float32(np.nan), ground), np.float32)

@@ -23,7 +23,7 @@ from scipy.special import gammaincinv, ndtr
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fire.pyretechnics import FireRun
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
@@ -135,7 +135,7 @@ class CellDoubt:
 
 def drawn_codes(
     doubt: CellDoubt,
-    region: FuelRegion,
+    climate: FuelClimate,
     system: FuelSystem,
     rng: np.random.Generator,
     width: float = 3.0,
@@ -156,7 +156,7 @@ def drawn_codes(
         larger = (alpha > 0) & (drawn > best)
         best, form = np.where(larger, drawn, best), np.where(larger, k, form)
     over_shrubs = agreeing[..., LifeForm.SHRUB - 1]
-    codes = np.where(form < 0, doubt.prior, getattr(region.changed, system).of(form, over_shrubs))
+    codes = np.where(form < 0, doubt.prior, getattr(climate.changed, system).of(form, over_shrubs))
     # Where the draw is of what the map says anyway, its own code of that form: a mixture, or what grew after a burn.
     own = forms_of(doubt.code)
     rows, cols = np.indices(form.shape)

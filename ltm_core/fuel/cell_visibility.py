@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.footprint import arrival_directions, checked_covariance
+from ltm_core.visibility.footprint import arrival_directions
 
 _LEAST_FACING = 0.02
 """Sine of about 1 degree: a flatter line of sight is treated as this one, where first order would give infinities."""
@@ -69,8 +69,10 @@ def cell_visibility(
 ) -> CellVisibility:
     """How a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
 
-    To first order, as `point_uncertainty.traced_uncertainty`: a camera moved by o and turned by w moves the ray's end
-    by q = o + w x p, and the traced point by q - d (n.q) / (n.d). Raises PoseError for a covariance that is none.
+    To first order, on the ground's plane at each point: with the ray arriving along the unit vector d, the ground's
+    normal n and p the way from camera to point, a camera moved by o and turned by w moves the ray's end by
+    q = o + w x p, and the traced point by q - d (n.q) / (n.d). Source: forward propagation, e.g. Luhmann et al.,
+    Close-Range Photogrammetry, 3rd ed., 2.4.3. Raises PoseError for a covariance that is none.
     """
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
     if len(ground) == 0:

@@ -5,8 +5,8 @@ Relates the two systems of fuel models, FBFM40 and FBFM13, within the fuel type 
 Scott and Burgan (2005, RMRS-GTR-153) order their models by the fuel type that carries the fire, and relate them to
 Anderson's (1982) within that type: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to 13, and
 grass with shrubs to either of the first two. Which model within the type is no function of the code: LANDFIRE derives
-both maps from vegetation. So a table gives it for a region, may tell cells under trees from open ones, and gives way to
-a map's own pairs where it has both systems.
+both maps from vegetation. So a table gives it for a climate, may tell cells under trees from open ones, and gives way
+to a map's own pairs where it has both systems.
 """
 
 from __future__ import annotations
@@ -232,8 +232,8 @@ class ChangedBySystem(StrictModel):
     fbfm13: ChangedCodes
 
 
-class FuelRegion(StrictModel):
-    """What fuel codes mean in a region: see `config/fuel/regions`."""
+class FuelClimate(StrictModel):
+    """What fuel codes mean in a climate: see `config/fuel/climates`."""
 
     description: str
     changed: ChangedBySystem
@@ -248,7 +248,7 @@ class FuelRegion(StrictModel):
     """FBFM13 -> FBFM40, of every burnable code, within its fuel type."""
 
     @model_validator(mode="after")
-    def _codes_are_known(self) -> FuelRegion:
+    def _codes_are_known(self) -> FuelClimate:
         models = fuel_models()
         for system in FuelSystem:
             known = models.codes(system)
@@ -279,13 +279,13 @@ class FuelRegion(StrictModel):
         return self
 
     @classmethod
-    def named(cls, name: str) -> FuelRegion:
-        """A region that ships with the project. Raises ConfigError naming those there are."""
-        folder = config_path("fuel/regions")
+    def named(cls, name: str) -> FuelClimate:
+        """A climate that ships with the project. Raises ConfigError naming those there are."""
+        folder = config_path("fuel/climates")
         path = folder / f"{name}.yaml"
         if not is_file(path):
             there = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-            raise ConfigError(f"no fuel region is called {name!r}; there are {there}")
+            raise ConfigError(f"no fuel climate is called {name!r}; there are {there}")
         return load_yaml(path, cls)
 
     def as_crosswalk(self) -> Crosswalk:

@@ -11,7 +11,7 @@ from scipy.special import betainc, entr
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array, UInt8Array, UInt32Array
 from ltm_core.fuel.cell_counts import UNSEEN
 from ltm_core.fuel.change_regions import reach_of, supported_changes
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
@@ -64,7 +64,7 @@ class FuelLayers:
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _JudgedCells:
     """(N, ...) what evidence and prior say of each cell on its own.
 
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
@@ -101,9 +101,9 @@ class _Decided:
 class ChangeDecision:
     """Applies the rules of change. `system`: of the codes."""
 
-    def __init__(self, system: FuelSystem, rules: FusionRules, region: FuelRegion) -> None:
+    def __init__(self, system: FuelSystem, rules: FusionRules, climate: FuelClimate) -> None:
         self._rules = rules
-        self._codes = getattr(region.changed, system)
+        self._codes = getattr(climate.changed, system)
         # What a cell without evidence is depends on its code alone.
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)
@@ -172,7 +172,7 @@ class ChangeDecision:
             result[touched] = self._judge(codes[touched], cells, now_s).alpha
         return result
 
-    def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _Judged:
+    def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _JudgedCells:
         rules = self._rules
         original = forms_of(codes)
         masked = held(codes, rules.mask)
@@ -194,11 +194,11 @@ class ChangeDecision:
         leans = has_prior & ~masked & (cells.evidence[here] >= rules.fill_evidence) & (log_odds >= 0)
         wants = has_prior & ~masked & shown & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
         fresh = burned & ~regrown
-        return _Judged(
+        return _JudgedCells(
             codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, log_odds, p_max, wants, leans
         )
 
-    def _settle(self, judged: _Judged, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
+    def _settle(self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
         """What cells become, those of `changes` (N,) their challenger."""
         rules, codes = self._rules, judged.codes
         original = forms_of(codes)
@@ -270,7 +270,7 @@ def _contest(
     return challenger, better, np.where(has_prior, np.maximum(better, 1 - over_prior), over_prior)
 
 
-def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, region: FuelRegion) -> FuelLayers:
+def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:
     """The layers that a map of label classes (H, W), 255 unseen, stands for, each of its cells taken at its word.
 
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
@@ -282,4 +282,4 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, region: Fuel
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
     shown = (certain > 0).astype(np.uint32)
     cells = CellEvidence(certain, certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
-    return ChangeDecision(system_of(prior), rules, region).decide(codes, seen, cells, 0.0)
+    return ChangeDecision(system_of(prior), rules, climate).decide(codes, seen, cells, 0.0)

@@ -29,7 +29,7 @@ from ltm_core.fuel.cell_state import (
     label_cover,
     woody_looks,
 )
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
@@ -74,7 +74,7 @@ class EvidenceMap:
         labels: what the votes count.
         errors: of the network that labels; None: those assumed of an unknown one.
         errors_of: camera -> those of its network, where that is another; of the correlations, those of `errors` hold.
-        region: which codes changed cells get.
+        climate: which codes changed cells get.
 
     Raises RasterError for a prior on another grid.
     """
@@ -86,7 +86,7 @@ class EvidenceMap:
         labels: LabelSet,
         rules: FusionRules | None = None,
         errors: LabelErrors | None = None,
-        region: FuelRegion | None = None,
+        climate: FuelClimate | None = None,
         errors_of: Mapping[str, LabelErrors] | None = None,
     ) -> None:
         if prior is not None and prior.codes.shape != geometry.shape:
@@ -94,7 +94,7 @@ class EvidenceMap:
         self.geometry = geometry
         self.prior = prior
         self.rules = rules if rules is not None else FusionRules()
-        self.region = region if region is not None else FuelRegion.named("dry")
+        self.climate = climate if climate is not None else FuelClimate.named("dry")
         self.newest_ns = 0
         """The latest stamp counted, to the second: the map's own time."""
         self._errors = errors if errors is not None else LabelErrors.assumed()
@@ -102,7 +102,7 @@ class EvidenceMap:
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
-        self._decider = ChangeDecision(system_of(prior), self.rules, self.region)
+        self._decider = ChangeDecision(system_of(prior), self.rules, self.climate)
         years = self.rules.decay_years.model_dump()
         self._decay_s = np.array([years[form.name.lower()] for form in LifeForm]) * (365.25 * 86400)
         # calloc'ed: cells that no frame sees take no memory.

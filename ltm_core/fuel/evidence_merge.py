@@ -162,13 +162,6 @@ def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
     )
 
 
-def merged_tile(one: Tile, other: Tile) -> Tile:
-    """The state of a tile from two of disjoint frames; neither is changed. Raises ArchiveError for different burns."""
-    result = {name: array.copy() for name, array in one.items()}
-    _merge_into_tile(result, other)
-    return result
-
-
 def _merge_into_tile(tile: Tile, other: Tile) -> None:
     if not np.array_equal(tile["burned_at"], other["burned_at"]):
         raise ArchiveError(

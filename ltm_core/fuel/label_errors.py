@@ -18,8 +18,8 @@ from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearan
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.label_confidence import Calibration, load_calibration
-from ltm_core.vision.label_head import find_head, read_head
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.label_head import find_label_head, read_label_head
+from ltm_core.vision.manifest import NetworkManifest
 
 FLOOR = 0.01
 """The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
@@ -147,20 +147,21 @@ class LabelErrors:
         return errors._for_photographs(calibration)
 
     @classmethod
-    def of_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
-        """Of a network with a head, by the calibration in the head's file: its errors on photos that did not teach it.
+    def of_label_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
+        """Of a network with a label head, by the calibration in the label head's file: its errors on photos that did
+        not teach it.
 
         How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
-        these. Raises ConfigError, ModelError as `find_head` and `read_head`.
+        these. Raises ConfigError, ModelError as `find_label_head` and `read_label_head`.
         """
-        assumed, manifest = cls.assumed(), Manifest.find(model).serving(head)
-        file = find_head(head, manifest, heads)
+        assumed, manifest = cls.assumed(), NetworkManifest.find(model).serving(head)
+        file = find_label_head(head, manifest, heads)
         if file is None:
             return cls.of_model(model)
-        content = read_head(file, manifest)[1]
+        content = read_label_head(file, manifest)[1]
         if (calibration := content.calibration) is None:
             return assumed
-        about = f"head {content.name}, on {calibration.measured_on}"
+        about = f"label head {content.name}, on {calibration.measured_on}"
         errors = cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
         return errors._for_photographs(calibration)
 
@@ -223,7 +224,7 @@ def _shares(rows: dict[str, dict[str, float]]) -> Float64Array:
 def _calibration(model: str) -> Calibration | None:
     """That of a network; None for one without, and for names that are no network's."""
     try:
-        manifest = Manifest.find(model)
+        manifest = NetworkManifest.find(model)
     except ModelError:
         return None
     return load_calibration(manifest)

@@ -183,7 +183,7 @@ def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
     agreeing = forms_of(np.array([given], np.int16))[0]
     if agreeing[form - 1]:
         return 0
-    codes = getattr(evidence.region.changed, system_of(evidence.prior))
+    codes = getattr(evidence.climate.changed, system_of(evidence.prior))
     return int(codes.of(np.array(form - 1), agreeing[LifeForm.SHRUB - 1]))
 
 

@@ -18,7 +18,7 @@ from ltm_core.geometry.pose import Pose
 _NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
-class CellSums(NamedTuple):
+class VoteSums(NamedTuple):
     """Over the pixels of each seen cell, in row-major order of the cells.
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
@@ -46,7 +46,7 @@ def sum_pixels(
     geometry: GridGeometry,
     max_range: float,
     limits: GroundLimits | None = None,
-) -> CellSums:
+) -> VoteSums:
     """Sums over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
@@ -60,7 +60,7 @@ def sum_pixels(
     if capacity == 0:
         nothing = np.zeros(0)
         none = np.zeros((0, classes), np.uint32)
-        return CellSums(nothing.astype(np.int64), none, nothing, nothing, nothing, np.zeros(2, np.int64))
+        return VoteSums(nothing.astype(np.int64), none, nothing, nothing, nothing, np.zeros(2, np.int64))
     # calloc'ed: pages that no pixel touches cost nothing.
     slots = np.zeros(height * width, np.int32)
     cells = np.zeros(capacity, np.int64)
@@ -97,7 +97,7 @@ def sum_pixels(
         kept = pixels > withdrawn[order].sum(axis=1)
         order, pixels = order[kept], pixels[kept]
     mean = sums[order] / np.maximum(pixels, 1)[:, None]
-    return CellSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north, total)
+    return VoteSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north, total)
 
 
 def _read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:

@@ -109,3 +109,14 @@ class Pose:
     def to_optical(self, points_map: Float64Array) -> Float64Array:
         """Map-frame points (..., 3) in the optical frame."""
         return np.asarray((np.asarray(points_map, np.float64) - self.position) @ self.rotation, np.float64)
+
+
+def checked_covariance(covariance: ArrayLike) -> Float64Array:
+    """Return the covariance of a pose as a (6, 6) matrix. Raises PoseError if it is not a covariance."""
+    matrix = np.asarray(covariance, np.float64)
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+        raise PoseError(f"a pose covariance must be a finite 6 x 6 matrix, got {matrix.tolist()}")
+    size = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > 1e-6 * size or np.linalg.eigvalsh(matrix).min() < -1e-9 * size:
+        raise PoseError(f"a pose covariance must be symmetric without negative variances, got {matrix.tolist()}")
+    return matrix

@@ -14,11 +14,10 @@ from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.locator import Agreement, Location
+from ltm_core.locating.locator import CameraAgreement, Location
 from ltm_core.locating.place import PlaceView, place_views
 from ltm_core.locating.posterior import Ellipse
 from ltm_core.locating.turn_watch import TurnVerdict
-from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
@@ -47,7 +46,7 @@ class Fuel:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class LocateResult:
     """`ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
 
     location: Location
@@ -66,7 +65,7 @@ def answer(
     cameras: Sequence[PosedCamera],
     prior: FuelPrior | None,
     smoke: bool,
-) -> Answer:
+) -> LocateResult:
     """Everything that is said of a location. `prior`: its geometry in the map frame."""
     posterior = location.posterior
     x, y = posterior.mean
@@ -83,7 +82,9 @@ def answer(
     views: tuple[PlaceView, ...] = ()
     if not math.isnan(elevation):
         views = tuple(place_views(sight, cameras, np.array([x, y, elevation]), ellipses[-1].major))
-    return Answer(location, place_name(frame, x, y, elevation), sigma, ellipses, fuel_at(prior, x, y), views, smoke)
+    return LocateResult(
+        location, place_name(frame, x, y, elevation), sigma, ellipses, fuel_at(prior, x, y), views, smoke
+    )
 
 
 def place_name(frame: SiteFrame, x: float, y: float, elevation: float) -> PlaceName:
@@ -114,12 +115,7 @@ def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
     return Fuel(code, fuel_models().name(code))
 
 
-def heights_of(dem: Dem, places: Float64Array) -> Float64Array:
-    """(N, 3) places on the ground of (N, 2)."""
-    return np.column_stack([places, dem.elevation_at(places[:, 0], places[:, 1])])
-
-
-def as_data(said: Answer, frame: SiteFrame) -> dict[str, Any]:
+def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
     """For JSON: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
     posterior = said.location.posterior
     return {
@@ -152,7 +148,7 @@ def as_data(said: Answer, frame: SiteFrame) -> dict[str, Any]:
     }
 
 
-def agreement_data(agreement: Agreement | None) -> dict[str, Any] | None:
+def agreement_data(agreement: CameraAgreement | None) -> dict[str, Any] | None:
     if agreement is None:
         return None
     return {
@@ -198,7 +194,7 @@ def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
     }
 
 
-def as_geojson(said: Answer, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
+def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
     """A FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
     ellipses, and the modes where there are several.
     """

@@ -18,7 +18,7 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.region import Mark
+from ltm_core.locating.region import ImageMark
 from ltm_core.visibility.point_visibility import pixel_rays
 
 STEEPEST_DEG = 80.0
@@ -45,7 +45,7 @@ class MarkedDirections:
 
 
 def marked_directions(
-    mark: Mark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
+    mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
     """Raises RegionError for pixels without a ray, and for those that look straight down or up."""
     rays = pixel_rays(camera, mark.pixels)

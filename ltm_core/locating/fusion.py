@@ -12,7 +12,7 @@ from numba import njit
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.sight_fan import CellSums, FanSamples, SightFan
+from ltm_core.locating.sight_fan import FanSamples, SightFan, SplatSums
 from ltm_core.locating.sight_likelihood import SightLikelihood
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 from ltm_core.locating.turn_evidence import TurnProfile, turn_profile
@@ -39,7 +39,7 @@ def sight_raster(
 ) -> SightRaster:
     """Every sample stands for its part of the sector, as long as its step and as wide as its azimuth's share."""
     samples = FanSamples(fan.ranges, fan.steps, fan.widths, np.sin(fan.azimuths), np.cos(fan.azimuths))
-    sums = CellSums(*(np.zeros(window.shape) for _ in range(4)))
+    sums = SplatSums(*(np.zeros(window.shape) for _ in range(4)))
     x0, y0 = (position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
     _splat(samples, *densities, x0, y0, 1 / window.resolution, sums)
@@ -57,7 +57,7 @@ def _splat(
     x0: float,
     y0: float,
     per_metre: float,
-    sums: CellSums,
+    sums: SplatSums,
 ) -> None:
     ranges, steps, widths, sines, cosines = samples
     total, area, lift, fit = sums

@@ -49,7 +49,7 @@ _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
 
 
 @dataclass(frozen=True)
-class Agreement:
+class CameraAgreement:
     """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
     where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
     one, where they disagree; else empty. `wrong`: the one that is named, `verdict` being sure of it. `turns`: what the
@@ -77,7 +77,7 @@ class Location:
 
     posterior: Posterior
     misfit: float
-    agreement: Agreement | None
+    agreement: CameraAgreement | None
     lift: float
 
 
@@ -126,13 +126,13 @@ class Locator:
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
         verdict = judged([turns], self.config.sure_of_wrong)
         if not statistic > limit:
-            return _location(fused, Agreement(statistic, limit, {}, None, turns, verdict))
+            return _location(fused, CameraAgreement(statistic, limit, {}, None, turns, verdict))
         # What a wrong camera marks may be another thing, in any direction.
         without = [fused_closely(terrain, others) for others, _ in parted.values()]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
         chances = _shares(np.logaddexp(evidences, elsewhere))
         suspicion = dict(zip(names, chances, strict=True))
-        agreement = Agreement(statistic, limit, suspicion, verdict.wrong, turns, verdict)
+        agreement = CameraAgreement(statistic, limit, suspicion, verdict.wrong, turns, verdict)
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
 
@@ -142,7 +142,7 @@ class Locator:
         return float(chdtri(2, self.config.false_alarm))
 
 
-def _location(fused: Fused, agreement: Agreement | None) -> Location:
+def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
     posterior = Posterior.of_raster(fused.weight, fused.window)
     if posterior is None:
         raise RegionError("no place on the map is possible for all sightings: they show different things")

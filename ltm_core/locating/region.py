@@ -23,7 +23,7 @@ are the foot e times less often."""
 
 
 @dataclass(frozen=True, eq=False)
-class Mark:
+class ImageMark:
     """Where in a picture something may meet the ground.
 
     `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
@@ -34,7 +34,7 @@ class Mark:
     sigmas: Float64Array
 
 
-def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> Mark:
+def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> ImageMark:
     """One place (u, v). Raises RegionError: not in the picture, or masked."""
     place = np.asarray(pixel, np.float64)
     if place.shape != (2,) or not np.isfinite(place).all():
@@ -47,12 +47,12 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
         )
     if _masked(camera, place[None], mask)[0]:
         raise RegionError(f"pixel ({u:g}, {v:g}) is masked: what it shows is not to be located")
-    return Mark(place[None], np.ones(1), np.full((1, 2), sigma))
+    return ImageMark(place[None], np.ones(1), np.full((1, 2), sigma))
 
 
 def marked_box(
     camera: Camera, box: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
-) -> Mark:
+) -> ImageMark:
     """A box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
     corners = np.asarray(box, np.float64)
     if corners.shape != (4,) or not np.isfinite(corners).all():
@@ -68,7 +68,7 @@ def marked_box(
 
 def marked_polygon(
     camera: Camera, outline: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
-) -> Mark:
+) -> ImageMark:
     """The lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
 
     Args:
@@ -116,7 +116,7 @@ def marked_polygon(
     sigmas = np.empty((len(pixels), 2))
     sigmas[:, 0] = max(sigma, _OVERLAP * spacing)
     sigmas[:, 1] = max(sigma, share * height)
-    return Mark(pixels[kept], weights[kept] / weights.sum(), sigmas[kept])
+    return ImageMark(pixels[kept], weights[kept] / weights.sum(), sigmas[kept])
 
 
 def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:

@@ -191,7 +191,7 @@ class FanSamples(NamedTuple):
     cosines: Float64Array
 
 
-class CellSums(NamedTuple):
+class SplatSums(NamedTuple):
     """(H, W) each, filled: density times area, area, lift times both, and the best fit."""
 
     total: Float64Array

@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.base.errors import PoseError, RegionError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.locating.directions import (
     MOST_TURNED,
     DirectionTable,
@@ -19,12 +19,11 @@ from ltm_core.locating.directions import (
     marked_directions,
     turned_table,
 )
-from ltm_core.locating.region import Mark
+from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.locating.sight_likelihood import SightLikelihood, level_errors, sight_likelihood
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.footprint import checked_covariance
 
 Bounds = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max."""
@@ -52,7 +51,7 @@ class Sighting:
     camera: Camera
     pose: Pose
     covariance: Float64Array
-    mark: Mark
+    mark: ImageMark
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ltm_core.base.errors import RegionError
 from ltm_core.base.utc_time import DAY_NS
-from ltm_core.locating.locator import Agreement, Location, Locator
+from ltm_core.locating.locator import CameraAgreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.turn_watch import TurnVerdict, TurnWatch
 
@@ -100,7 +100,7 @@ class Tracks:
         alone = self.locator.locate([seen.sighting], self.smoke)
         self.expire(seen.stamp_ns)
         best: tuple[float, Track, Location] | None = None
-        disputes: list[tuple[Track, Agreement]] = []
+        disputes: list[tuple[Track, CameraAgreement]] = []
         for track in self.tracks:
             if track.closed or not _nearby(seen.sighting, track, alone):
                 continue

@@ -32,7 +32,7 @@ from ltm_core.surface.surface_manifest import AS_GIVEN
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.tracer import TracerStatistics
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import Manifest, Withdrawal
+from ltm_core.vision.manifest import NetworkManifest, Withdrawal
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation
@@ -187,7 +187,7 @@ class LabellingStep:
         return "" if self._segmenter.choice is None else self._segmenter.choice.told
 
     @property
-    def manifest(self) -> Manifest:
+    def manifest(self) -> NetworkManifest:
         """Of the network."""
         return self._segmenter.manifest
 

@@ -27,7 +27,7 @@ from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 
@@ -143,18 +143,20 @@ class FusingStep:
             fuse(traced, network, rgb, given, self._classes, config=self.network.fusion).measured()
 
 
-def depth_manifest(site: Site, camera: str, config: FusingConfig) -> Manifest:
+def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
     """The depth network of a camera: one with a head has that of the network which the head corrects, so that the
     encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
     model = config.model or site.depth_model
     if not model:
         raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
-    return Manifest.find(model).serving(site.camera(camera).head)
+    return NetworkManifest.find(model).serving(site.camera(camera).label_head)
 
 
 def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
     """Of the network that labels a camera's pictures; 0 where it is not known here: another computer may run it."""
     try:
-        return Manifest.find(config.label_model or site.model).serving(site.camera(camera).head).label_columns
+        return (
+            NetworkManifest.find(config.label_model or site.model).serving(site.camera(camera).label_head).label_columns
+        )
     except ModelError:
         return 0

@@ -12,7 +12,7 @@ import numpy as np
 from ltm_core.base.errors import ConfigError, RasterError, StoreError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.fuel.canopy import SeenCanopy, measured_canopy, seen_canopy, stand_heights
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.export.landscape import Landscape, canopy_bands
@@ -41,7 +41,7 @@ from ltm_core.vision.labels import LabelSet
 def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
     """An empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
-    Raises ConfigError and RasterError for a region, label errors or prior that cannot be taken.
+    Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken.
     """
     return empty_maps(site, geometry, labels)()
 
@@ -50,9 +50,9 @@ def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable
     """Makes such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
-    region = FuelRegion.named(fuel.region)
+    climate = FuelClimate.named(fuel.climate)
     errors, of_cameras = site_label_errors(site), camera_label_errors(site)
-    return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
+    return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
 
 
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
@@ -73,7 +73,7 @@ def site_canopy(
     grid: GridGeometry,
     layers: FuelLayers,
     prior: FuelPrior | None,
-    region: FuelRegion,
+    climate: FuelClimate,
     terrain: ConfirmedTerrain,
     evidence: EvidenceMap | None = None,
     state: Path | None = None,
@@ -85,7 +85,7 @@ def site_canopy(
         evidence: what cameras have seen until now; None: not known, or the layers are of an earlier date.
         state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise.
     """
-    bands = canopy_bands(layers, prior, region)
+    bands = canopy_bands(layers, prior, climate)
     trees = forms_of(layers.code)[..., LifeForm.TREE - 1] & (bands[0] > 0)
     given = None if prior is None else prior.canopy
     new = layers.changed | (np.ones(trees.shape, np.bool_) if given is None else given[0] == NODATA)
@@ -145,7 +145,7 @@ def provenance_of(
     shape = "" if surface is None else surface_note(surface)
     beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
     own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
-    region = site.fuel.region
+    climate = site.fuel.climate
     return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, region, system, software(), terrain, shape, own
+        site.name, as_of, cells, seen, changed, name, of_prior, climate, system, software(), terrain, shape, own
     )

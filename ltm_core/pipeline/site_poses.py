@@ -8,7 +8,7 @@ import json
 from ltm_core.base.errors import StoreError
 from ltm_core.geometry.camera import Camera
 from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.site.site import Site
 
@@ -27,7 +27,7 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
     return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
 
 
-def site_terrain(site: Site) -> tuple[Terrain, PicturePoseConfig]:
+def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
     """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
 
     Raises DemError as `Site.open_dem`.
@@ -37,4 +37,4 @@ def site_terrain(site: Site) -> tuple[Terrain, PicturePoseConfig]:
     config = PicturePoseConfig()
     if ground is not bare:
         config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-    return Terrain(ground, site.bend, site.possible_ground), config
+    return SearchTerrain(ground, site.bend, site.possible_ground), config

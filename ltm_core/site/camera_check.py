@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.errors import LtmError, PoseError
-from ltm_core.base.finding import Finding, Verdict
+from ltm_core.base.finding import SiteFinding, SiteVerdict
 from ltm_core.cameras.plausibility import TALLEST_MAST, doubt_of_height, doubt_of_radians
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.raster.dem import Dem
@@ -21,11 +21,11 @@ from ltm_core.vision.masks import Looking
 _MUCH_MASKED = 0.6
 """Share of a picture above which a mask may be inverted."""
 _TURNING = ("lens", "caption")
-"""Classes of polygons that hide the same pixels wherever a head looks."""
+"""Classes of polygons that hide the same pixels wherever a PTZ head looks."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
-def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[Finding]:
+def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[SiteFinding]:
     """Whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets it."""
     config = site.cameras[name]
     try:
@@ -37,14 +37,14 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
                 "raise pixels under `limits`"
             )
     except LtmError as error:
-        yield Finding.of("cameras", name, error)
+        yield SiteFinding.of("cameras", name, error)
         return
     if config.mount is not None:
-        yield _head(config.mount, name, site, dem)
+        yield _check_ptz(config.mount, name, site, dem)
         return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
-        yield Finding("cameras", name, Verdict.OK, f"{' and '.join(topics)} come as topics")
+        yield SiteFinding("cameras", name, SiteVerdict.OK, f"{' and '.join(topics)} come as topics")
         return
     x, y, z = (float(v) for v in pose.position)
     ground = float(dem.elevation_at(x, y))
@@ -62,15 +62,15 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
     found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
     found += "; calibration comes as topic" if camera is None else ""
     yield (
-        Finding("cameras", name, Verdict.OK, found)
+        SiteFinding("cameras", name, SiteVerdict.OK, found)
         if doubt is None
-        else Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
+        else SiteFinding.of("cameras", name, doubt, SiteVerdict.DOUBTFUL)
     )
     if camera is not None:
         views.append(PosedCamera(name, camera, pose))
 
 
-def check_mask(site: Site, name: str) -> Iterator[Finding]:
+def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
     """Where a camera has one: what share of the picture it hides, if its size is known; and those of its views."""
     config = site.cameras[name]
     yield from _check_view_masks(site, name)
@@ -80,7 +80,7 @@ def check_mask(site: Site, name: str) -> Iterator[Finding]:
     try:
         mask = site_scene_filter(site, name).mask
     except LtmError as error:
-        yield Finding.of("cameras", called, error)
+        yield SiteFinding.of("cameras", called, error)
         return
     found = "polygons, drawn when the calibration comes as topic"
     doubts = []
@@ -91,14 +91,14 @@ def check_mask(site: Site, name: str) -> Iterator[Finding]:
     turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
     if config.mount is not None and not turning:
         doubts.append(
-            "the head turns, and the mask hides the same pixels in every view: only what turns with it belongs into "
-            "it, such as corners of the lens and captions; the others belong into view_masks"
+            "the PTZ head turns, and the mask hides the same pixels in every view: only what turns with it belongs "
+            "into it, such as corners of the lens and captions; the others belong into view_masks"
         )
-    verdict = Verdict.DOUBTFUL if doubts else Verdict.OK
-    yield Finding("cameras", called, verdict, ": ".join([found, *doubts]))
+    verdict = SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK
+    yield SiteFinding("cameras", called, verdict, ": ".join([found, *doubts]))
 
 
-def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
+def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
     config = site.cameras[name]
     if not config.view_masks:
         return
@@ -107,7 +107,7 @@ def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
     try:
         scene = site_scene_filter(site, name)
     except LtmError as error:
-        yield Finding.of("cameras", f"{name}: view_masks", error)
+        yield SiteFinding.of("cameras", f"{name}: view_masks", error)
         return
     for view in config.view_masks:
         called, width = f"{name}: mask of view {view.name}", view.hfov_deg
@@ -126,17 +126,19 @@ def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
             try:
                 hidden = scene.hidden(size.width, size.height, looking)
             except LtmError as error:
-                yield Finding.of("cameras", called, error)
+                yield SiteFinding.of("cameras", called, error)
                 continue
             share = 0.0 if hidden is None else float(hidden.mean())
             found += f": hides {share:.1%} of {size.width} x {size.height} pixels"
             if share > _MUCH_MASKED:
                 doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
-        yield Finding("cameras", called, Verdict.DOUBTFUL if doubts else Verdict.OK, "; ".join([found, *doubts]))
+        yield SiteFinding(
+            "cameras", called, SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK, "; ".join([found, *doubts])
+        )
 
 
-def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
-    """Of a camera on a pan-tilt-zoom head."""
+def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFinding:
+    """Of a camera on a PTZ head."""
     try:
         model = mount.model(dem, site.frame)
         lens = mount.lens
@@ -146,7 +148,7 @@ def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
                 "under `limits`"
             )
     except LtmError as error:
-        return Finding.of("cameras", name, error)
+        return SiteFinding.of("cameras", name, error)
     above = float(model.base.position[2]) - float(dem.elevation_at(*model.base.position[:2]))
     worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
     if not mount.calibrated:
@@ -154,19 +156,21 @@ def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
             f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
             f"{name}` calibrates it (docs/cameras.md)"
         )
-        return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
-    return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
+        return SiteFinding.of("cameras", name, doubt, SiteVerdict.DOUBTFUL)
+    return SiteFinding(
+        "cameras", name, SiteVerdict.OK, f"PTZ head {above:.1f} m above the ground, directions to {worst:.2f} deg"
+    )
 
 
-def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[Finding]:
+def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
     """Whether the azimuths of all, or of `cameras`, may be radians."""
     poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
     doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
     if doubt is not None:
-        yield Finding("cameras", "azimuth_deg", Verdict.DOUBTFUL, doubt)
+        yield SiteFinding("cameras", "azimuth_deg", SiteVerdict.DOUBTFUL, doubt)
 
 
-def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
+def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[SiteFinding]:
     """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
     for name in dict.fromkeys(view.name for view in views):
         positions = np.array([view.pose.position for view in views if view.name == name])
@@ -179,8 +183,8 @@ def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
                 f"stands at map ({x:.0f}, {y:.0f}) beside the DEM, which covers {dem.levels[-1].geometry.described()}"
             )
         if doubt is not None:
-            verdict = Verdict.WRONG if above[lowest] <= 0 else Verdict.DOUBTFUL
-            yield Finding.of("recording", name, doubt, verdict)
+            verdict = SiteVerdict.WRONG if above[lowest] <= 0 else SiteVerdict.DOUBTFUL
+            yield SiteFinding.of("recording", name, doubt, verdict)
         else:
             said = f"{len(positions)} different views, {above[lowest]:.1f} m above the ground"
-            yield Finding("recording", name, Verdict.OK, said)
+            yield SiteFinding("recording", name, SiteVerdict.OK, said)

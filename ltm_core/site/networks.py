@@ -10,7 +10,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.site.site import Site
 from ltm_core.vision.head_choice_io import heads_to_choose
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.masks import ViewMasks
 from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
@@ -23,7 +23,7 @@ def site_label_errors(site: Site) -> LabelErrors:
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
-    """Those of the cameras whose network has a head of its own: a head errs otherwise than what it corrects.
+    """Those of the cameras whose network has a label head of its own: a label head errs otherwise than what it corrects.
 
     Which of several a camera's pictures have chosen is not known of its votes: they err as all of them do in the mean.
     Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
@@ -31,15 +31,15 @@ def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     if site.fuel.label_errors is not None:
         return {}
     known: dict[str, LabelErrors] = {}
-    for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
+    for head in {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}:
         if head != AUTO_HEAD:
-            known[head] = LabelErrors.of_head(site.model, head, site.heads)
+            known[head] = LabelErrors.of_label_head(site.model, head, site.label_heads)
             continue
-        network = Manifest.find(site.model)
-        if files := list(heads_to_choose(network.serving(head), site.heads)[0]):
-            every = [LabelErrors.of_head(site.model, str(file.absolute())) for file in files]
+        network = NetworkManifest.find(site.model)
+        if files := list(heads_to_choose(network.serving(head), site.label_heads)[0]):
+            every = [LabelErrors.of_label_head(site.model, str(file.absolute())) for file in files]
             known[head] = LabelErrors.mean([LabelErrors.of_model(network.heads_of or site.model), *every])
-    return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}
+    return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
 
 
 def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -> Segmenter:
@@ -47,7 +47,7 @@ def site_segmenter(site: Site, camera: str, model: str = "", threads: int = 1) -
 
     Raises ConfigError for a camera that the site lacks, and ModelError as `Segmenter.open`.
     """
-    return Segmenter.open(model or site.model, threads, head=site.camera(camera).head, heads=site.heads)
+    return Segmenter.open(model or site.model, threads, head=site.camera(camera).label_head, heads=site.label_heads)
 
 
 def site_scene_filter(site: Site, camera: str) -> SceneFilter:

@@ -1,4 +1,4 @@
-"""How a pan-tilt-zoom head is asked where it looks: the section `ptz` of a camera in a site file, one class a kind."""
+"""How a PTZ head is asked where it looks: the section `ptz` of a camera in a site file, one class a kind."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Degrees = Annotated[float, Field(ge=-720, le=720)]
 
 
 class PatrolConfig(StrictModel):
-    """The head is driven. Nobody else may drive it then: a tour of its own, or an operator, would only fight it."""
+    """The PTZ head is driven. Nobody else may drive it then: a tour of its own, or an operator, would only fight it."""
 
     presets: tuple[str, ...] = Field(min_length=1)
-    """Names, in their order; from one picture to the next the head goes to the next one."""
+    """Names, in their order; from one picture to the next the PTZ head goes to the next one."""
     arrive_within: float = Field(30.0, gt=0, le=60)
     """Seconds, after which it is said to be stuck."""
     settle: float = Field(1.0, ge=0, le=20)
@@ -36,9 +36,9 @@ class PtzSettings(StrictModel):
     check_name: bool = True
     timeout: float = Field(5.0, gt=0, le=60)
     tolerance_deg: float | None = Field(None, gt=0)
-    """By which two readings of a head at rest may differ: their last digit. None: what is usual for the kind."""
+    """By which two readings of a PTZ head at rest may differ: their last digit. None: what is usual for the kind."""
     patrol: PatrolConfig | None = None
-    """None: the head is only asked, never driven."""
+    """None: the PTZ head is only asked, never driven."""
 
     @field_validator("url")
     @classmethod

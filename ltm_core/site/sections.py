@@ -17,7 +17,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.site.ptz_config import PtzConfig
 from ltm_core.site.source_config import NetworkSettings, SnapshotConfig, SourceConfig
-from ltm_core.vision.manifest import SHIPPED_HEAD
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.masks import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
 
@@ -39,15 +39,15 @@ class FuelConfig(StrictModel):
     """Where the terrain says that no plant stands, so that none there votes."""
     prior: PriorConfig | None = None
     """The fuel map that evidence starts from; None: nothing is known before it is seen."""
-    region: str = "dry"
-    """Which codes changed cells get: a name in config/fuel/regions/."""
+    climate: str = "dry"
+    """Name of a file in config/fuel/climates, which holds the fuel models that changed cells get."""
     fusion: FusionRules = FusionRules()
     """How evidence is weighed and when a cell changes."""
     label_errors: str | None = None
     """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
 
 
-class Limits(StrictModel):
+class MessageLimits(StrictModel):
     """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
 
     So that each node stays below a gigabyte at the bound (`ltm-lab bench bounds`).
@@ -92,13 +92,14 @@ class CameraConfig(StrictModel):
     view_masks: tuple[ViewMask, ...] = Field((), max_length=MOST_VIEW_MASKS)
     """Of a turning camera: what hides the landscape besides, where it looks one way. A picture that looks nowhere near
     any of them has `mask` alone."""
-    head: str = SHIPPED_HEAD
-    """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
-    (`ltm train head`); a name, or a path from the site's folder of heads. `auto`: chosen by the picture."""
+    label_head: str = SHIPPED_LABEL_HEAD
+    """Label head of the segmentation network for what this camera sees: `landscape` is the network's own, others are
+    taught (`ltm train head`); a name, or a path from the site's folder of label heads. `auto`: chosen by the
+    picture."""
     mount: MountConfig | None = None
-    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
+    """Of a PTZ head: what makes poses, and where it zooms calibrations, of what its encoders say."""
     ptz: PtzConfig | None = None
-    """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
+    """How the PTZ head is asked where it looks, and which presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
     judge_pictures: bool = True
@@ -113,8 +114,8 @@ class CameraConfig(StrictModel):
         given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(
-                f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a head (mount), or "
-                "its sensors tell where it is (sensors)"
+                f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a PTZ head (mount), "
+                "or its sensors tell where it is (sensors)"
             )
         if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
             raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
@@ -135,15 +136,17 @@ class CameraConfig(StrictModel):
         if self.ptz is None:
             return self
         if self.mount is None:
-            raise ValueError("ptz needs mount: what makes a pose of what the head says")
+            raise ValueError("ptz needs mount: what makes a pose of what the PTZ head says")
         if self.source is None:
-            raise ValueError("ptz needs source: a head is asked where it looks before and after each picture")
+            raise ValueError("ptz needs source: a PTZ head is asked where it looks before and after each picture")
         if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
             raise ValueError(
                 f"a patrol needs a source of kind snapshot, which is asked at each preset, not {self.source.kind}"
             )
         if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
-            raise ValueError(f"a source of kind {self.source.kind} has no address: write that of the head as ptz.url")
+            raise ValueError(
+                f"a source of kind {self.source.kind} has no address: write that of the PTZ head as ptz.url"
+            )
         return self
 
     @model_validator(mode="after")

@@ -17,7 +17,14 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
-from ltm_core.site.sections import CameraConfig, DemConfig, FuelConfig, HealthConfig, Limits, WatchdogConfig
+from ltm_core.site.sections import (
+    CameraConfig,
+    DemConfig,
+    FuelConfig,
+    HealthConfig,
+    MessageLimits,
+    WatchdogConfig,
+)
 from ltm_core.surface.config import PoseErrorConfig, TerrainConfig
 from ltm_core.tracing.holes import PossibleGround
 from ltm_core.uplink.config import UplinkConfig
@@ -84,8 +91,8 @@ class Site(StrictModel):
     """Label set in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
-    heads: Path | None = None
-    """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""
+    label_heads: Path | None = None
+    """Folder of label heads that is looked in first, relative to the site file; then beside the network's manifest."""
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
@@ -96,7 +103,7 @@ class Site(StrictModel):
     """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
     refine_poses: PoseRefinementConfig | None = None
     """None: poses are taken as they are stated."""
-    limits: Limits = Limits()
+    limits: MessageLimits = MessageLimits()
     watchdog: WatchdogConfig = WatchdogConfig()
     health: HealthConfig | None = None
     """Where given, `ltm run` answers monitoring systems there, and serves the status page."""

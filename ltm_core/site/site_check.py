@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.errors import LtmError
-from ltm_core.base.finding import Finding, Verdict
+from ltm_core.base.finding import SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import doubt_of_dem, doubt_of_heights
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
@@ -29,9 +29,9 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.head_choice_io import heads_to_choose
-from ltm_core.vision.label_head import find_head, read_head
+from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
@@ -44,7 +44,7 @@ _SAMPLES = 200
 class SiteCheck:
     """What a check has found, and what it has read for that; None, or empty, where it could not."""
 
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[SiteFinding] = field(default_factory=list)
     site: Site | None = None
     dem: Dem | None = None
     prior: FuelPrior | None = None
@@ -52,8 +52,8 @@ class SiteCheck:
     """Cameras whose calibration and pose stand in the site file."""
 
     @property
-    def wrong(self) -> list[Finding]:
-        return [finding for finding in self.findings if finding.verdict is Verdict.WRONG]
+    def wrong(self) -> list[SiteFinding]:
+        return [finding for finding in self.findings if finding.verdict is SiteVerdict.WRONG]
 
 
 def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
@@ -64,13 +64,13 @@ def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
         for name in cameras:
             site.camera(name)
     except LtmError as error:
-        check.findings.append(Finding.of("site", path.name, error))
+        check.findings.append(SiteFinding.of("site", path.name, error))
         return check
-    check.findings.append(Finding("site", path.name, Verdict.OK, f"{site.name}, {site.crs}"))
+    check.findings.append(SiteFinding("site", path.name, SiteVerdict.OK, f"{site.name}, {site.crs}"))
     try:
         check.dem = site.open_dem()
     except LtmError as error:
-        check.findings.append(Finding.of("terrain", "dem", error))
+        check.findings.append(SiteFinding.of("terrain", "dem", error))
     else:
         check.findings += _terrain(site, check.dem)
         for name in cameras or site.cameras:
@@ -83,7 +83,7 @@ def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
     return check
 
 
-def _terrain(site: Site, dem: Dem) -> Iterator[Finding]:
+def _terrain(site: Site, dem: Dem) -> Iterator[SiteFinding]:
     area, geometry = "terrain", dem.geometry
     known = [np.isfinite(row).mean() for row in dem.elevation]
     low, high = float(np.nanmin(dem.elevation)), float(np.nanmax(dem.elevation))
@@ -93,41 +93,41 @@ def _terrain(site: Site, dem: Dem) -> Iterator[Finding]:
     )
     doubt = doubt_of_dem(dem.elevation, geometry.resolution)
     yield (
-        Finding(area, "dem", Verdict.OK, found)
+        SiteFinding(area, "dem", SiteVerdict.OK, found)
         if doubt is None
-        else Finding.of(area, "dem", f"{site.dem.path}: {doubt}", Verdict.DOUBTFUL)
+        else SiteFinding.of(area, "dem", f"{site.dem.path}: {doubt}", SiteVerdict.DOUBTFUL)
     )
     away = geometry.distance_to(0.0, 0.0)
     if away > _FAR_ORIGIN:
         said = f"{away / 1000:.0f} km from the DEM: coordinates lose their millimetres; take a corner of the DEM"
-        yield Finding(area, "origin", Verdict.DOUBTFUL, said)
+        yield SiteFinding(area, "origin", SiteVerdict.DOUBTFUL, said)
     for level, config in zip(dem.levels[1:], site.coarser, strict=True):
         heights, others = _sampled(dem, geometry), _sampled(level, geometry)
         doubt = doubt_of_heights(heights, others, str(config.path))
         found = f"{level.geometry.width} x {level.geometry.height} cells of {level.geometry.resolution:g} m around it"
         yield (
-            Finding(area, config.path.name, Verdict.OK, found)
+            SiteFinding(area, config.path.name, SiteVerdict.OK, found)
             if doubt is None
-            else Finding.of(
-                area, "dem", f"{site.dem.path}: {doubt}", Verdict.WRONG if "feet" in doubt else Verdict.DOUBTFUL
+            else SiteFinding.of(
+                area, "dem", f"{site.dem.path}: {doubt}", SiteVerdict.WRONG if "feet" in doubt else SiteVerdict.DOUBTFUL
             )
         )
     if site.surface is not None:
         yield _surface(site, dem)
 
 
-def _surface(site: Site, dem: Dem) -> Finding:
+def _surface(site: Site, dem: Dem) -> SiteFinding:
     assert site.surface is not None  # nosec B101 # tells the type checker what holds
     try:
         surface = site.open_surface(dem)
     except LtmError as error:
-        return Finding.of("terrain", "surface", error)
+        return SiteFinding.of("terrain", "surface", error)
     heights = _sampled(surface, dem.geometry)
     doubt = doubt_of_heights(heights, _sampled(dem, dem.geometry), "the DEM")
     if doubt is not None:
-        return Finding.of("terrain", "surface", f"{site.surface.path}: {doubt}", Verdict.DOUBTFUL)
+        return SiteFinding.of("terrain", "surface", f"{site.surface.path}: {doubt}", SiteVerdict.DOUBTFUL)
     above = float(np.nanmax(heights - _sampled(dem, dem.geometry), initial=0.0))
-    return Finding("terrain", "surface", Verdict.OK, f"up to {above:.0f} m above the ground")
+    return SiteFinding("terrain", "surface", SiteVerdict.OK, f"up to {above:.0f} m above the ground")
 
 
 def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
@@ -136,34 +136,34 @@ def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
     return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
 
 
-def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:
+def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
     area = "fuel"
     try:
-        FuelRegion.named(site.fuel.region)
+        FuelClimate.named(site.fuel.climate)
         site_label_errors(site)
     except LtmError as error:
-        yield Finding.of(area, "region and label errors", error)
+        yield SiteFinding.of(area, "climate and label errors", error)
     yield from _growth(site, check)
     if site.fuel.prior is None:
-        yield Finding(area, "prior", Verdict.OK, "none: nothing is known of a cell before it is seen")
+        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: nothing is known of a cell before it is seen")
     elif check.dem is not None:
         grid = site.in_crs(site.fuel_geometry(check.dem))
         try:
             check.prior = load_prior(site.fuel.prior, grid)
             heights = prior_heights(site.fuel.prior, grid)
         except LtmError as error:
-            yield Finding.of(area, "prior", error)
+            yield SiteFinding.of(area, "prior", error)
             return
         yield _prior(check.prior, grid)
         if heights is not None:
             own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
             doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
             if doubt is not None:
-                verdict = Verdict.WRONG if "its heights are feet" in doubt else Verdict.DOUBTFUL
-                yield Finding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
+                verdict = SiteVerdict.WRONG if "its heights are feet" in doubt else SiteVerdict.DOUBTFUL
+                yield SiteFinding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
 
 
-def _growth(site: Site, check: SiteCheck) -> Iterator[Finding]:
+def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
     """A tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
     line = site.fuel.growth.tree_line_m
     if line is None or check.dem is None:
@@ -171,74 +171,76 @@ def _growth(site: Site, check: SiteCheck) -> Iterator[Finding]:
     rows = check.dem.elevation  # one by one: no mask of a whole raster
     above = float(sum((row > line).sum() for row in rows) / sum(np.isfinite(row).sum() for row in rows))
     found = f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
-    yield Finding("fuel", "tree line", Verdict.OK, found)
+    yield SiteFinding("fuel", "tree line", SiteVerdict.OK, found)
 
 
-def _prior(prior: FuelPrior, grid: GridGeometry) -> Finding:
+def _prior(prior: FuelPrior, grid: GridGeometry) -> SiteFinding:
     share = float((prior.codes != NODATA).mean())
     found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
     if prior.contradicting:
         found += f"; in {prior.contradicting} cells its FBFM13 is of another fuel type (`own_fbfm13` of the prior)"
     if share < 0.5:
-        return Finding("fuel", "prior", Verdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
-    return Finding("fuel", "prior", Verdict.OK, found)
+        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
+    return SiteFinding("fuel", "prior", SiteVerdict.OK, found)
 
 
-def _networks(site: Site) -> Iterator[Finding]:
+def _networks(site: Site) -> Iterator[SiteFinding]:
     try:
         LabelSet.load(config_path(site.labels))
     except LtmError as error:
-        yield Finding.of("networks", "labels", error)
+        yield SiteFinding.of("networks", "labels", error)
     for key, name in (("model", site.model), ("depth_model", site.depth_model)):
         if not name:
             continue
         try:
-            model = OnnxModel(Manifest.find(name))
+            model = OnnxModel(NetworkManifest.find(name))
         except LtmError as error:
-            yield Finding.of("networks", key, error)
+            yield SiteFinding.of("networks", key, error)
         else:
-            yield Finding("networks", key, Verdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
+            yield SiteFinding("networks", key, SiteVerdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
             if key == "model" and model.manifest.heads_of and site.depth_model == f"{model.manifest.heads_of}_depth":
                 told = f"{site.depth_model} shares an encoder with the labels of heads alone: {name}_depth costs less"
-                yield Finding("networks", "depth_model", Verdict.DOUBTFUL, told)
+                yield SiteFinding("networks", "depth_model", SiteVerdict.DOUBTFUL, told)
     yield from _heads(site)
 
 
-def _heads(site: Site) -> Iterator[Finding]:
+def _heads(site: Site) -> Iterator[SiteFinding]:
     cameras: dict[str, list[str]] = {}
     for name, camera in site.cameras.items():
-        cameras.setdefault(camera.head, []).append(name)
+        cameras.setdefault(camera.label_head, []).append(name)
     for head, names in cameras.items():
-        if head == SHIPPED_HEAD:
+        if head == SHIPPED_LABEL_HEAD:
             continue
         if head == AUTO_HEAD:
             yield _chosen_heads(site, names)
             continue
         doubt = ""
         try:
-            manifest = Manifest.find(site.model).serving(head)
-            file = find_head(head, manifest, site.heads)
+            manifest = NetworkManifest.find(site.model).serving(head)
+            file = find_label_head(head, manifest, site.label_heads)
             if file is not None:
-                found, content = read_head(file, manifest)
+                found, content = read_label_head(file, manifest)
                 doubt = f"it was {found.doubt}" if found.doubt else ""
                 if content.one_view and len(names) > 1:
                     doubt = "it was taught by one view and is for that alone; teach one for each"
         except LtmError as error:
-            yield Finding.of("networks", f"head {head}", error)
+            yield SiteFinding.of("networks", f"label head {head}", error)
         else:
             said = f"of {', '.join(names)}: {file}"
-            verdict = Verdict.DOUBTFUL if doubt else Verdict.OK
-            yield Finding("networks", f"head {head}", verdict, f"{said}; {doubt}" if doubt else said)
+            verdict = SiteVerdict.DOUBTFUL if doubt else SiteVerdict.OK
+            yield SiteFinding("networks", f"label head {head}", verdict, f"{said}; {doubt}" if doubt else said)
 
 
-def _chosen_heads(site: Site, cameras: list[str]) -> Finding:
+def _chosen_heads(site: Site, cameras: list[str]) -> SiteFinding:
     """Among which heads pictures choose, and which are passed over."""
     try:
-        heads, passed = heads_to_choose(Manifest.find(site.model).serving(AUTO_HEAD), site.heads)
+        heads, passed = heads_to_choose(NetworkManifest.find(site.model).serving(AUTO_HEAD), site.label_heads)
     except LtmError as error:
-        return Finding.of("networks", f"head {AUTO_HEAD}", error)
-    among = ", ".join([SHIPPED_HEAD, *(f"{h.name} ({h.doubt})" if h.doubt else h.name for h in heads.values())])
+        return SiteFinding.of("networks", f"label head {AUTO_HEAD}", error)
+    among = ", ".join([SHIPPED_LABEL_HEAD, *(f"{h.name} ({h.doubt})" if h.doubt else h.name for h in heads.values())])
     said = f"of {', '.join(cameras)}: chosen by the picture among {among}"
     told = [said, *(f"passed over: {path}: {reason}" for path, reason in passed.items())]
     doubtful = passed or not heads or any(head.doubt for head in heads.values())
-    return Finding("networks", f"head {AUTO_HEAD}", Verdict.DOUBTFUL if doubtful else Verdict.OK, "; ".join(told))
+    return SiteFinding(
+        "networks", f"label head {AUTO_HEAD}", SiteVerdict.DOUBTFUL if doubtful else SiteVerdict.OK, "; ".join(told)
+    )

@@ -32,7 +32,7 @@ def load_site(path: Path | str) -> Site:
         "dem": beside_the_file(site.dem),
         "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
         "surface": None if site.surface is None else beside_the_file(site.surface),
-        "heads": None if site.heads is None else path.parent / site.heads,
+        "label_heads": None if site.label_heads is None else path.parent / site.label_heads,
     }
     for name in ("model", "depth_model"):
         beside = path.parent / getattr(site, name)

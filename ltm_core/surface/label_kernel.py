@@ -11,7 +11,7 @@ from numba import njit
 
 from ltm_core.base.types import Float32Array, RecordArray, UInt8Array
 from ltm_core.surface.cell_layout import NO_LABEL, FrameSums, sum_of
-from ltm_core.surface.observation_kernel import Limits, Pixels
+from ltm_core.surface.observation_kernel import ObservationLimits, Pixels
 from ltm_core.surface.reference_surface import ReferenceGrid, stood_at
 
 _EDGE = 0.5
@@ -26,7 +26,7 @@ def add_labels(
     cosines: Float32Array,
     gone: Float32Array,
     depth: Pixels,
-    limits: Limits,
+    limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
     """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.

@@ -15,7 +15,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.surface.cell_layout import TILE, FrameSums, clear
 from ltm_core.surface.expected_view import CameraView, ExpectedViews, Extremes, predict_view
 from ltm_core.surface.label_kernel import add_labels
-from ltm_core.surface.observation_kernel import Limits, Pixels, observe
+from ltm_core.surface.observation_kernel import ObservationLimits, Pixels, observe
 from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
 from ltm_core.tracing import TerrainTracer
 
@@ -112,7 +112,7 @@ class Observer:
         self,
         reference: Reference,
         tracer: TerrainTracer,
-        limits: Limits,
+        limits: ObservationLimits,
         columns: int,
         views_mb: float = 0.0,
         gone: Float32Array | None = None,

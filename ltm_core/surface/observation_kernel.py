@@ -57,7 +57,7 @@ class Ray(NamedTuple):
     bend: float
 
 
-class Limits(NamedTuple):
+class ObservationLimits(NamedTuple):
     min_range: float
     max_range: float
     gate: float
@@ -193,7 +193,7 @@ def observe(
     expected_pixels: RecordArray,
     pixels: Pixels,
     beside: Float32Array,
-    limits: Limits,
+    limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
     """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use

@@ -19,7 +19,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.rotations import matrix_of_vector
 from ltm_core.surface.observation import DepthFrame
-from ltm_core.surface.observation_kernel import Limits
+from ltm_core.surface.observation_kernel import ObservationLimits
 from ltm_core.surface.reference_surface import BLOCK, LEAST_INCIDENCE, Reference
 from ltm_core.tracing import TerrainTracer
 
@@ -53,7 +53,7 @@ class Registration:
 
 
 def register(
-    frame: DepthFrame, covariance: Float64Array, reference: Reference, tracer: TerrainTracer, limits: Limits
+    frame: DepthFrame, covariance: Float64Array, reference: Reference, tracer: TerrainTracer, limits: ObservationLimits
 ) -> Registration | None:
     """Turn a frame; None where the pose is too certain to matter, where too little open ground is in view, or where no
     turn helps. Open ground: where the known canopy is low, or where the frame says so. Raises PoseError as the tracer
@@ -112,7 +112,7 @@ def _residuals(
     rays: Float64Array,
     pose: Pose,
     reference: Reference,
-    limits: Limits,
+    limits: ObservationLimits,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
     with np.errstate(invalid="ignore"):

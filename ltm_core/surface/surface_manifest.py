@@ -49,7 +49,7 @@ class SurfaceVersion(StrictModel):
         return self.changed / max(1, self.seen)
 
 
-class Counted(StrictModel):
+class CountedVersion(StrictModel):
     """That a version began to count, by frames up to `as_of_ns`."""
 
     version: str = Field(pattern=f"^{VERSION}$")
@@ -66,7 +66,7 @@ class SurfaceManifest(StrictModel):
     current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
     held: bool = False
     versions: tuple[SurfaceVersion, ...] = ()
-    history: tuple[Counted, ...] = ()
+    history: tuple[CountedVersion, ...] = ()
     forgotten: bool = False
 
     @model_validator(mode="before")

@@ -19,7 +19,7 @@ from ltm_core.surface.config import PoseErrorConfig, TerrainConfig
 from ltm_core.surface.free_space import INSIDE, see_through
 from ltm_core.surface.layers import SurfaceLayers, layers_of
 from ltm_core.surface.observation import DepthFrame, Observer
-from ltm_core.surface.observation_kernel import Limits
+from ltm_core.surface.observation_kernel import ObservationLimits
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.registration import Registration, register
 from ltm_core.surface.tile_pool import TilePool, schema_of
@@ -92,7 +92,7 @@ class SurfaceMap:
         self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
         # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
         self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction, NOTHING_BEYOND)
-        self._limits = Limits(
+        self._limits = ObservationLimits(
             config.min_range,
             config.max_range,
             config.confidence,

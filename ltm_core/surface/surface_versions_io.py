@@ -26,7 +26,7 @@ from ltm_core.surface.surface_manifest import (
     AS_GIVEN,
     KEPT,
     VERSION,
-    Counted,
+    CountedVersion,
     SurfaceManifest,
     SurfaceVersion,
     of_later_release,
@@ -38,7 +38,7 @@ __all__ = [
     "KEPT",
     "MANIFEST",
     "VERSION",
-    "Counted",
+    "CountedVersion",
     "SurfaceManifest",
     "SurfaceVersion",
     "SurfaceVersions",
@@ -149,7 +149,7 @@ class SurfaceVersions:
         others = tuple(one for one in before.versions if one.version != version)
         versions = (*others, entry)[-KEPT:]
         kept = {one.version for one in versions}
-        counted = (*before.history, Counted(version=version, as_of_ns=as_of_ns))
+        counted = (*before.history, CountedVersion(version=version, as_of_ns=as_of_ns))
         # From the last on backwards, as far as all of it is kept.
         gone = max((n for n, one in enumerate(counted) if one.version not in kept), default=-1)
         first = max(gone + 1, len(counted) - KEPT)

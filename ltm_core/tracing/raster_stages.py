@@ -22,7 +22,7 @@ from ltm_core.tracing.pyramid import build_pyramid
 from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, RasterStage, TerrainRaster
 
 
-class _Window(NamedTuple):
+class _CellWindow(NamedTuple):
     """A rectangle seen from a position, in cells: its edges' x (to the east) and y (to the south)."""
 
     west: float
@@ -91,7 +91,7 @@ def stages(
         finer = own
         if k > 0:
             scale = dem.levels[k - 1].geometry.resolution / resolution
-            finer = _Window(*(edge * scale for edge in windows[k - 1]))
+            finer = _CellWindow(*(edge * scale for edge in windows[k - 1]))
         ends = k == last and part != BEFORE
         grid_bend = bend * resolution**2
         return k, RasterStage(
@@ -127,13 +127,13 @@ def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> F
     )
 
 
-def _window(dem: Dem, position: Float64Array) -> _Window:
+def _window(dem: Dem, position: Float64Array) -> _CellWindow:
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
     height, width = dem.elevation.shape
-    return _Window(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
+    return _CellWindow(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
 
 
-def _is_inside(window: _Window) -> bool:
+def _is_inside(window: _CellWindow) -> bool:
     return window.west <= 0.0 <= window.east and window.north <= 0.0 <= window.south
 
 

@@ -1,4 +1,4 @@
-"""`head: auto`: which of the heads there are is for what a camera sees, told by its last pictures.
+"""`label_head: auto`: which of the heads there are is for what a camera sees, told by its last pictures.
 
 Each picture has log odds for each head against the network's own (`picture_domain`); what counts is their mean over the
 pictures of the last while, a minute apart, so that clouds and passing light do not change the head from one frame to
@@ -16,7 +16,7 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.manifest import SHIPPED_HEAD
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.picture_domain import DomainSpace
 
 _APART: Final = 60.0  # seconds, of pictures that are remembered: what follows shows the same
@@ -50,7 +50,7 @@ class HeadChoice:
         if not self._seen:
             return among
         head = self.present
-        return f"{among}: {SHIPPED_HEAD if head is None else head.described}"
+        return f"{among}: {SHIPPED_LABEL_HEAD if head is None else head.described}"
 
     @property
     def present(self) -> LabelHead | None:
@@ -60,7 +60,7 @@ class HeadChoice:
     @property
     def told(self) -> str:
         """The present head and the log odds of all, for diagnostics."""
-        name = SHIPPED_HEAD if self.present is None else self.present.name
+        name = SHIPPED_LABEL_HEAD if self.present is None else self.present.name
         if not self._seen:
             return name
         odds = zip(self.heads, np.mean(self._seen, axis=0)[1:], strict=True)

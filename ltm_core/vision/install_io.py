@@ -12,7 +12,7 @@ from pathlib import Path
 from ltm_core.base.errors import ModelError
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.label_confidence import calibration_path
-from ltm_core.vision.manifest import Manifest, added_folder, shipped_names
+from ltm_core.vision.manifest import NetworkManifest, added_folder, shipped_names
 
 _CHUNK = 1 << 20
 _TIMEOUT_S = 60.0
@@ -23,14 +23,14 @@ def add_model(
     fetch: bool,
     progress: Callable[[int], None] = lambda received: None,
     folder: Path | None = None,
-) -> Manifest:
+) -> NetworkManifest:
     """Copy a manifest and all it names into `folder` (default: the user's own models); gives the added manifest.
 
     The network file is taken where the manifest finds it, or, with `fetch`, from its URL; nothing is downloaded unless
     asked, and the checksum decides what is kept. `progress` gets the bytes received. Raises ModelError: a name that
     ships, a wrong file, or no file and no `fetch`.
     """
-    manifest = Manifest.load(manifest_path)
+    manifest = NetworkManifest.load(manifest_path)
     if manifest.name in shipped_names():
         raise ModelError(
             f"{manifest_path}: a model called {manifest.name!r} ships with the project; give yours another name"
@@ -64,10 +64,10 @@ def add_model(
             shutil.copyfile(beside, folder / beside.name)
     added = folder / f"{manifest.name}.yaml"
     added.write_text(content, encoding="utf-8")
-    return Manifest.load(added)
+    return NetworkManifest.load(added)
 
 
-def _obtain(manifest: Manifest, part: Path, fetch: bool, progress: Callable[[int], None]) -> None:
+def _obtain(manifest: NetworkManifest, part: Path, fetch: bool, progress: Callable[[int], None]) -> None:
     try:
         shutil.copyfile(manifest.model_file(), part)
         return

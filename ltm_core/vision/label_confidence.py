@@ -21,10 +21,10 @@ from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
+from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest
 
 
-class Agreement(StrictModel):
+class LabelAgreement(StrictModel):
     """`reach`: of the picture's width, standard deviation of the Gaussian that weighs what is around a pixel; 0: only
     the pixel itself counts. `exponent`: of the mean, so that it is the share of right labels; measured on photos."""
 
@@ -32,7 +32,7 @@ class Agreement(StrictModel):
     exponent: float = Field(default=1.0, gt=0, le=5)
 
 
-def agreed(probabilities: Float32Array, rule: Agreement) -> Float32Array:
+def agreed(probabilities: Float32Array, rule: LabelAgreement) -> Float32Array:
     """(h, w) how sure the likeliest of (K, h, w) probabilities is: the mean around the pixel of the probability where
     the same class is the likeliest, and 0 elsewhere, to the exponent."""
     winner, best = probabilities.argmax(axis=0), probabilities.max(axis=0)
@@ -96,7 +96,7 @@ def calibration_path(manifest_path: Path) -> Path:
     return manifest_path.with_name(f"{manifest_path.stem}{CALIBRATION_SUFFIX}")
 
 
-def load_calibration(manifest: Manifest) -> Calibration | None:
+def load_calibration(manifest: NetworkManifest) -> Calibration | None:
     """The calibration beside a manifest; None where it has none. Raises ModelError for a file that cannot be taken."""
     path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
     if not is_file(path):

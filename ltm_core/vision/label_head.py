@@ -1,8 +1,9 @@
 """Correct a network's class scores by a linear label head; read, find and write the files of heads.
 
-A head: a linear correction of a network's class scores, read from its decoder's maps, taught for one kind of place.
+A label head: a linear correction of a network's class scores, read from its decoder's maps, taught for one kind of
+place.
 
-A network's maps tell more apart than its own scores do. A head adds to the score of class k at a pixel
+A network's maps tell more apart than its own scores do. A label head adds to the score of class k at a pixel
 b_k + sum over maps m of w_mk . f_m, f_m being the map's vector there, interpolated bilinearly; as interpolation and the
 product commute, each map's part is formed at its own size and enlarged.
 """
@@ -26,8 +27,8 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_confidence import Agreement, Calibration, doubt_of_photographs
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest, Withdrawal, added_folder
+from ltm_core.vision.label_confidence import Calibration, LabelAgreement, doubt_of_photographs
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal, added_folder
 from ltm_core.vision.picture_domain import HeadDomain
 
 
@@ -37,7 +38,7 @@ class LabelHead:
 
     `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
     name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged. `domain`: where its photos
-    lie, for `head: auto`; None: nobody measured it.
+    lie, for `label_head: auto`; None: nobody measured it.
     """
 
     name: str
@@ -46,7 +47,7 @@ class LabelHead:
     bias: Float32Array
     temperature: float
     withdraw: Withdrawal = field(default_factory=Withdrawal)
-    agreement: Agreement = field(default_factory=Agreement)
+    agreement: LabelAgreement = field(default_factory=LabelAgreement)
     doubt: str = ""
     domain: HeadDomain | None = None
 
@@ -63,8 +64,8 @@ class LabelHead:
         for (name, weights), values in zip(self.weights.items(), maps, strict=True):
             if values.ndim != 3 or len(values) != weights.shape[1]:
                 raise ModelError(
-                    f"head {self.name!r}: map {name!r} is {values.shape}, expected ({weights.shape[1]}, h, w); the "
-                    "head was taught for another network"
+                    f"label head {self.name!r}: map {name!r} is {values.shape}, expected ({weights.shape[1]}, h, w); "
+                    "the label head was taught for another network"
                 )
             # einsum and not a matrix product: BLAS would wake its own threads for a millisecond of work.
             part = np.einsum("kc,cn->kn", weights, values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
@@ -77,11 +78,11 @@ _Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
 _DIGITS: Final = 4
 
 
-class HeadFile(StrictModel):
-    """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
-    `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `one_view`:
-    it was taught by one view and is for that alone. `by_name`: no picture chooses it. `calibration`: how its labels
-    err, on photos held out.
+class LabelHeadFile(StrictModel):
+    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
+    each of `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `label_head: auto`.
+    `one_view`: it was taught by one view and is for that alone. `by_name`: no picture chooses it. `calibration`: how
+    its labels err, on photos held out.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
@@ -92,7 +93,7 @@ class HeadFile(StrictModel):
     classes: tuple[str, ...] = Field(min_length=2)
     temperature: float = Field(gt=0)
     withdraw: Withdrawal = Withdrawal()
-    agreement: Agreement = Agreement()
+    agreement: LabelAgreement = LabelAgreement()
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
     domain: HeadDomain | None = None
@@ -101,12 +102,12 @@ class HeadFile(StrictModel):
     calibration: Calibration | None = None
 
     @model_validator(mode="after")
-    def _shapes_agree(self) -> HeadFile:
+    def _shapes_agree(self) -> LabelHeadFile:
         count = len(self.classes)
-        if self.name == SHIPPED_HEAD:
-            raise ValueError(f"name: {SHIPPED_HEAD!r} is the network's own head; choose another")
+        if self.name == SHIPPED_LABEL_HEAD:
+            raise ValueError(f"name: {SHIPPED_LABEL_HEAD!r} is the network's own label head; choose another")
         if self.name == AUTO_HEAD:
-            raise ValueError(f"name: {AUTO_HEAD!r} stands for a choice among heads; choose another")
+            raise ValueError(f"name: {AUTO_HEAD!r} stands for a choice among label heads; choose another")
         if len(self.bias) != count:
             raise ValueError(f"bias has {len(self.bias)} values, expected {count}, one for each of classes")
         for name, rows in self.maps.items():
@@ -119,19 +120,20 @@ class HeadFile(StrictModel):
         return self
 
 
-def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
-    """The head of a file, for the network of a manifest, and all that the file says.
+def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
+    """The label head of a file, for the network of a manifest, and all that the file says.
 
     Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
     """
     try:
-        content = load_yaml(path, HeadFile)
+        content = load_yaml(path, LabelHeadFile)
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
     if content.sha256 != manifest.sha256:
         raise ModelError(
-            f"{path}: is a head of network {content.network!r} with sha256 {content.sha256}; the camera's network is "
-            f"{manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model {manifest.name}"
+            f"{path}: is a label head of network {content.network!r} with sha256 {content.sha256}; the camera's "
+            f"network is {manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model "
+            f"{manifest.name}"
         )
     if content.classes != manifest.classes:
         raise ModelError(
@@ -162,42 +164,42 @@ def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
     return head, content
 
 
-def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path | None:
-    """The file of a camera's head; None for the network's own, `landscape`.
+def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = None) -> Path | None:
+    """The file of a camera's label head; None for the network's own, `landscape`.
 
     `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
     the user taught. Raises ModelError with every place looked at.
     """
-    if name == SHIPPED_HEAD:
+    if name == SHIPPED_LABEL_HEAD:
         return None
     if name.endswith((".yaml", ".yml")) or os.sep in name:
         path = Path(name) if folder is None else folder / name
         places = [path]
     else:
-        places = [place / f"{name}.yaml" for place in places_of_heads(manifest, folder)]
+        places = [place / f"{name}.yaml" for place in places_of_label_heads(manifest, folder)]
     for place in places:
         if is_file(place):
             return place
     raise ModelError(
-        f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm-lab train "
-        f"head PHOTOS --out {Path(name).stem}"
+        f"no label head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm "
+        f"train head PHOTOS --out {Path(name).stem}"
     )
 
 
-def places_of_heads(manifest: Manifest, site: Path | None) -> list[Path]:
-    """The folders that heads of a network are looked for in, the first one first: `site` (a site's), beside the
+def places_of_label_heads(manifest: NetworkManifest, site: Path | None) -> list[Path]:
+    """The folders that label heads of a network are looked for in, the first one first: `site` (a site's), beside the
     manifest, among what the user taught."""
     beside = dict.fromkeys([manifest.folder, added_folder()])
-    return [*([] if site is None else [site]), *(heads_folder(manifest, folder) for folder in beside)]
+    return [*([] if site is None else [site]), *(label_heads_folder(manifest, folder) for folder in beside)]
 
 
-def heads_folder(manifest: Manifest, folder: Path | None = None) -> Path:
-    """Where heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
+def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
+    """Where label heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
     return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
 
 
-def write_head(path: Path, content: HeadFile) -> None:
-    """Write a head; weights with four digits. The folder is made."""
+def write_label_head(path: Path, content: LabelHeadFile) -> None:
+    """Write a label head; weights with four digits. The folder is made."""
     data = content.model_dump(mode="json", exclude_none=True)
     data["bias"] = _rounded(data["bias"])
     data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
@@ -208,7 +210,7 @@ def write_head(path: Path, content: HeadFile) -> None:
         data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
-    path.write_text(f"# A head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
+    path.write_text(f"# A label head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
 
 
 def _rounded(row: list[float], digits: int = _DIGITS) -> list[float]:

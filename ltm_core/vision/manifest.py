@@ -31,7 +31,7 @@ FUSION_SUFFIX: Final = "_fusion.yaml"
 DOMAIN_SUFFIX: Final = "_domain.yaml"
 """Of the one that says where its pictures lie (`picture_domain`)."""
 
-SHIPPED_HEAD: Final = "landscape"
+SHIPPED_LABEL_HEAD: Final = "landscape"
 """Name of the head that is the network's own scores: no correction."""
 AUTO_HEAD: Final = "auto"
 """A camera's `head` that is chosen by the picture (`head_choice`)."""
@@ -159,7 +159,7 @@ class TextSpec(StrictModel):
     scale: float = Field(default=100.0, gt=0)
 
 
-class Manifest(StrictModel):
+class NetworkManifest(StrictModel):
     """A network file with all that is needed to run it and to judge it; YAML on disk.
 
     `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
@@ -187,7 +187,7 @@ class Manifest(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _classes_are_known(self) -> Manifest:
+    def _classes_are_known(self) -> NetworkManifest:
         strangers = sorted(set(self.output.offsets) - set(self.classes))
         if strangers:
             raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
@@ -226,7 +226,7 @@ class Manifest(StrictModel):
         return self
 
     @classmethod
-    def load(cls, path: Path) -> Manifest:
+    def load(cls, path: Path) -> NetworkManifest:
         """Read a manifest. Raises ModelError naming the file and each key at fault."""
         try:
             manifest = load_yaml(path, cls)
@@ -236,7 +236,7 @@ class Manifest(StrictModel):
         return manifest
 
     @classmethod
-    def find(cls, path_or_name: str | Path) -> Manifest:
+    def find(cls, path_or_name: str | Path) -> NetworkManifest:
         """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
@@ -247,12 +247,12 @@ class Manifest(StrictModel):
             raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
         return cls.load(path)
 
-    def serving(self, head: str) -> Manifest:
+    def serving(self, head: str) -> NetworkManifest:
         """The network that answers where a camera has this head: itself, or the one whose heads it takes (`heads_of`).
 
         Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
         """
-        return Manifest.find(self.heads_of) if self.heads_of and head != SHIPPED_HEAD else self
+        return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 
     @property
     def folder(self) -> Path:

@@ -23,7 +23,7 @@ import onnxruntime as ort
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 
 _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
@@ -87,7 +87,7 @@ class OnnxModel:
     is not an ONNX network that the runtime can load, or has other inputs or outputs.
     """
 
-    def __init__(self, manifest: Manifest, threads: int = 1) -> None:
+    def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         self.manifest = manifest
         self.path = manifest.model_file()
         content = self.path.read_bytes()

@@ -9,18 +9,18 @@ import yaml
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.manifest import DOMAIN_SUFFIX, Manifest
+from ltm_core.vision.manifest import DOMAIN_SUFFIX, NetworkManifest
 from ltm_core.vision.picture_domain import DomainSpace
 
 _DIGITS = 5
 
 
-def domain_path(manifest: Manifest) -> Path:
+def domain_path(manifest: NetworkManifest) -> Path:
     """Where the domains of a network lie."""
     return manifest.folder / f"{manifest.name}{DOMAIN_SUFFIX}"
 
 
-def load_domain(manifest: Manifest) -> DomainSpace | None:
+def load_domain(manifest: NetworkManifest) -> DomainSpace | None:
     """Of a network; None where nobody measured it. Raises ModelError for a file that cannot be taken, or is of another
     network or of a map that the manifest does not state."""
     path = domain_path(manifest)

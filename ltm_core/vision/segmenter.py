@@ -15,9 +15,16 @@ from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import open_choice
 from ltm_core.vision.label_confidence import agreed, doubt_of_photographs, load_calibration
 from ltm_core.vision.label_corrections import against_green, withdraw
-from ltm_core.vision.label_head import LabelHead, find_head, read_head
+from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import AUTO_HEAD, DEFAULT_MODEL, SHIPPED_HEAD, InputSpec, Manifest, Withdrawal
+from ltm_core.vision.manifest import (
+    AUTO_HEAD,
+    DEFAULT_MODEL,
+    SHIPPED_LABEL_HEAD,
+    InputSpec,
+    NetworkManifest,
+    Withdrawal,
+)
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
 from ltm_core.vision.tensors import as_tensor, fitted, input_tensor, upsampled_winner
@@ -49,7 +56,7 @@ class Segmenter:
 
     def __init__(
         self,
-        manifest: Manifest,
+        manifest: NetworkManifest,
         threads: int = 1,
         labels: LabelSet | None = None,
         words: Sequence[str] | None = None,
@@ -85,20 +92,20 @@ class Segmenter:
         path_or_name: str | Path = DEFAULT_MODEL,
         threads: int = 1,
         labels: LabelSet | None = None,
-        head: str = SHIPPED_HEAD,
+        head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
     ) -> "Segmenter":
         """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
 
-        With a head, the network is the one that `Manifest.serving` names. Head `auto` is chosen by the picture.
-        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_head`, `read_head`,
-        and for `auto` of a network whose domains nobody measured.
+        With a head, the network is the one that `NetworkManifest.serving` names. Head `auto` is chosen by the picture.
+        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_label_head`,
+        `read_label_head`, and for `auto` of a network whose domains nobody measured.
         """
-        manifest = Manifest.find(path_or_name).serving(head)
+        manifest = NetworkManifest.find(path_or_name).serving(head)
         if head == AUTO_HEAD:
             return cls(manifest, threads, labels, choice=open_choice(manifest, heads))
-        file = find_head(head, manifest, heads)
-        return cls(manifest, threads, labels, head=None if file is None else read_head(file, manifest)[0])
+        file = find_label_head(head, manifest, heads)
+        return cls(manifest, threads, labels, head=None if file is None else read_label_head(file, manifest)[0])
 
     @property
     def name(self) -> str:
@@ -118,9 +125,9 @@ class Segmenter:
         """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
         ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        head, told = self.head, network if self.head is None else f"{network}, head {self.head.described}"
+        head, told = self.head, network if self.head is None else f"{network}, label head {self.head.described}"
         if self.choice is not None:
-            head, told = self.choice.present, f"{network}, head {self.choice.described}"
+            head, told = self.choice.present, f"{network}, label head {self.choice.described}"
         doubt = doubt_of_photographs(load_calibration(self.manifest)) if head is None else head.doubt
         return f"{told}, {doubt}" if doubt else told
 
@@ -292,7 +299,7 @@ def _check(image: UInt8Array) -> None:
         raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
 
 
-def _class_labels(manifest: Manifest, classes: tuple[str, ...], labels: LabelSet) -> UInt8Array:
+def _class_labels(manifest: NetworkManifest, classes: tuple[str, ...], labels: LabelSet) -> UInt8Array:
     """Our label id of each of the network's classes, (K,) uint8."""
     for name, label in manifest.mapping.items():
         if label != "unlabelled" and label not in labels.names:

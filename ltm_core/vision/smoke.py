@@ -61,7 +61,7 @@ _WIDER: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _SmokeFrame:
     """A picture at `at_s` seconds. `grey`: (h, w) uint8; `land`: (h, w) bool; `coarse`: (h / 4, w / 4), its pattern."""
 
     at_s: float
@@ -86,7 +86,7 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """A `_Seen` in its place of a `_Places`: `land` is packed, eight pixels a byte."""
+    """A `_SmokeFrame` in its place of a `_Places`: `land` is packed, eight pixels a byte."""
 
     at_s: float
     grey: UInt8Array
@@ -111,7 +111,7 @@ class _Places:
     def nbytes(self) -> int:
         return self._bytes.nbytes
 
-    def keep(self, seen: _Seen) -> _Kept:
+    def keep(self, seen: _SmokeFrame) -> _Kept:
         """In the place of the one that was kept `REMEMBERED` pictures ago. One that is larger than the first gets a
         place of its own."""
         packed = np.packbits(seen.land)
@@ -145,7 +145,7 @@ class SmokeMemory:
         """(H, W) bool, where smoke hides the land in a picture (H, W, 3) RGB taken at `at_s`; None: nowhere that could
         be told. `labels`: (H, W), what was taken for land is remembered as such. A picture from before the last one
         is judged, and not remembered; one from hours before begins anew, for a clock was set."""
-        now = _Seen.of(picture, labels, at_s)
+        now = _SmokeFrame.of(picture, labels, at_s)
         if self._seen and at_s < self._seen[-1].at_s - OLDEST_S:
             self._seen.clear()
         found = self._told(now)
@@ -156,13 +156,13 @@ class SmokeMemory:
         size = picture.shape[1::-1]
         return np.asarray(cv2.resize(found.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
-    def _is_new(self, now: _Seen) -> bool:
+    def _is_new(self, now: _SmokeFrame) -> bool:
         """By views, for a patrol that comes round in five minutes would else be remembered in one of them alone."""
         if not self._seen or now.at_s - self._seen[-1].at_s < AT_LEAST_APART_S:
             return not self._seen
         return not any(_of_one_view(s, now) for s in self._seen if now.at_s - s.at_s < APART_S)
 
-    def _told(self, now: _Seen) -> BoolArray | None:
+    def _told(self, now: _SmokeFrame) -> BoolArray | None:
         could = [s for s in self._seen if APART_S <= now.at_s - s.at_s <= OLDEST_S and _of_one_view(s, now)]
         after = _Pattern.of(now)
         pairs = [pair for s in _newest_and_others(could) if (pair := _compare(s, after)) is not None]
@@ -190,7 +190,7 @@ class _Pattern:
     variance: Float32Array
 
     @classmethod
-    def of(cls, seen: _Seen | _Kept) -> Self:
+    def of(cls, seen: _SmokeFrame | _Kept) -> Self:
         grey = seen.grey.astype(np.float32)
         mean = _around(grey)
         return cls(grey, mean, np.maximum(_around(grey * grey) - mean**2, 0))
@@ -208,7 +208,7 @@ class _Pair:
     agrees: float
 
 
-def _of_one_view(one: _Kept, other: _Seen) -> bool:
+def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
     """Whether they may be: a first look, that of `_compare` is the one that counts."""
     if one.grey.shape != other.grey.shape:
         return False

@@ -17,7 +17,7 @@ from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.word_embeddings_io import load_text
 
@@ -58,7 +58,7 @@ class Vocabulary:
 
 
 @dataclass(frozen=True)
-class Reading:
+class QueryMatch:
     """What was made of one query: the network's classes that answer it, and how that came, in words."""
 
     query: str
@@ -77,10 +77,10 @@ def parse_queries(text: str) -> list[str]:
     return queries
 
 
-def read_queries(queries: Sequence[str], manifest: Manifest, vocabulary: Vocabulary) -> list[Reading]:
+def read_queries(queries: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> list[QueryMatch]:
     """What a network makes of each query. Raises ConfigError for a word that neither it nor the vocabulary knows."""
     words = load_text(manifest).names if manifest.text is not None else manifest.classes
-    readings: list[Reading] = []
+    readings: list[QueryMatch] = []
     taken: dict[str, str] = {}
     for query in queries:
         reading = _read(query, words, manifest, vocabulary)
@@ -90,13 +90,13 @@ def read_queries(queries: Sequence[str], manifest: Manifest, vocabulary: Vocabul
             rival = taken[reading.classes[0]]
             how += f"; so is {rival!r}, and all of it is reported as {rival!r}"
         taken.update(dict.fromkeys(free, query))
-        readings.append(Reading(query, free, how))
+        readings.append(QueryMatch(query, free, how))
     return readings
 
 
-def _read(query: str, words: Sequence[str], manifest: Manifest, vocabulary: Vocabulary) -> Reading:
+def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> QueryMatch:
     if query in words:
-        return Reading(query, (query,), f"is a word of {manifest.name}")
+        return QueryMatch(query, (query,), f"is a word of {manifest.name}")
     if manifest.text is not None:
         close = ", ".join(difflib.get_close_matches(query, words, 4, 0.4)) or ", ".join(list(words)[:12])
         raise ConfigError(
@@ -107,7 +107,7 @@ def _read(query: str, words: Sequence[str], manifest: Manifest, vocabulary: Voca
         label = vocabulary.label_of.get(phrase)
         classes = tuple(name for name in manifest.classes if label is not None and manifest.mapping.get(name) == label)
         if classes:
-            return Reading(query, classes, f"is read as {label}{how}: {manifest.name} knows no finer word")
+            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} knows no finer word")
         if label is not None:
             raise ConfigError(f"{query!r} is {label}, of which {manifest.name} knows no class")
     known = sorted(vocabulary.label_of)
@@ -116,8 +116,8 @@ def _read(query: str, words: Sequence[str], manifest: Manifest, vocabulary: Voca
 
 
 def open_vocabulary(
-    manifest: Manifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
-) -> tuple[Segmenter, list[Reading]]:
+    manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
+) -> tuple[Segmenter, list[QueryMatch]]:
     """A segmenter whose labels are the queries, in their order, and what was made of each.
 
     Among a text network's words only the queries compete; another network's classes that answer no query stay

@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.text_io import load_arrays
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 
 LARGEST = 64 << 20
 """Bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
@@ -41,7 +41,7 @@ class TextEmbeddings:
         return np.asarray(np.float32(self.scale) * cosine, np.float32)
 
 
-def load_text(manifest: Manifest) -> TextEmbeddings:
+def load_text(manifest: NetworkManifest) -> TextEmbeddings:
     """The text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than the
     manifest states, a word twice, or one in `mapping` that is not there."""
     path, spec = manifest.text_file(), manifest.text

@@ -17,7 +17,7 @@ import yaml
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.site.sections import Limits
+from ltm_core.site.sections import MessageLimits
 from ltm_core.site.site_io import load_site
 from ltm_lab.bench import memory
 from ltm_lab.bench.measure import peak_mb
@@ -56,7 +56,7 @@ class Dropped:
     grown_mb: float
 
 
-def largest_camera(limits: Limits) -> Camera:
+def largest_camera(limits: MessageLimits) -> Camera:
     """4:3, of as many pixels as are taken."""
     quarter = int((limits.pixels / 12) ** 0.5)
     return Camera.from_fov(4 * quarter, 3 * quarter, 60.0)
@@ -67,7 +67,7 @@ def nodes_at_bound(folder: Path, begin: Callable[[str], None] = lambda name: Non
     is taken. Raises BenchError.
     """
     begin("making frames")
-    memory.make_site(folder, DEM_CELLS, largest_camera(Limits()))
+    memory.make_site(folder, DEM_CELLS, largest_camera(MessageLimits()))
     site_path, bag, results = folder / "site.yaml", folder / "bag", folder / "results"
     content = yaml.safe_load(site_path.read_text())
     site_path.write_text(yaml.safe_dump(content | {"terrain": {}}, sort_keys=False))
@@ -93,7 +93,7 @@ def dropped(folder: Path) -> Iterator[Dropped]:
 
 def _beyond() -> Iterator[tuple[str, str, str, list[tuple[str, Any]]]]:
     """Node, kind of its camera's images, what is too large, and messages by topic, of which the last is dropped."""
-    limits, optical = Limits(), f"{CAMERA}_optical"
+    limits, optical = MessageLimits(), f"{CAMERA}_optical"
     most = largest_camera(limits)
     larger = Camera.from_fov(most.width + 16, most.height + 12, 60.0)
     image = np.zeros((larger.height, larger.width, 3), np.uint8)

@@ -31,7 +31,7 @@ from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cameras.camera_source import CameraSource, Frame, Gaze
 from ltm_ros.cameras.opening import open_reader
-from ltm_ros.cameras.protocols.picture import Picture
+from ltm_ros.cameras.protocols.picture import CameraImage
 from ltm_ros.launching.graph import SOURCES_PROCESS, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.nodes.source import JPEG_QUALITY
@@ -142,7 +142,7 @@ def run_stream(url: str, frames: str, seconds: float) -> StreamResult:
 
     first = open_reader(config, 0, clock)
     try:
-        while not isinstance(picture := first.read(), Picture):
+        while not isinstance(picture := first.read(), CameraImage):
             pass
     finally:
         first.close()

@@ -83,14 +83,14 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
     site = load_site(site_path)
     with FuelSource.open(store, site) as map_:
         layers, empty = map_.layers, map_.empty if since is None else map_.at(since)
-        evidence, prior, region = map_.evidence, map_.prior, map_.region
+        evidence, prior, climate = map_.evidence, map_.prior, map_.climate
         system = system_of(prior)
         grid, terrain = site.in_map(map_.geometry), map_.terrain()
         spare, seen = spare_heights(site, grid), map_.canopy(None, terrain).seen
         now = make_landscape(
-            layers, prior, terrain.ground, site.frame, map_.geometry, region, system, spare=spare, seen=seen
+            layers, prior, terrain.ground, site.frame, map_.geometry, climate, system, spare=spare, seen=seen
         )  # fmt: skip
-        was = with_fuel(now, empty, prior, region)
+        was = with_fuel(now, empty, prior, climate)
         made = map_.provenance(layers, terrain.version, None, system, now)
     assert evidence is not None
 
@@ -100,8 +100,8 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
 
     def draw(rng: np.random.Generator) -> Landscape:
         width, stand = evidence.rules.context_cells, evidence.stand_correlation
-        codes = drawn_codes(doubt(), region, system, rng, width, stand)
-        return with_fuel(now, with_codes(layers, codes), prior, region, seen)
+        codes = drawn_codes(doubt(), climate, system, rng, width, stand)
+        return with_fuel(now, with_codes(layers, codes), prior, climate, seen)
 
     earlier = "before any camera looked" if since is None else since
     return MapPair(site.name, earlier, was, now, draw, made)

@@ -19,33 +19,7 @@ from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float32Array, Float64Array
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-
-
-def proportional_rays(camera: Camera, pose: Pose) -> Float64Array:
-    """The paper's ray F(theta, phi, u, v): angles in proportion to the pixel's offset; (H, W, 3) unit vectors, map
-    frame.
-
-    Azimuth and elevation change by the same angle from each pixel to the next; roll and lens distortion are left out.
-    At 65 degrees of horizontal field of view it is up to 1.4 degrees off a pinhole's ray.
-    """
-    azimuth_deg, pitch_deg, _ = pose.angles_deg
-    vfov_deg = 2 * math.degrees(math.atan(camera.height / 2 / camera.fy))
-    u = (np.arange(camera.width) + 0.5) / camera.width - 0.5
-    v = (np.arange(camera.height) + 0.5) / camera.height - 0.5
-    azimuth = np.radians(azimuth_deg + u * camera.hfov_deg)
-    elevation = np.radians(pitch_deg - v * vfov_deg)[:, None]
-    flat = np.cos(elevation)
-    return np.stack(
-        [
-            flat * np.sin(azimuth),
-            flat * np.cos(azimuth),
-            np.broadcast_to(np.sin(elevation), (camera.height, camera.width)),
-        ],
-        axis=-1,
-    )
 
 
 def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> Float32Array:

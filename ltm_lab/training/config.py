@@ -111,7 +111,7 @@ class TrainingConfig(StrictModel):
     redness: dict[str, float] = Field(default_factory=dict)  # likewise
     withdraw: Withdrawal = Withdrawal()  # likewise
     coarse_look: CoarseLook | None = None  # of the manifest of labels
-    heads_of: str = ""  # of the exported manifests: see manifest.Manifest; depth: that name with `_depth`
+    heads_of: str = ""  # of the exported manifests: see manifest.NetworkManifest; depth: that name with `_depth`
     licence: str = "Apache-2.0"
 
     @model_validator(mode="after")

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.picture_domain import DomainSpace, HeadDomain, land_statistics
 from ltm_core.vision.segmenter import Segmenter
 
@@ -38,7 +38,9 @@ def picture_point(segmenter: Segmenter, space: DomainSpace, photo: UInt8Array) -
     return space.point(maps[space.map], segmenter.land(scores))
 
 
-def fit_space(manifest: Manifest, sets: Sequence[Float64Array], measured_on: str, axes: int = AXES) -> DomainSpace:
+def fit_space(
+    manifest: NetworkManifest, sets: Sequence[Float64Array], measured_on: str, axes: int = AXES
+) -> DomainSpace:
     """The axes along which sets of pictures (N, 2C each) that the network was taught on spread most; each set counts
     alike. Raises ModelError where there are hardly more pictures than axes."""
     count = sum(map(len, sets))

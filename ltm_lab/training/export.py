@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
+from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest
 from ltm_lab.training.config import SplitConfig, TrainingConfig
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork
@@ -62,7 +62,7 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
 
 
 def export_adapted(
-    network: LandscapeNetwork, base: Manifest, name: str, labels: LabelSet, folder: Path, source: str
+    network: LandscapeNetwork, base: NetworkManifest, name: str, labels: LabelSet, folder: Path, source: str
 ) -> Path:
     """Write a network that was adapted from another's file, with what is known of that one's labels. `source`: what
     its manifest says of where it comes from."""

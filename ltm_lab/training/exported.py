@@ -11,7 +11,7 @@ from onnx import numpy_helper
 
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.training.config import NetworkConfig
 from ltm_lab.training.landscape_network import LandscapeNetwork, for_inference
 from ltm_lab.training.structure_cue import StructureCue
@@ -19,7 +19,7 @@ from ltm_lab.training.structure_cue import StructureCue
 _PREFIX = "network."  # of the weights' names in an exported file: see landscape.Deployed
 
 
-def load_exported(manifest: Manifest, fixed: int = 0) -> LandscapeNetwork:
+def load_exported(manifest: NetworkManifest, fixed: int = 0) -> LandscapeNetwork:
     """The network of a file that `ltm train` wrote, with its batch normalisations folded in.
 
     `fixed`: blocks of its encoder that will not learn. Raises ModelError for a file of another architecture.

@@ -10,8 +10,8 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.vision.label_confidence import Agreement, Calibration
-from ltm_core.vision.label_head import HeadFile, LabelHead
+from ltm_core.vision.label_confidence import Calibration, LabelAgreement
+from ltm_core.vision.label_head import LabelHead, LabelHeadFile
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.picture_domain import HeadDomain
@@ -25,7 +25,7 @@ from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_lab.training.labelled_frames import Frame
 from ltm_lab.training.temperature_scaling import balanced, fit_exponent
 
-AGREEMENT: Final = Agreement(reach=0.006)
+AGREEMENT: Final = LabelAgreement(reach=0.006)
 """Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
 _SEED = 0
 
@@ -34,11 +34,11 @@ _SEED = 0
 class HeadTrial:
     """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
     sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
-    `odds`: of each photo, log odds that `head: auto` chooses a head that lies where the other sites' photos do; NaN
-    where that cannot be told; None of a head for one view, and of a network whose domains nobody measured.
+    `odds`: of each photo, log odds that `label_head: auto` chooses a head that lies where the other sites' photos do;
+    NaN where that cannot be told; None of a head for one view, and of a network whose domains nobody measured.
     """
 
-    file: HeadFile
+    file: LabelHeadFile
     sites: tuple[str, ...]
     folds: str
     before: LabelScore
@@ -118,7 +118,7 @@ def teach_head(
     )
     domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
     final = taught(samples)
-    file = HeadFile(
+    file = LabelHeadFile(
         name=name,
         network=manifest.name,
         sha256=manifest.sha256,
@@ -155,7 +155,7 @@ def _domain(
 
 def _judged_by_others(
     segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
-) -> tuple[dict[str, LabelHead], Agreement]:
+) -> tuple[dict[str, LabelHead], LabelAgreement]:
     """The heads of the groups held out as they are scored, with the agreement that the photos of the other groups gave,
     so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
     surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
@@ -173,7 +173,7 @@ def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float6
     return found.confidence[land] / 255, found.labels[land] == frame.labels[land]
 
 
-def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> Agreement:
+def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> LabelAgreement:
     """With the exponent that makes it the share of right labels."""
     return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(surety), 3)})
 

@@ -46,14 +46,14 @@ _NOT_VOTES = {
     "refine_poses",
     "limits",
 }
-_NOT_VOTES |= {"watchdog", "health", "region", "model", "heads", "labels", "name"}
+_NOT_VOTES |= {"watchdog", "health", "region", "model", "label_heads", "labels", "name"}
 """Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
 by its content beside it."""
 _NOT_MAP = _NOT_VOTES - {"terrain", "name"}
 _SEEN = {"mask", "view_masks", "judge_pictures"}
 """Of a camera: what of its pictures is taken to show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
-_NOT_VOTES_OF_FUEL = {"prior", "region", "fusion", "label_errors"}
+_NOT_VOTES_OF_FUEL = {"prior", "climate", "fusion", "label_errors"}
 """What evidence is made of votes with."""
 
 

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import mean, stdev
 
-from rich.table import Table
-
 from ltm_ros.archive.frame_files import frame_files
 from ltm_ros.archive.manifest import ArchiveFrame, days_of
 from ltm_ros.archive.plan import MEASURED, VOTES
@@ -44,37 +42,41 @@ def cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> Cost:
     return Cost(mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:]))
 
 
-def dry_run_table(planned: Plan) -> list[Table]:
-    """Frames, gaps and costs by camera; and what could not be taken, with the reason."""
-    about = Table(title=f"{len(planned.frames)} frames in {len(planned.tasks)} tasks", caption=_caption(planned))
-    for column in ("camera", "frames", "days", "days without", "GB in", "core-hours", "made, MB"):
-        about.add_column(column, justify="left" if column == "camera" else "right")
+COST_COLUMNS = ("camera", ">frames", ">days", ">days without", ">GB in", ">core-hours", ">made, MB")
+
+
+def cost_rows(planned: Plan) -> list[tuple[str, ...]]:
+    """Return frames, gaps and costs of each camera, as `COST_COLUMNS` names them."""
+    rows: list[tuple[str, ...]] = []
     days = days_of(planned.frames)
     for camera in sorted({frame.camera for frame in planned.frames}):
         frames = [frame for frame in planned.frames if frame.camera == camera]
         its = sorted(day for name, day in days if name == camera)
         cost = cost_of(frames, planned)
         hours, error = (seconds * len(frames) / 3600 for seconds in (cost.cpu_s, cost.error_s))
-        about.add_row(
-            camera,
-            str(len(frames)),
-            str(len(its)),
-            str(its[-1] - its[0] + 1 - len(its)),
-            f"{sum(frame.size_bytes for frame in frames) / 1e9:.3g}",
-            f"{hours:.3g} ± {error:.1g}",
-            f"{cost.made_bytes * len(frames) / 1e6:.3g}",
+        rows.append(
+            (
+                camera,
+                str(len(frames)),
+                str(len(its)),
+                str(its[-1] - its[0] + 1 - len(its)),
+                f"{sum(frame.size_bytes for frame in frames) / 1e9:.3g}",
+                f"{hours:.3g} ± {error:.1g}",
+                f"{cost.made_bytes * len(frames) / 1e6:.3g}",
+            )
         )
-    lost = Table(title="not taken")
-    for column in ("camera", "cause", "frames", "first reason"):
-        lost.add_column(column, overflow="fold")
-    for failure in (*planned.manifest.unread, *planned.manifest.failures):
-        lost.add_row(failure.place, failure.cause, str(failure.count), failure.why)
-    for note in planned.manifest.damage:
-        lost.add_row("", "damage", "", note)
-    return [about, lost] if lost.row_count else [about]
+    return rows
 
 
-def _caption(planned: Plan) -> str:
+def lost_rows(planned: Plan) -> list[tuple[str, ...]]:
+    """Return camera or place, cause, number of frames and first reason of what cannot be processed."""
+    failures = (*planned.manifest.unread, *planned.manifest.failures)
+    rows: list[tuple[str, ...]] = [(one.place, one.cause, str(one.count), one.why) for one in failures]
+    return rows + [("", "damage", "", note) for note in planned.manifest.damage]
+
+
+def cost_note(planned: Plan) -> str:
+    """Return what the columns of `cost_rows` mean for this run."""
     to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
     return (
         f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} held more than once; core-hours to "

@@ -19,9 +19,11 @@ import fsspec
 
 from ltm_core.base.errors import ArchiveError
 from ltm_ros.archive.content_digest import digest
+from ltm_ros.runtime.retry import Backoff
 
-WAITS_S = (0.5, 1.0, 2.0, 4.0)
-"""Before a store is asked again. It also asks again by itself, as `AWS_MAX_ATTEMPTS` says."""
+TRIES, FIRST_WAIT_S = 5, 0.5
+"""Maximum number of requests to a store, and the pause after the first one, which then doubles. The store's library
+repeats each request by itself, as often as `AWS_MAX_ATTEMPTS` says."""
 _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "created")
 """What stores say of an object by which a change of it is known; the first that is there counts."""
 _OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -230,7 +232,8 @@ def _removed(place: Path) -> bool:
 def asked(name: str, action: Callable[[], T]) -> T:
     """What a store answers, which is asked again while it fails. Raises ArchiveError where it has failed too often, or
     has nothing of that name, or gives it to others only; OSError where this machine's disk is full."""
-    for wait_s in (*WAITS_S, None):
+    backoff = Backoff(FIRST_WAIT_S)
+    for tried in range(1, TRIES + 1):
         try:
             return action()
         except (FileNotFoundError, PermissionError) as error:
@@ -238,12 +241,12 @@ def asked(name: str, action: Callable[[], T]) -> T:
         except Exception as error:  # of botocore, which has hundreds
             if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
                 raise
-            if wait_s is None:
+            if tried == TRIES:
                 raise ArchiveError(
-                    f"{name} cannot be read just now ({_words(error)}, asked {len(WAITS_S) + 1} times); check the "
+                    f"{name} cannot be read just now ({_words(error)}, asked {TRIES} times); check the "
                     "store and the network, then run again"
                 ) from error
-            time.sleep(wait_s)
+            time.sleep(backoff.failed())
     raise AssertionError("the last try returns or raises")
 
 

@@ -27,7 +27,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import measured_digest, votes_digest
 from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import PictureReader
+from ltm_ros.archive.pictures import ArchiveImageReader
 from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings, other_files
 from ltm_ros.runtime.health import cause_of
 
@@ -65,7 +65,7 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
     votes, measured = _VotesFile(), MeasuredFile()
-    with PictureReader(ArchiveFiles(settings.cache)) as reader:
+    with ArchiveImageReader(ArchiveFiles(settings.cache)) as reader:
         for frame in task.frames:
             picture = reader.read(frame)
             try:

@@ -96,7 +96,7 @@ class Failure:
 
 
 @dataclass
-class Manifest:
+class ArchiveManifest:
     """`frames` by camera and stamp. `unread`: recordings of which nobody knows what they hold. `failures`: frames that
     were lost on the way here. `repeated`: frames that archives hold more than once. `unchanged`: pictures that are a
     camera's last one again, and so no frames where the site has `drop_repeated`. `damage`: of files, in words."""
@@ -118,21 +118,23 @@ class ManifestRules:
     max_behind: float
 
 
-def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> Manifest:
+def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> ArchiveManifest:
     """Of these cameras' frames. Raises ArchiveError for a site whose poses hang on the order of frames."""
     if site.refine_poses is not None:
         raise ArchiveError(
             f"site {site.name} refines poses (refine_poses): a frame's pose then hangs on those before it; write what "
             "was found into the site file (ltm pose) and take the section out of it for the archive"
         )
-    manifest = Manifest(damage=[note for scan in scans for note in scan.damage])
+    manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for camera in cameras:
         _join_camera(scans, site, camera, rules, manifest)
     manifest.frames.sort(key=lambda frame: (frame.camera, frame.stamp_ns))
     return manifest
 
 
-def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: ManifestRules, manifest: Manifest) -> None:
+def _join_camera(
+    scans: Sequence[Scan], site: Site, camera: str, rules: ManifestRules, manifest: ArchiveManifest
+) -> None:
     health, frames = Health(), dict[int, ArchiveFrame]()
     log_time = 0
     stamps, pictures = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind), RepeatCheck()

@@ -27,7 +27,7 @@ _HELD = 4
 """Recordings that are open at once: those of one time overlap little."""
 
 
-class PictureReader:
+class ArchiveImageReader:
     """Reads pictures by file, topic and log time: of a recording of many cameras, only the chunks that hold them.
 
     A context: files of a store are held while it lasts, as many as are read by turns.
@@ -97,11 +97,11 @@ class PictureReader:
 class SmallLook:
     """Says of a camera's pictures why they show too little, as the labelling does of whole ones (`usable.judge`)."""
 
-    def __init__(self, site: Site, camera: str, reader: PictureReader) -> None:
+    def __init__(self, site: Site, camera: str, reader: ArchiveImageReader) -> None:
         self._scene, self._reader = site_scene_filter(site, camera), reader
 
     def __call__(self, frame: ArchiveFrame) -> str:
-        """Empty: it is clear. Raises ArchiveError as `PictureReader.read`."""
+        """Empty: it is clear. Raises ArchiveError as `ArchiveImageReader.read`."""
         picture = self._reader.read(frame)
         try:
             small = _small(picture)

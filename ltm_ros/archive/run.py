@@ -27,7 +27,7 @@ from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.frame_files import LostFrame
-from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
+from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest, packed
 from ltm_ros.archive.node_rules import node_rules, refuse_terrain
 from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
 from ltm_ros.archive.publish import RUN, map_digest, publish, standing_record
@@ -71,7 +71,7 @@ class Plan:
     site: Site
     results: ResultFolder
     settings: TaskSettings
-    manifest: Manifest
+    manifest: ArchiveManifest
     frames: tuple[ArchiveFrame, ...]
     """To work, of those in the manifest."""
     passed_over: Counter[str]

@@ -28,7 +28,7 @@ from ltm_core.site.site import Site
 from ltm_ros.archive.content_digest import code_digest, digest, look_digest
 from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import PictureReader, SmallLook
+from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
 from ltm_ros.archive.results import ResultFolder
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
@@ -222,7 +222,7 @@ def chosen(
     still = repeated(frames, longitude)
     taken, passed = list[ArchiveFrame](), Counter[str]()
     asked = [frame for frame in frames if within[0] <= frame.stamp_ns <= within[1]]
-    with PictureReader(files) as reader:
+    with ArchiveImageReader(files) as reader:
         looks = {camera: SmallLook(site, camera, reader) for camera in {frame.camera for frame in asked}}
         for span in spans(in_daylight(asked, site), sample, longitude):
             new = [frame for frame in span if (frame.camera, frame.stamp_ns) not in still]

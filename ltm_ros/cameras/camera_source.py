@@ -4,6 +4,7 @@ is. Without ROS; time comes from a clock that tests replace."""
 from __future__ import annotations
 
 import hashlib
+import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -14,16 +15,15 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
-from ltm_ros.cameras.backoff import Backoff
 from ltm_ros.cameras.camera_state import CameraState, StateRecord
 from ltm_ros.cameras.lens_watch import LensWatch
-from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, Reading, Tolerance, at_rest
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError, StuckHeadError, UnauthorisedError
+from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.errors import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
 from ltm_ros.cameras.protocols.picture import (
+    CameraImage,
+    CameraReader,
     Nothing,
-    Picture,
-    PictureReader,
     StuckPicture,
     is_night,
     thumbnail_of_bytes,
@@ -31,11 +31,21 @@ from ltm_ros.cameras.protocols.picture import (
 )
 from ltm_ros.runtime.clocks import Clock
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.retry import Backoff
 
+FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0
+"""First and longest pause before a camera that failed is requested again."""
+UNAUTHORISED_S = 600.0
+"""Pause after a rejected password: cameras lock an account after a few of them within minutes."""
 SETTLE_S = 1.0
-"""After a picture that was taken while the head moved: it may rest by then."""
+"""After a picture that was taken while the PTZ head moved: it may rest by then."""
 SET_BACK_NS = 10**10
 """By which a stamp is before the last one only where the clock was set; frames so far ahead are refused anyway."""
+
+
+def camera_backoff(jitter: random.Random | None = None) -> Backoff:
+    """Return the pauses between failing requests, with jitter: cameras behind one switch come back one by one."""
+    return Backoff(FIRST_RETRY_S, LONGEST_RETRY_S, jitter or random.Random())  # nosec B311 # spreads load, guards nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +66,14 @@ class Frame:
     """Of this picture: a lens may zoom."""
     pose: Pose | None
     covariance: Float64Array | None
-    reading: Reading | None = None
-    """What a head said just after the picture."""
+    reading: PtzReading | None = None
+    """What a PTZ head said just after the picture."""
 
 
 @dataclass(frozen=True)
 class Gaze:
-    """How a camera's pose is known: a fixed one, or by what its head says and what the mount makes of that; neither:
-    somebody else tells it."""
+    """How a camera's pose is known: a fixed one, or by what its PTZ head says and what the mount makes of that;
+    neither: somebody else tells it."""
 
     pose: Pose | None = None
     covariance: Float64Array | None = None
@@ -73,7 +83,7 @@ class Gaze:
     lens: ZoomLens | None = None
     """None: it does not zoom."""
     patrol: Patrol | None = None
-    """None: the head is not driven."""
+    """None: the PTZ head is not driven."""
 
 
 class CameraSource:
@@ -91,22 +101,22 @@ class CameraSource:
         settings: SourceSettings,
         calibration: Camera,
         gaze: Gaze,
-        open_reader: Callable[[], PictureReader],
+        open_reader: Callable[[], CameraReader],
         deliver: Callable[[Frame], None],
         health: Health,
         clock: Clock,
-        backoff: Backoff | None = None,
+        jitter: random.Random | None = None,
     ) -> None:
         self._settings, self._calibration, self._gaze = settings, calibration, gaze
         self._open, self._deliver, self._health, self._clock = open_reader, deliver, health, clock
-        self._backoff = backoff or Backoff()
-        self._reader: PictureReader | None = None
+        self._backoff = camera_backoff(jitter)
+        self._reader: CameraReader | None = None
         self._exposures = ExposureClock()
         self._stuck = StuckPicture(settings.stuck_s)
         self._lens = LensWatch()
         self._record = StateRecord(clock.monotonic())
-        self._before: Reading | None = None
-        """What the head said last; None: not since the connection was made."""
+        self._before: PtzReading | None = None
+        """What the PTZ head said last; None: not since the connection was made."""
         self._digest = b""
         self._stamp_ns = -1
         self._last_good: float | None = None
@@ -127,8 +137,8 @@ class CameraSource:
         try:
             pause = self._ask()
         except UnauthorisedError as error:
-            return self._failed(CameraState.UNAUTHORISED, error, self._backoff.unauthorised())
-        except StuckHeadError as error:
+            return self._failed(CameraState.UNAUTHORISED, error, UNAUTHORISED_S)
+        except StuckPtzError as error:
             self._refuse("stuck", str(error))
             self._become(CameraState.STUCK, str(error))
             pause = self._settings.period
@@ -182,22 +192,22 @@ class CameraSource:
         elif item is Nothing.UNCHANGED:
             self._repeated()
         else:
-            assert isinstance(item, Picture)  # nosec B101 # tells the type checker what holds
+            assert isinstance(item, CameraImage)  # nosec B101 # tells the type checker what holds
             rested = self._take(item)
             self._backoff.succeeded()
             if not rested:
                 return min(reader.pause, SETTLE_S)
         return reader.pause
 
-    def _take(self, picture: Picture) -> bool:
-        """Judge a picture, and deliver it where it is good. False where the head moved. Raises PictureError."""
-        reading, rested = self._look_at_head(picture)
+    def _take(self, picture: CameraImage) -> bool:
+        """Judge a picture, and deliver it where it is good. False where the PTZ head moved. Raises PictureError."""
+        reading, rested = self._read_ptz(picture)
         now = self._clock.monotonic()
         wall_less_monotonic = self._clock.wall() - now
         exposure = self._exposures.estimate(picture.timing, wall_less_monotonic)
         if not rested:
-            self._refuse("moved", "the head moved while the picture was taken; let a preset rest longer")
-            self._become(CameraState.MOVED, "the head moves")
+            self._refuse("moved", "the PTZ head moved while the picture was taken; let a preset rest longer")
+            self._become(CameraState.MOVED, "the PTZ head moves")
             return False
         self._check_fit(picture)
         if picture.jpeg is not None:
@@ -229,8 +239,8 @@ class CameraSource:
         self._publish(picture, exposure, wall_less_monotonic, reading)
         return True
 
-    def _look_at_head(self, picture: Picture) -> tuple[Reading | None, bool]:
-        """Where the head looked, and whether it stood still."""
+    def _read_ptz(self, picture: CameraImage) -> tuple[PtzReading | None, bool]:
+        """Where the PTZ head looked, and whether it stood still."""
         gaze = self._gaze
         if gaze.direction is None:
             return picture.direction, picture.direction is None or not picture.direction.moving
@@ -238,7 +248,7 @@ class CameraSource:
         self._before = after
         return after, before is not None and at_rest(before, after, gaze.tolerance)
 
-    def _check_fit(self, picture: Picture) -> None:
+    def _check_fit(self, picture: CameraImage) -> None:
         """Raises PictureError with both sizes where the calibration is for another."""
         if picture.rgb is not None:
             size = (picture.rgb.shape[1], picture.rgb.shape[0])
@@ -255,7 +265,7 @@ class CameraSource:
             )
 
     def _publish(
-        self, picture: Picture, exposure: Exposure, wall_less_monotonic: float, reading: Reading | None
+        self, picture: CameraImage, exposure: Exposure, wall_less_monotonic: float, reading: PtzReading | None
     ) -> None:
         synchronised = None if self._settings.unsynchronised == "ignore" else self._clock.synchronised()
         self._health.gauge("clock_synchronised", {None: "unknown", True: "yes", False: "no"}[synchronised])

@@ -13,38 +13,38 @@ from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
 from ltm_core.site.source_config import SourceConfig
 from ltm_ros.cameras.camera_source import Gaze
-from ltm_ros.cameras.protocols.direction import Reading, Tolerance
-from ltm_ros.cameras.ptz.head import HeadDirection, HeadPatrol, tolerance_of
-from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
+from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
+from ltm_ros.cameras.ptz.opening import open_ptz
 
 
 class MountPoses:
-    """The `PoseModel` of a head on its mount."""
+    """The `PoseModel` of a PTZ head on its mount."""
 
     def __init__(self, model: MountModel, tolerance: Tolerance) -> None:
         self._model = model
-        # What a head at rest may still have moved.
+        # What a PTZ head at rest may still have moved.
         self._moved = (tolerance.angle_deg, tolerance.angle_deg)
 
-    def pose(self, reading: Reading) -> tuple[Pose, Float64Array]:
+    def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
         return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
 
 
-def gaze_of_head(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
-    """Asks the head nothing yet. Without `ptz`, directions come with the pictures. Raises what `MountConfig.model`
+def gaze_of_ptz(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
+    """Asks the PTZ head nothing yet. Without `ptz`, directions come with the pictures. Raises what `MountConfig.model`
     raises."""
     model = mount.model(site.open_dem(), site.frame)
     lens = None if mount.lens is None else mount.lens.lens()
     if ptz is None:
         return Gaze(model=MountPoses(model, Tolerance()), lens=lens)
     tolerance = tolerance_of(ptz)
-    direction = HeadDirection(lambda: open_head(ptz, source))
+    direction = PtzDirection(lambda: open_ptz(ptz, source))
     return Gaze(
         direction=direction,
         model=MountPoses(model, tolerance),
         tolerance=tolerance,
         lens=lens,
-        patrol=None if ptz.patrol is None else HeadPatrol(direction, ptz.patrol, tolerance),
+        patrol=None if ptz.patrol is None else PtzPatrol(direction, ptz.patrol, tolerance),
     )
 
 
@@ -59,10 +59,10 @@ def calibration_of(camera: CameraConfig, name: str) -> Camera:
 
 
 def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
-    """Of a camera that stands still, the pose that the site file states; of one on a head, what makes poses of its
+    """Of a camera that stands still, the pose that the site file states; of one on a PTZ head, what makes poses of its
     readings."""
     if camera.mount is not None:
-        return gaze_of_head(site, camera.mount, camera.ptz, camera.source)
+        return gaze_of_ptz(site, camera.mount, camera.ptz, camera.source)
     if camera.pose is None:
         return Gaze()
     pose = camera.pose.pose(site.open_dem(), site.frame)

@@ -14,12 +14,12 @@ from ltm_core.site.source_config import (
 from ltm_ros.cameras.protocols.camera_list import CameraListReader
 from ltm_ros.cameras.protocols.folder import FolderReader
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
-from ltm_ros.cameras.protocols.picture import PictureReader
+from ltm_ros.cameras.protocols.picture import CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader, V4l2Reader
 from ltm_ros.runtime.clocks import Clock
 
 
-def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> PictureReader:
+def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraReader:
     """`most_bytes`: of a picture. Raises SourceError."""
     match config:
         case SnapshotConfig():

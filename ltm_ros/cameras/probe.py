@@ -17,16 +17,16 @@ from ltm_core.base.redaction import redacted
 from ltm_core.site.ptz_config import PtzConfig
 from ltm_core.site.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig, url_without_secrets
 from ltm_msgs_py.image import picture_size
-from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.http_client import Answer, HttpClient, http_time
+from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader
-from ltm_ros.cameras.protocols.picture import Picture, PictureReader
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.connection import at_asked_host
-from ltm_ros.cameras.ptz.head import Head, Limits
-from ltm_ros.cameras.ptz.onvif import OnvifHead
-from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
+from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.opening import open_ptz
 
 MOST_BYTES, MOST_WORDS = 32 << 20, 64 << 10
 LISTENS_S = 4.0
@@ -42,7 +42,7 @@ SNAPSHOT_PATHS = (
 """Where makers have them: Axis, Hikvision, and what many use."""
 REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
 """Only for a camera that is one of Reolink's: others would get the password in a URL for nothing."""
-HEADS: tuple[dict[str, Any], ...] = (
+PTZ_KINDS: tuple[dict[str, Any], ...] = (
     {"kind": "vapix"},
     {"kind": "isapi", "units": "degrees"},
     {"kind": "isapi", "units": "tenths"},
@@ -52,10 +52,10 @@ HEADS: tuple[dict[str, Any], ...] = (
 
 
 @dataclass
-class HeadFound:
+class PtzFound:
     config: dict[str, Any]
-    reading: Reading
-    limits: Limits
+    reading: PtzReading
+    limits: PtzLimits
     presets: tuple[str, ...]
 
 
@@ -73,7 +73,7 @@ class Found:
     """Whether two requests a moment apart gave two pictures."""
     clock_ahead_s: float | None = None
     clock_known_to_s: float | None = None
-    head: HeadFound | None = None
+    ptz: PtzFound | None = None
     stream: str | None = None
     """Another address of the camera, as it states it."""
     tried: list[tuple[str, str]] = field(default_factory=list)
@@ -115,10 +115,10 @@ def probe(
                 say(f"a picture at {urlsplit(place).path}")
                 _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
     web = {"url": base, **login, "ca": ca, "check_name": check_name}
-    for given in HEADS:
-        if found.head is None and (given["kind"] == "reolink") <= reolink:
-            say(f"a head by {given['kind']}")
-            _try(found, f"head by {' '.join(given.values())}", lambda given=given: _head(found, given, web))  # type: ignore[misc]
+    for given in PTZ_KINDS:
+        if found.ptz is None and (given["kind"] == "reolink") <= reolink:
+            say(f"a PTZ head by {given['kind']}")
+            _try(found, f"PTZ head by {' '.join(given.values())}", lambda given=given: _try_ptz(found, given, web))  # type: ignore[misc]
     if found.source is None and found.stream is not None and found.stream.startswith("http"):
         stated = found.stream
         tls = login | {"ca": ca, "check_name": check_name}
@@ -181,7 +181,7 @@ def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
     return f"a picture of {found.size[0]} x {found.size[1]} pixels"
 
 
-def _stream(found: Found, reader: PictureReader) -> str:
+def _stream(found: Found, reader: CameraReader) -> str:
     count, first, last = 0, 0.0, 0.0
     try:
         for picture in _pictures(reader):
@@ -202,15 +202,15 @@ def _stream(found: Found, reader: PictureReader) -> str:
     return f"{count} pictures in {LISTENS_S:g} s"
 
 
-def _pictures(reader: PictureReader) -> Iterator[Picture]:
+def _pictures(reader: CameraReader) -> Iterator[CameraImage]:
     until = time.monotonic() + LISTENS_S
     while time.monotonic() < until:
         item = reader.read()
-        if isinstance(item, Picture):
+        if isinstance(item, CameraImage):
             yield item
 
 
-def _clock_of(found: Found, answers: list[Answer]) -> None:
+def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
     """All answers together say more than one: the camera's time has whole seconds."""
     low, high = -float("inf"), float("inf")
     for answer in answers:
@@ -223,23 +223,23 @@ def _clock_of(found: Found, answers: list[Answer]) -> None:
     found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2, max(high - low, 0.0) / 2
 
 
-def _head(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
+def _try_ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
     adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
-    head: Head = open_head(adapter.validate_python(given | web), None)
+    ptz: PtzHead = open_ptz(adapter.validate_python(given | web), None)
     try:
-        if isinstance(head, OnvifHead):
-            found.clock_ahead_s, found.clock_known_to_s = head.soap.clock_ahead(), 0.5
-            snapshot, stream = head.picture_addresses()
+        if isinstance(ptz, OnvifPtzHead):
+            found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
+            snapshot, stream = ptz.picture_addresses()
             found.stream = stream if found.source is not None else snapshot or stream
-        reading = head.read()
-        limits, presets = Limits(), tuple[str, ...]()
+        reading = ptz.read()
+        limits, presets = PtzLimits(), tuple[str, ...]()
         try:
-            limits, presets = head.limits(), tuple(head.presets())
+            limits, presets = ptz.limits(), tuple(ptz.presets())
         except UnauthorisedError:
             raise
         except SourceError as error:
             found.tried.append((f"limits and presets by {given['kind']}", str(error)))
-        found.head = HeadFound(given, reading, limits, presets)
+        found.ptz = PtzFound(given, reading, limits, presets)
     finally:
-        head.close()
+        ptz.close()
     return f"pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}, zoom {reading.zoom:g}"

@@ -43,14 +43,14 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
             "height_above_ground": placing.height_above_ground,
             "azimuth_deg": placing.azimuth_deg,
         }
-    if found.head is not None:
-        entry["ptz"] = dict(found.head.config)
-    if found.head is not None and found.size is not None:
+    if found.ptz is not None:
+        entry["ptz"] = dict(found.ptz.config)
+    if found.ptz is not None and found.size is not None:
         mount: dict[str, Any] = dict(where)
-        if found.head.config["kind"] == "isapi":
+        if found.ptz.config["kind"] == "isapi":
             mount["tilt_sign"] = -1
         width, height = found.size
-        if found.head.config["kind"] == "vapix" and placing.hfov_deg is None:
+        if found.ptz.config["kind"] == "vapix" and placing.hfov_deg is None:
             # The table is that of ALERTCalifornia's Axis cameras, until it is calibrated.
             mount["lens"] = {"width": width, "height": height}
         elif placing.hfov_deg is not None:
@@ -58,7 +58,7 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
         entry["mount"] = mount
     elif where:
         entry["pose"] = where | {"pitch_deg": placing.pitch_deg}
-    if found.head is None and found.size is not None and placing.hfov_deg is not None:
+    if found.ptz is None and found.size is not None and placing.hfov_deg is not None:
         entry["calibration"] = {"width": found.size[0], "height": found.size[1], "hfov_deg": placing.hfov_deg}
     return entry
 

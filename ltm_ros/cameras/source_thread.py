@@ -9,8 +9,7 @@ import traceback
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.redaction import redacted
-from ltm_ros.cameras.backoff import Backoff
-from ltm_ros.cameras.camera_source import CameraSource
+from ltm_ros.cameras.camera_source import CameraSource, camera_backoff
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import Activity
 
@@ -26,7 +25,7 @@ class SourceThread:
     def __init__(self, name: str, source: CameraSource, health: Health, activity: Activity) -> None:
         self._name, self._source, self._health, self._activity = name, source, health, activity
         self._stopping = threading.Event()
-        self._crashes = Backoff()
+        self._crashes = camera_backoff()
         self._thread = threading.Thread(target=self._run, name=f"source {name}", daemon=True)
 
     def start(self) -> None:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Console
 
     from ltm_core.site.source_config import SecretConfig
     from ltm_ros.cameras.probe import Found
@@ -36,12 +37,12 @@ def probe(
     camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
     lonlat: Annotated[str | None, typer.Option(help="Where it stands: LON,LAT in degrees (WGS 84).")] = None,
     height: Annotated[float | None, typer.Option(help="Metres above the ground.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Degrees from grid north; of a head at pan 0.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Degrees from grid north; of a PTZ head at pan 0.")] = None,
     pitch: Annotated[float, typer.Option(help="Degrees up, of a camera without a head.")] = 0.0,
     hfov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
     timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Seconds for each answer.")] = 5.0,
 ) -> None:
-    """What a camera speaks: pictures, size, rate, clock, head; and its entry for the site file."""
+    """What a camera speaks: pictures, size, rate, clock, PTZ head; and its entry for the site file."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -66,10 +67,11 @@ def probe(
             raise UnauthorisedError(
                 f"{error}. Nothing more was asked, since cameras lock an account after a few wrong passwords"
             ) from None
-    console.print(_found_table(found))
-    if found.source is None and found.head is None:
+    _print_found(console, found)
+    if found.source is None and found.ptz is None:
         raise ConfigError(
-            f"{address}: neither a picture nor a head was found:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
+            f"{address}: neither a picture nor a PTZ head was found:\n"
+            + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
     entry = site_entry(found, user, kept, placing)
     missing = lacking(entry)
@@ -100,16 +102,13 @@ def discover(
     """Cameras that answer to WS-Discovery (ONVIF) on one network."""
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     from ltm_ros.cameras.discovery import discover as ask
 
     found, wrong = ask(interface, seconds, port=port)
-    table = Table("host", "name", "hardware", "address", title=f"{len(found)} cameras answered")
-    for one in found:
-        table.add_row(*map(escape, (one.host, one.name, one.hardware, one.address)))
     console = Console()
-    console.print(table)
+    rows = (tuple(map(escape, (one.host, one.name, one.hardware, one.address))) for one in found)
+    print_table(console, f"{len(found)} cameras answered", ("host", "name", "hardware", "address"), rows)
     if wrong:
         console.print(f"[yellow]{wrong} answers were none that could be read", highlight=False)
     if found:
@@ -168,7 +167,7 @@ def snapshot(
     tries: Annotated[int, typer.Option(min=1, max=100, help="Pictures that may be refused.")] = 5,
     overwrite: Overwrite = False,
 ) -> None:
-    """A picture now, with its pose; of a head also a line in readings.csv, which `ltm pose --readings` takes."""
+    """A picture now, with its pose; of a PTZ head also a line in readings.csv, which `ltm pose --readings` takes."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -244,43 +243,43 @@ def _placing(
     return Placing(lon, lat, height, azimuth, pitch, hfov)
 
 
-def _found_table(found: Found) -> Table:
+def _print_found(console: Console, found: Found) -> None:
     from rich.markup import escape
-    from rich.table import Table
 
     from ltm_core.base.redaction import plain, redacted
 
+    rows: list[tuple[str, str]] = []
+
     def row(what: str, told: str) -> None:
         """Cameras' own words are text, not markup; the address that one states may hold its password."""
-        table.add_row(what, escape(plain(told)))
+        rows.append((what, escape(plain(told))))
 
-    table = Table("what", "found", title="camera")
     if found.source is not None:
         row("pictures", f"{found.source['kind']} at {found.source['url']}")
     if found.stream is not None:
         row("also at", redacted(found.stream))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
-        table.add_row("size", f"{found.size[0]} x {found.size[1]} pixels{each}")
+        rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))
     if found.rate_hz is not None:
-        table.add_row("rate", f"{found.rate_hz:.1f} pictures a second")
+        rows.append(("rate", f"{found.rate_hz:.1f} pictures a second"))
     if found.seconds_each is not None:
         fresh = "another picture each time" if found.fresh else "[yellow]the same picture each time"
-        table.add_row("answers within", f"{found.seconds_each:.2f} s, {fresh}")
+        rows.append(("answers within", f"{found.seconds_each:.2f} s, {fresh}"))
     if found.clock_ahead_s is not None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
-        table.add_row("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}")
-    if found.head is not None:
-        reading, limits = found.head.reading, found.head.limits
+        rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
+    if found.ptz is not None:
+        reading, limits = found.ptz.reading, found.ptz.limits
 
         def ends(span: tuple[float, float] | None, unit: str) -> str:
             return "limits not told" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
 
-        row("head speaks", " ".join(str(value) for value in found.head.config.values()))
-        table.add_row("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}")
-        table.add_row("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}")
-        table.add_row("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}")
-        row("presets", ", ".join(found.head.presets) or "none")
+        row("PTZ head speaks", " ".join(str(value) for value in found.ptz.config.values()))
+        rows.append(("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}"))
+        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}"))
+        rows.append(("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}"))
+        row("presets", ", ".join(found.ptz.presets) or "none")
     for what, told in found.tried:
-        table.add_row(f"[dim]asked: {escape(plain(what))}", f"[dim]{escape(plain(told))}")
-    return table
+        rows.append((f"[dim]asked: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
+    print_table(console, "camera", ("what", "found"), rows)

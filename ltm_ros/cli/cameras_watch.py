@@ -38,6 +38,7 @@ from ltm_ros.cameras.camera_source import CameraSource, Frame
 from ltm_ros.cameras.gaze import calibration_of, gaze_of
 from ltm_ros.cameras.opening import open_reader
 from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.cli.tables import table
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.health import Health
@@ -94,27 +95,30 @@ class CameraWatch:
 
 
 def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
-    """A row a camera."""
-    table = Table("camera", "state", "since", "picture", "stamps", "clock", "published", "refused", "why")
+    """Return the table of all cameras' states."""
+    rows: list[Sequence[str]] = []
     for camera, said in states.items():
         if not said:
-            table.add_row(camera, "[red]silent", "", "", "", "", "", "", "its node says nothing: does the graph run?")
+            rows.append((camera, "[red]silent", *[""] * 6, "its node says nothing: does the graph run?"))
             continue
         state = said.get("state", "?")
         age, known = said.get("picture_age_s"), said.get("stamp_uncertainty_s")
         ahead = said.get("camera_clock_ahead_s")
-        table.add_row(
-            camera,
-            f"[{STYLES.get(state, 'bold red')}]{escape(state)}",
-            _since(said.get("state_since")),
-            "" if age is None else f"{age} s ago",
-            "" if known is None else f"+- {known} s by {escape(said.get('stamp_told_by', '?'))}",
-            "" if ahead is None else f"{float(ahead):+.1f} s",
-            said.get("frames_out", ""),
-            said.get("dropped", ""),
-            escape(said.get("state_why", "")),
+        rows.append(
+            (
+                camera,
+                f"[{STYLES.get(state, 'bold red')}]{escape(state)}",
+                _since(said.get("state_since")),
+                "" if age is None else f"{age} s ago",
+                "" if known is None else f"+- {known} s by {escape(said.get('stamp_told_by', '?'))}",
+                "" if ahead is None else f"{float(ahead):+.1f} s",
+                said.get("frames_out", ""),
+                said.get("dropped", ""),
+                escape(said.get("state_why", "")),
+            )
         )
-    return table
+    columns = ("camera", "state", "since", "picture", "stamps", "clock", "published", "refused", "why")
+    return table("", columns, rows)
 
 
 def _since(epoch: str | None) -> str:
@@ -150,7 +154,7 @@ def take_snapshot(
     told = [f"taken {taken:%Y-%m-%d %H:%M:%S} UTC +- {frame.uncertainty:.2f} s, by {frame.told_by}"]
     if frame.reading is not None:
         reading = frame.reading
-        told.append(f"head: pan {reading.pan_deg:.3f}, tilt {reading.tilt_deg:.3f}, zoom {reading.zoom:g}")
+        told.append(f"PTZ head: pan {reading.pan_deg:.3f}, tilt {reading.tilt_deg:.3f}, zoom {reading.zoom:g}")
         append_reading(out / READINGS, picture.name, reading.pan_deg, reading.tilt_deg, reading.zoom)
         files.append(out / READINGS)
     if frame.pose is None:
@@ -183,7 +187,7 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
     source = CameraSource(
         settings,
         calibration_of(camera, name),
-        # By hand a head is asked and not driven: what runs for the site may drive it just now.
+        # By hand a PTZ head is asked and not driven: what runs for the site may drive it just now.
         replace(gaze_of(site, camera), patrol=None),
         partial(open_reader, settings, site.limits.image_bytes, clock),
         frames.append,

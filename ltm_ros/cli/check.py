@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.doctor import findings_table
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_findings
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_core.base.finding import Finding
+    from ltm_core.base.finding import SiteFinding
     from ltm_core.base.types import RgbImage
     from ltm_core.site.site_check import SiteCheck
 
@@ -35,7 +35,7 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
     from rich.console import Console
 
-    from ltm_core.base.finding import Verdict
+    from ltm_core.base.finding import SiteVerdict
     from ltm_core.storage.disk_io import require_files
     from ltm_ros.launching.site_check import Wanted, examine
 
@@ -55,25 +55,25 @@ def check(
             out.write_bytes(to_png(_picture(found)))
         console.print(f"  {out}", highlight=False)
     wrong = len(found.wrong)
-    doubtful = sum(finding.verdict is Verdict.DOUBTFUL for finding in found.findings)
+    doubtful = sum(finding.verdict is SiteVerdict.DOUBTFUL for finding in found.findings)
     typer.echo(f"{wrong} wrong, {doubtful} doubtful" if wrong or doubtful else "nothing is wrong")
     raise typer.Exit(1 if wrong else 0)
 
 
-def _print(console: Console, findings: list[Finding]) -> None:
-    from ltm_core.base.finding import Verdict
+def _print(console: Console, findings: list[SiteFinding]) -> None:
+    from ltm_core.base.finding import SiteVerdict
 
-    styles = {Verdict.OK: "green", Verdict.DOUBTFUL: "yellow", Verdict.WRONG: "bold red"}
+    styles = {SiteVerdict.OK: "green", SiteVerdict.DOUBTFUL: "yellow", SiteVerdict.WRONG: "bold red"}
     order = list(dict.fromkeys(finding.area for finding in findings))
     sorted_by_area = sorted(findings, key=lambda one: order.index(one.area))
     rows = [(one.area, str(one.verdict), styles[one.verdict], one.name, one.said) for one in sorted_by_area]
-    console.print(findings_table(rows))
+    print_findings(console, rows)
 
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """The views that a recording has of cameras without a pose in the site file."""
     from ltm_core.base.errors import LtmError
-    from ltm_core.base.finding import Finding
+    from ltm_core.base.finding import SiteFinding
     from ltm_core.site.camera_check import check_views
     from ltm_ros.recordings.recorded_views import recorded_views
 
@@ -82,7 +82,7 @@ def _add_recorded(found: SiteCheck, bag: Path) -> None:
     try:
         views = recorded_views(bag, found.site)
     except LtmError as error:
-        found.findings.append(Finding.of("recording", bag.name, error))
+        found.findings.append(SiteFinding.of("recording", bag.name, error))
         return
     there = {view.name for view in found.views}
     added = [view for view in views if view.name not in there]

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.tables import print_table
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -41,8 +43,6 @@ def demo(
 
 
 def _simulated(out: Path, domain: int, console: Console) -> None:
-    from rich.table import Table
-
     from ltm_core.base.resources import project_path
     from ltm_lab.evaluation.score_tables import bin_name
     from ltm_ros.cli.output import print_nodes
@@ -52,27 +52,25 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
     with message_bar(console, "demo") as progress:
         result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))
     print_nodes(console, result.nodes)
-    table = Table(title="against truth", title_justify="left", show_header=False)
-    table.add_column("what")
-    table.add_column("figure", justify="right")
+    rows = []
     for row in result.score.depth:
         if row.against == "visible surface":
             for score in row.scores:
                 if score.pixels:
-                    table.add_row(f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m")
+                    rows.append((f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m"))
     if result.score.labels is not None:
-        table.add_row("labels right", f"{100 * result.score.labels.accuracy:.1f} %")
+        rows.append(("labels right", f"{100 * result.score.labels.accuracy:.1f} %"))
     if (fuel := result.score.fuel) is not None:
-        table.add_row("fuel cells seen", f"{fuel.seen} of {fuel.cells}")
+        rows.append(("fuel cells seen", f"{fuel.seen} of {fuel.cells}"))
         maps = (("", fuel), (", majority vote", result.score.fuel_vote), (", prior alone", result.score.fuel_prior))
         for name, one in maps:
             if one is not None:
                 share = 100 * one.right / max(1, one.seen)
-                table.add_row(f"fuel cells right{name}", f"{one.right} ({share:.1f} %)")
+                rows.append((f"fuel cells right{name}", f"{one.right} ({share:.1f} %)"))
     if (changes := result.score.fuel_changes) is not None:
         for name, part in (("changed, found", changes.found), ("unchanged, changed by the map", changes.false_flips)):
-            table.add_row(f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)")
-    console.print(table)
+            rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
+    print_table(console, "against truth", ("", ""), rows)
     _print_walk(console, result.walk)
     console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
     drops = sum(row.dropped for row in result.nodes)
@@ -82,22 +80,17 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
 
 
 def _print_walk(console: Console, walk: Walk) -> None:
-    from rich.table import Table
-
-    table = Table(title="a simulated walk with a phone, by poses", title_justify="left")
-    for column in ("poses", "azimuth off, median", "largest", "cells labelled", "most frequent label right"):
-        table.add_column(column, justify="left" if column == "poses" else "right")
+    columns = ("poses", ">azimuth off, median", ">largest", ">cells labelled", ">most frequent label right")
+    rows = []
     for row in walk.maps:
         off = (f"{value:.2f}°" for value in row.errors.azimuth_deg)
-        table.add_row(row.poses, *off, f"{row.cells:,}", f"{row.right_percent:.1f} %")
-    console.print(table)
+        rows.append((row.poses, *off, f"{row.cells:,}", f"{row.right_percent:.1f} %"))
+    print_table(console, "a simulated walk with a phone, by poses", columns, rows)
     found = f"{walk.accepted} of {walk.photos} poses were found in the pictures"
     console.print(f"{found}; they say how far off the compass is in the others", highlight=False)
 
 
 def _real(out: Path, domain: int, console: Console) -> None:
-    from rich.table import Table
-
     from ltm_core.base.resources import config_path
     from ltm_ros.cli.output import print_nodes
     from ltm_ros.cli.progress import message_bar
@@ -109,13 +102,9 @@ def _real(out: Path, domain: int, console: Console) -> None:
             site, poses, out, domain, progress, lambda line: console.print(line, markup=False)
         )
     print_nodes(console, nodes)
-    table = Table(title="control points: traced against surveyed", title_justify="left")
-    for column in ("point", "range m", "distance m", "hidden by the DEM"):
-        table.add_column(column, justify="right")
-    for point in points:
-        hidden = "yes" if point.hidden else ""
-        table.add_row(point.name, f"{point.range:.0f}", f"{point.distance:.2f}", hidden)
-    console.print(table)
+    columns = (">point", ">range m", ">distance m", ">hidden by the DEM")
+    rows = ((p.name, f"{p.range:.0f}", f"{p.distance:.2f}", "yes" if p.hidden else "") for p in points)
+    print_table(console, "control points: traced against surveyed", columns, rows)
     over_all, over_clear = medians(points)
     console.print(f"median {over_all:.2f} m over all, {over_clear:.2f} m over points that the DEM does not hide")
     console.print(f"report: {out / 'report.html'}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 
 def fire(
@@ -46,7 +47,6 @@ def fire(
 ) -> None:
     """Run a fire on a map as it was and as it is, and show what the update changes. Not a forecast."""
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.fire.pyretechnics import interpreter
     from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
@@ -65,16 +65,14 @@ def fire(
     with console.status("") as status:
         result = run_fires(pair, scenario, ensemble, seed, status.update)
     write_results(out, pair, scenario, result)
-    table = Table(
-        title=f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
-    )
-    for name in ("hours", "as it was", "as it is", "difference", "eight in ten draws"):
-        table.add_column(name, justify="right")
+    rows = []
     for area in result.effect.areas():
         drawn = "" if area.ensemble is None else f"{area.ensemble[0]:.0f} to {area.ensemble[2]:.0f}"
         change = f"{area.after - area.before:+.0f}"
-        table.add_row(f"{area.hours:g}", f"{area.before:.0f}", f"{area.after:.0f}", change, drawn)
-    console.print(table)
+        rows.append((f"{area.hours:g}", f"{area.before:.0f}", f"{area.after:.0f}", change, drawn))
+    title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
+    columns = (">hours", ">as it was", ">as it is", ">difference", ">eight in ten draws")
+    print_table(console, title, columns, rows)
     for sentence in [*sentences(pair, result), NO_FORECAST]:
         console.print(sentence, highlight=False)
     if result.effect.probability is not None:

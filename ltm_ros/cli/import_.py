@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.tables import print_table
+
 
 def import_(
     images: Annotated[
@@ -78,7 +80,6 @@ def import_(
     """Make a bag from photos and recordings of phones: image_raw/compressed, camera_info and pose with covariance."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.table import Table
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
@@ -133,19 +134,20 @@ def import_(
     for file, why in report.skipped:
         console.print(f"[red]left out {file.name}: {why}", highlight=False)
     if report.refined:
-        poses_found = Table("photo", "verdict", "turned by azimuth, pitch, roll, deg", title="poses")
+        rows = []
         for name, found in report.refined:
             turned = ", ".join(f"{angle:+.2f}" for angle in found.turned_deg)
-            poses_found.add_row(name, found.verdict, turned if any(found.turned_deg) else "stays as given")
-        console.print(poses_found)
+            rows.append((name, found.verdict, turned if any(found.turned_deg) else "stays as given"))
+        print_table(console, "poses", ("photo", "verdict", "turned by azimuth, pitch, roll, deg"), rows)
         verdicts = [found.verdict for _, found in report.refined]
         said = f"{verdicts.count('accepted')} of {len(verdicts)} poses found in the pictures"
         if "as_others" in verdicts:
             said += f"; {verdicts.count('as_others')} turned by the compass error that these agree on"
         console.print(said, highlight=False)
-    table = Table("topics", "photos", title=str(report.bag))
-    for name, count in report.cameras.items():
-        table.add_row(f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))
-    console.print(table)
+    topics = (
+        (f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))
+        for name, count in report.cameras.items()
+    )
+    print_table(console, str(report.bag), ("topics", ">photos"), topics)
     if site is None:
         console.print(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")

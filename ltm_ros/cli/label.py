@@ -20,6 +20,7 @@ def label(
 
     Ends with Ctrl-C; each photo is written when it is left, or with Ctrl-S.
     """
+    import threading
     import webbrowser
 
     from ltm_core.base.errors import ConfigError
@@ -37,11 +38,12 @@ def label(
         server = LabelServer(session, port)
     except OSError as error:
         raise ConfigError(f"--port {port}: cannot be used ({error.strerror}); 0 takes a free one") from error
-    with server:
-        typer.echo(f"{server.url}\nCtrl-C ends it")
-        if browser:
-            webbrowser.open(server.url)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            typer.echo("ended")
+    typer.echo(f"{server.url}\nCtrl-C ends it")
+    if browser:
+        webbrowser.open(server.url)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        typer.echo("ended")
+    finally:
+        server.close()

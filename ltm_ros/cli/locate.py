@@ -10,7 +10,7 @@ import typer
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
-    from ltm_core.locating.answer import Answer
+    from ltm_core.locating.answer import LocateResult
     from ltm_core.locating.settings import LocatingConfig
     from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
@@ -118,7 +118,7 @@ def locate(
                 console.print(f"  {path}", highlight=False)
 
 
-def _answer(scene: LocatingScene, config: LocatingConfig, sightings: list[Sighting], smoke: bool) -> Answer:
+def _answer(scene: LocatingScene, config: LocatingConfig, sightings: list[Sighting], smoke: bool) -> LocateResult:
     from ltm_core.locating.answer import answer
     from ltm_core.locating.locator import Locator
 
@@ -127,7 +127,7 @@ def _answer(scene: LocatingScene, config: LocatingConfig, sightings: list[Sighti
     return answer(location, scene.sight, scene.frame, posed, scene.prior, smoke)
 
 
-def _write(out: Path, said: Answer, scene: LocatingScene, marked: list[str]) -> list[Path]:
+def _write(out: Path, said: LocateResult, scene: LocatingScene, marked: list[str]) -> list[Path]:
     import json
 
     from ltm_core.locating.answer import SHARES, as_data, as_geojson

@@ -10,47 +10,46 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ltm_core.base.errors import ConfigError, RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.answer import SHARES, Answer, fuel_at, place_name, view_data
+from ltm_core.locating.answer import SHARES, LocateResult, fuel_at, place_name, view_data
 from ltm_core.locating.place import PlaceView, place_views
 from ltm_ros.cli.locate_cameras import numbers
+from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
     from ltm_ros.cli.locate_cameras import LocatingScene
 
 
-def show_answer(said: Answer, frame: SiteFrame, console: Console) -> None:
+def show_answer(said: LocateResult, frame: SiteFrame, console: Console) -> None:
     """Print where it is, and whether the cameras agree."""
     name, posterior = said.name, said.location.posterior
-    table = Table(title="smoke, its foot" if said.smoke else "on the ground", show_header=False)
-    table.add_row(f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}")
     x, y = posterior.likeliest
-    table.add_row("likeliest place", f"{x + frame.x_origin:.1f}, {y + frame.y_origin:.1f}")
-    table.add_row("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}")
-    table.add_row("MGRS", name.mgrs or "none at this latitude")
+    rows = [
+        (f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}"),
+        ("likeliest place", f"{x + frame.x_origin:.1f}, {y + frame.y_origin:.1f}"),
+        ("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}"),
+        ("MGRS", name.mgrs or "none at this latitude"),
+    ]
     if name.elevation is not None:
-        table.add_row("elevation", f"{name.elevation:.0f} m, sigma {said.elevation_sigma:.0f} m")
+        rows.append(("elevation", f"{name.elevation:.0f} m, sigma {said.elevation_sigma:.0f} m"))
     for share, ellipse in zip(SHARES, said.ellipses, strict=True):
-        table.add_row(
-            f"ellipse, {share:.0%}",
-            f"{ellipse.major:,.0f} m by {ellipse.minor:,.0f} m (half axes), long axis {ellipse.azimuth_deg:.0f}°",
-        )
+        axes = f"{ellipse.major:,.0f} m by {ellipse.minor:,.0f} m (half axes), long axis {ellipse.azimuth_deg:.0f}°"
+        rows.append((f"ellipse, {share:.0%}", axes))
     modes = posterior.modes
     if len(modes) > 1:
         parts = (
             f"{mode.share:.0%} at {mode.centre[0] + frame.x_origin:.0f}, {mode.centre[1] + frame.y_origin:.0f}"
             for mode in modes[:4]
         )
-        table.add_row(f"{len(modes)} separate areas", "\n".join(parts))
+        rows.append((f"{len(modes)} separate areas", "\n".join(parts)))
     if said.smoke and said.location.lift > 1:
-        table.add_row("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)")
+        rows.append(("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)"))
     if said.fuel is not None:
-        table.add_row("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})")
-    console.print(table)
+        rows.append(("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})"))
+    print_table(console, "smoke, its foot" if said.smoke else "on the ground", ("", ""), rows)
     agreement = said.location.agreement
     if agreement is not None and agreement.wrong is not None:
         verdict = agreement.verdict
@@ -68,26 +67,21 @@ def show_answer(said: Answer, frame: SiteFrame, console: Console) -> None:
         console.print(
             f"[yellow]The cameras disagree, and which one is wrong cannot be told: {shares}.", highlight=False
         )
-    console.print(views_table(said.views))
+    print_views(console, said.views)
 
 
-def views_table(views: Sequence[PlaceView]) -> Table:
-    """What each camera has of a place."""
-    table = Table("camera", "distance", "bearing", "pitch", "look", "pixel", "state", title="seen from the cameras")
+def print_views(console: Console, views: Sequence[PlaceView]) -> None:
+    """Print from where each camera sees a place, and whether it does."""
+    rows = []
     for view in views:
         state = view.state.name.lower()
         if view.hidden_by is not None:
             state += f": seen from {view.lift:.0f} m above it"
-        table.add_row(
-            view.camera,
-            f"{view.distance / 1000:.2f} km",
-            f"{view.azimuth_deg:.2f}°",
-            f"{view.pitch_deg:+.2f}°",
-            f"{view.hfov_deg:.0f}° wide",
-            "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}",
-            state,
-        )
-    return table
+        pixel = "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}"
+        angles = (f"{view.azimuth_deg:.2f}°", f"{view.pitch_deg:+.2f}°", f"{view.hfov_deg:.0f}° wide")
+        rows.append((view.camera, f"{view.distance / 1000:.2f} km", *angles, pixel, state))
+    columns = ("camera", ">distance", ">bearing", ">pitch", ">look", ">pixel", "state")
+    print_table(console, "seen from the cameras", columns, rows)
 
 
 def show_places(
@@ -127,7 +121,7 @@ def show_places(
                 f"{known.mgrs or ''}" + ("" if fuel is None else f"; fuel {fuel.name}"),
                 highlight=False,
             )
-            console.print(views_table(views))
+            print_views(console, views)
     if as_json:
         print(json.dumps(data, indent=2))
     if out is None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
     from ltm_core.base.types import Float64Array, UInt8Array
@@ -54,7 +55,6 @@ def mask(
     the site file is printed. What is found hangs on the pictures alone, so the numbers stay.
     """
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
@@ -94,11 +94,12 @@ def mask(
         proposals += drawn_proposals(areas, segmenter.labels.names, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
     console = Console()
-    table = Table("number", "what", "share", "why", "kept", title=f"{len(frames)} pictures of one camera")
-    for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1):
-        share = f"{proposal.hidden.mean():.2%}"
-        table.add_row(str(number), proposal.kind, share, proposal.reason, "yes" if keeps else "no")
-    console.print(table)
+    rows = (
+        (str(number), proposal.kind, f"{proposal.hidden.mean():.2%}", proposal.reason, "yes" if keeps else "no")
+        for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1)
+    )
+    title = f"{len(frames)} pictures of one camera"
+    print_table(console, title, (">number", "what", ">share", "why", "kept"), rows)
     if len(frames) == 1:
         console.print("[yellow]one picture alone: clouds may be taken for structures; more, in other light, are better")
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -19,18 +19,19 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.storage.photo_io import check_picture, photos_in
 from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
 from ltm_lab.cli.eval.score_table import score_table
 from ltm_lab.evaluation.metrics.segmentation import score_labels
 from ltm_lab.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
 from ltm_lab.training.labelled_frames import read_frames
+from ltm_ros.cli.tables import print_table
 
 
 def check(
     console: Console,
-    manifest: Manifest,
+    manifest: NetworkManifest,
     threads: int,
     images: Path | None,
     frames: Path | None,
@@ -70,7 +71,7 @@ def check(
         console.print(score_table(segmenter.labels.names, score, f"{manifest.name} on {frames}"))
 
 
-def check_depth(console: Console, manifest: Manifest, threads: int, images: Path | None, out: Path) -> None:
+def check_depth(console: Console, manifest: NetworkManifest, threads: int, images: Path | None, out: Path) -> None:
     """Print what a depth model takes and gives and its time; write pictures, near red and far blue."""
     network = DepthNetwork(manifest, threads)
     _describe(console, manifest, manifest.model_file())
@@ -103,7 +104,7 @@ def trial_scene() -> UInt8Array:
     return np.asarray(np.clip(scene, 0, 255), np.uint8)
 
 
-def _describe(console: Console, manifest: Manifest, path: Path) -> None:
+def _describe(console: Console, manifest: NetworkManifest, path: Path) -> None:
     spec = manifest.input
     console.print(f"{manifest.name}: {path}; sha256 {manifest.sha256[:12]}... and shapes are as its manifest states")
     console.print(f"input {spec.layout} {spec.dtype} {spec.shape}; output {manifest.output.kind}", markup=False)
@@ -189,10 +190,10 @@ def models(
         return
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_folder
-    from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest
+    from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
 
     require_folder(out)
-    manifest = Manifest.find(name or DEFAULT_MODEL)
+    manifest = NetworkManifest.find(name or DEFAULT_MODEL)
     if action is Action.add:
         if name is None:
             raise ConfigError("name the manifest to add: ltm models add my_network.yaml")
@@ -203,7 +204,7 @@ def models(
         check(console, manifest, threads, images, frames, sky_masks, out, classes=classes, zoom=zoom)
 
 
-def _add(console: Console, path: Path, fetch: bool) -> Manifest:
+def _add(console: Console, path: Path, fetch: bool) -> NetworkManifest:
     from rich.progress import Progress
 
     from ltm_core.vision.install_io import add_model
@@ -216,19 +217,17 @@ def _add(console: Console, path: Path, fetch: bool) -> Manifest:
 
 
 def _list(console: Console) -> None:
-    from rich.table import Table
-
     from ltm_core.base.errors import ModelError
-    from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest, added_names, shipped_names
+    from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, added_names, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
-    table = Table("model", "input", "output", "licence", "sha256", "state")
+    rows: list[tuple[str, ...]] = []
     faults = []
     for name in [*shipped_names(), *added_names()]:
         try:
-            manifest = Manifest.find(name)
+            manifest = NetworkManifest.find(name)
         except ModelError as reason:
-            table.add_row(name, "", "", "", "", "[red]not usable[/red]")
+            rows.append((name, *[""] * 4, "[red]not usable[/red]"))
             faults.append(str(reason))
             continue
         try:
@@ -239,14 +238,16 @@ def _list(console: Console) -> None:
             faults.append(str(reason))
         spec, output = manifest.input, manifest.output
         what = f", {len(manifest.classes)} classes" if manifest.classes else ""
-        table.add_row(
-            f"{name} (default)" if name == DEFAULT_MODEL else name,
-            f"{spec.width} x {spec.height} {spec.dtype}",
-            output.kind + (", of words" if manifest.text is not None else what),
-            manifest.licence,
-            manifest.sha256[:12],
-            state,
+        rows.append(
+            (
+                f"{name} (default)" if name == DEFAULT_MODEL else name,
+                f"{spec.width} x {spec.height} {spec.dtype}",
+                output.kind + (", of words" if manifest.text is not None else what),
+                manifest.licence,
+                manifest.sha256[:12],
+                state,
+            )
         )
-    console.print(table)
+    print_table(console, "", ("model", "input", "output", "licence", "sha256", "state"), rows)
     for fault in faults:
         console.print(fault, markup=False, highlight=False)

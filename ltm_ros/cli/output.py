@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_ros.cli.tables import print_table
 from ltm_ros.runtime.diagnostics import NodeRow
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Write over files that are there already.")]
@@ -40,19 +40,17 @@ JsonFile = Annotated[
 def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
     """Messages in and out, drops by cause with the first of each in words, and latency from the moment a frame was
     taken."""
-    table = Table(title="nodes: frames and latency", title_justify="left")
-    table.add_column("node", no_wrap=True)
-    for name in ("in", "out", "drops", "p50 ms", "p95 ms", "work ms"):
-        table.add_column(name, justify="right", no_wrap=True)
+    columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
-        table.add_column("why dropped")
+        columns.append("why dropped")
+    cells = []
     for row in rows:
         times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
         shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]
         drops = f"[red]{row.dropped}[/red]" if row.dropped else "0"
         causes = [row.causes] if row.causes else []
-        table.add_row(_short(row), str(row.received), str(row.published), drops, *shown, *causes)
-    console.print(table)
+        cells.append((_short(row), str(row.received), str(row.published), drops, *shown, *causes))
+    print_table(console, "nodes: frames and latency", columns, cells)
     for row in rows:
         for reason in row.reasons:
             console.print(f"[red]{escape(_short(row))}[/red] dropped by {escape(reason)}", highlight=False)
@@ -66,12 +64,8 @@ def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) 
     said = outcome(summaries)
     if not said:
         return
-    table = Table(title="what became of it", title_justify="left", show_header=False)
-    table.add_column("what", no_wrap=True)
-    table.add_column("how much")
-    for what, how_much in said:
-        table.add_row(what, escape(how_much))  # reasons may hold brackets
-    console.print(table)
+    rows = ((what, escape(how_much)) for what, how_much in said)  # reasons may hold brackets
+    print_table(console, "what became of it", ("", ""), rows)
 
 
 def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 _SHARED = {"out", "overwrite"}
 _OF_POINTS = {"gcps", "first_pixel", "sigma_px"}
@@ -42,11 +43,12 @@ def pose(
     ] = None,
     poses: Annotated[Path | None, typer.Option(help="Photo list (CSV, YAML) of what is known of each photo.")] = None,
     mount: Annotated[
-        bool, typer.Option("--mount", help="With --poses: one head's presets, or one camera's days: one correction.")
+        bool,
+        typer.Option("--mount", help="With --poses: one PTZ head's presets, or one camera's days: one correction."),
     ] = False,
     site: Annotated[
         Path | None,
-        typer.Option(help="With --camera: calibrate the mount of a pan-tilt-zoom head; writes it into this site file."),
+        typer.Option(help="With --camera: calibrate the mount of a PTZ head; writes it into this site file."),
     ] = None,
     camera: Annotated[str, typer.Option(help="With --site: the camera on that head.")] = "",
     readings: Annotated[
@@ -84,7 +86,7 @@ def pose(
     """Find a camera's pose: in its photo, by the terrain's skyline and ridges, or from surveyed points marked in it.
 
     With both, the points' pose is where the search in the photo starts. With --site and --camera, the mount of a
-    pan-tilt-zoom head, from points or photos of several presets.
+    PTZ head, from points or photos of several presets.
     """
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files, require_folder
@@ -94,9 +96,9 @@ def pose(
         raise ConfigError("give --photo (a skyline in the picture), --gcps (surveyed points), or both")
     if site is not None or camera:
         if site is None or not camera:
-            raise ConfigError("give --site and --camera together: which head of which site")
+            raise ConfigError("give --site and --camera together: which PTZ head of which site")
         if photo is not None and gcps is not None:
-            raise ConfigError("give either --photo or --gcps for the mount of a head, not both")
+            raise ConfigError("give either --photo or --gcps for the mount of a PTZ head, not both")
         _refuse_unused(context, "--site with --gcps" if photo is None else "--site with --photo")
         _mount(site, camera, photo, readings, gcps, first_pixel, free or "focal", sigma_px, model, out, overwrite)
         return
@@ -168,25 +170,25 @@ def _mount(
 ) -> None:
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.cli.pose_mount import calibrate_from_photos, calibrate_from_points, head_of, write_mount
+    from ltm_ros.cli.pose_mount import calibrate_from_photos, calibrate_from_points, ptz_mount_of, write_mount
 
     unknown = set(_names(free)) - {"focal", "position"}
     if unknown:
-        raise ConfigError(f"--free {free}: of a head, focal (the lens at each zoom) and position can be fitted")
-    head = head_of(site, camera)
+        raise ConfigError(f"--free {free}: of a PTZ head, focal (the lens at each zoom) and position can be fitted")
+    ptz = ptz_mount_of(site, camera)
     if out is not None:
         require_files([out], overwrite)
-    elif head.config.calibrated and not overwrite:
+    elif ptz.config.calibrated and not overwrite:
         raise ConfigError(
             f"{site}: the mount of {camera} is calibrated already; write over it with --overwrite, or name --out"
         )
     if gcps is not None:
-        found, lens = calibrate_from_points(head, gcps, first_pixel, set(_names(free)), sigma_px)
+        found, lens = calibrate_from_points(ptz, gcps, first_pixel, set(_names(free)), sigma_px)
     elif readings is None or photo is None:
         raise ConfigError("--photo with --site needs --readings, a CSV of what the encoders said of each photo")
     else:
-        found, lens = calibrate_from_photos(head, photo, readings, model)
-    write_mount(head, found, lens, site, camera, out)
+        found, lens = calibrate_from_photos(ptz, photo, readings, model)
+    write_mount(ptz, found, lens, site, camera, out)
 
 
 def _photos(
@@ -206,7 +208,6 @@ def _photos(
     report: Path | None,
 ) -> None:
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.raster.dem_stack import open_terrain
@@ -226,14 +227,15 @@ def _photos(
     options = PhotoOptions(labels, model, tuple(_names(free)), canopy, mount, mask)
     found = search_photos(guesses, terrain, options)
     write_photos(found, out, picture, report, poses is not None)
-    table = Table("photo", "verdict", "azimuth", "pitch", "roll", "sigma, deg", "from what was given", title="poses")
+    rows = []
     for f in found:
         angles, given = f.result.pose.angles_deg, f.setup.prior.pose.angles_deg
         moved = ((angles[0] - given[0] + 180) % 360 - 180, angles[1] - given[1], angles[2] - given[2])
         sigma = ", ".join(f"{s:.2f}" for s in f.search.verdict.sigma_deg) if f.result.accepted else "as given"
-        table.add_row(f.name, f.word, *(f"{a:.3f}" for a in angles), sigma, ", ".join(f"{m:+.2f}" for m in moved))
+        rows.append((f.name, f.word, *(f"{a:.3f}" for a in angles), sigma, ", ".join(f"{m:+.2f}" for m in moved)))
     console = Console()
-    console.print(table)
+    columns = ("photo", "verdict", ">azimuth", ">pitch", ">roll", "sigma, deg", "from what was given")
+    print_table(console, "poses", columns, rows)
     for f in found:
         if not f.result.accepted:
             console.print(f"[yellow]{f.name}: {f.word}, the pose stays as given: {f.reason}", highlight=False)

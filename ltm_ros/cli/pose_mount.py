@@ -1,15 +1,18 @@
-"""`ltm pose --site --camera`: calibrates the mount of a pan-tilt-zoom head, and writes it into the site file."""
+"""`ltm pose --site --camera`: calibrates the mount of a PTZ head, and writes it into the site file."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ltm_core.site.networks import site_scene_filter, site_segmenter
+from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from ltm_core.geometry.zoom_lens import ZoomLens
     from ltm_core.pose_estimation.mount.mount_config import MountConfig
     from ltm_core.pose_estimation.mount.mount_model import MountModel
@@ -18,8 +21,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Head:
-    """A head of a site, as its file states it."""
+class StatedMount:
+    """A PTZ head of a site, as its file states it."""
 
     site: Site
     camera: str
@@ -28,7 +31,7 @@ class Head:
     lens: ZoomLens
 
 
-def head_of(site_file: Path, camera: str) -> Head:
+def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
     """Raises ConfigError for a camera that has no mount, or no lens."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.zoom_lens import ZoomLens
@@ -48,25 +51,25 @@ def head_of(site_file: Path, camera: str) -> Head:
         lens = ZoomLens.fixed(settings.calibration.camera())
     else:
         raise ConfigError(f"{site_file}: camera {camera} has neither `mount.lens` nor `calibration`: state its lens")
-    return Head(site, camera, mount, mount.model(site.open_dem(), site.frame), lens)
+    return StatedMount(site, camera, mount, mount.model(site.open_dem(), site.frame), lens)
 
 
 def calibrate_from_points(
-    head: Head, gcps: Path, first_pixel: float, free: set[str], sigma_px: float
+    ptz: StatedMount, gcps: Path, first_pixel: float, free: set[str], sigma_px: float
 ) -> tuple[MountModel, ZoomLens]:
     """Fit to landmarks; prints what was found."""
     from rich.console import Console
 
-    from ltm_core.pose_estimation.mount.mount_io import read_head_points
+    from ltm_core.pose_estimation.mount.mount_io import read_ptz_points
     from ltm_core.pose_estimation.mount.mount_resection import resect_mount
 
-    points = read_head_points(gcps, head.site.frame, first_pixel)
+    points = read_ptz_points(gcps, ptz.site.frame, first_pixel)
     found = resect_mount(
         points,
-        head.model,
-        head.lens,
-        head.site.bend,
-        free_focal="focal" in free and head.config.lens is not None,
+        ptz.model,
+        ptz.lens,
+        ptz.site.bend,
+        free_focal="focal" in free and ptz.config.lens is not None,
         free_position="position" in free,
         sigma_px=sigma_px,
     )
@@ -76,13 +79,15 @@ def calibrate_from_points(
     outliers = [name for name, used in zip(points.names, found.used, strict=True) if not used]
     if outliers:
         console.print(f"[yellow]left out as outliers: {', '.join(outliers)}", highlight=False)
-    console.print(_landmarks(found))
+    _print_landmarks(console, found)
     if found.focal_factors:
-        console.print(_lens_table(found))
+        _print_lens(console, found)
     return found.model, found.lens
 
 
-def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: str) -> tuple[MountModel, ZoomLens]:
+def calibrate_from_photos(
+    ptz: StatedMount, photos: Path, readings: Path, model_name: str
+) -> tuple[MountModel, ZoomLens]:
     """Fit to the skylines of pictures of several presets, labelled and masked as the site has it. Raises PoseError
     where they do not tell."""
     from rich.console import Console
@@ -98,19 +103,19 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
 
-    terrain, config = site_terrain(head.site)
-    segmenter = site_segmenter(head.site, head.camera, model_name)
-    scene = site_scene_filter(head.site, head.camera)
-    azimuth, pitch, roll, tilt_zero = head.config.angle_sigmas_deg
-    place, height = head.config.position_sigma or 0.0, head.config.height_sigma or 0.0
+    terrain, config = site_terrain(ptz.site)
+    segmenter = site_segmenter(ptz.site, ptz.camera, model_name)
+    scene = site_scene_filter(ptz.site, ptz.camera)
+    azimuth, pitch, roll, tilt_zero = ptz.config.angle_sigmas_deg
+    place, height = ptz.config.position_sigma or 0.0, ptz.config.height_sigma or 0.0
     priors, searches = [], []
     for name, (pan, tilt, zoom) in read_readings(readings).items():
         file = photos / name
         if not file.is_file():
             raise ConfigError(f"{readings} names {name}, which is not in {photos}")
-        camera = head.lens.camera(zoom)
+        camera = ptz.lens.camera(zoom)
         photo = read_photo(file, camera)
-        pose = head.model.pose(pan, tilt)[0]
+        pose = ptz.model.pose(pan, tilt)[0]
         hidden = scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
         labels = segmenter.segment(photo).labels
         doubt = doubt_of_sky(labels, hidden)
@@ -127,19 +132,21 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
             "a clear skyline, spread in pan, or mark landmarks (--gcps); nothing was written"
         )
     Console().print(f"{fit.reason}; the next best mount costs {fit.gap:.1f} more", highlight=False)
-    return head.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), head.lens
+    return ptz.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), ptz.lens
 
 
-def write_mount(head: Head, model: MountModel, lens: ZoomLens, site_file: Path, camera: str, out: Path | None) -> None:
+def write_mount(
+    ptz: StatedMount, model: MountModel, lens: ZoomLens, site_file: Path, camera: str, out: Path | None
+) -> None:
     """Into the site file, or into `out` alone. Prints what changed."""
     from rich.console import Console
 
     from ltm_core.pose_estimation.mount.mount_config import written_mount
     from ltm_core.site.site_io import dumped, write_camera_section
 
-    section = written_mount(model, lens if head.config.lens is not None else None, head.site.frame)
+    section = written_mount(model, lens if ptz.config.lens is not None else None, ptz.site.frame)
     console = Console()
-    console.print(_mount_table(head.model, model))
+    _print_mount(console, ptz.model, model)
     if out is None:
         write_camera_section(site_file, camera, "mount", section)
     else:
@@ -148,49 +155,47 @@ def write_mount(head: Head, model: MountModel, lens: ZoomLens, site_file: Path, 
     console.print(f"  {out or site_file}", highlight=False)
 
 
-def _mount_table(stated: MountModel, found: MountModel) -> Any:
+def _print_mount(console: Console, stated: MountModel, found: MountModel) -> None:
     import numpy as np
-    from rich.table import Table
 
     def values(model: MountModel) -> list[float]:
         return [*model.base.angles_deg, math.degrees(model.tilt_zero)]
 
     sigmas = np.degrees(np.sqrt(np.diag(found.angle_covariance)))
-    table = Table("mount", "fitted, deg", "sigma", "stated, deg")
+    rows = []
     names = ("azimuth at pan 0", "pitch", "roll", "tilt zero")
     for name, now, sigma, before in zip(names, values(found), sigmas, values(stated), strict=True):
-        table.add_row(name, f"{now:.3f}", f"{sigma:.3f}", f"{before:.3f}")
+        rows.append((name, f"{now:.3f}", f"{sigma:.3f}", f"{before:.3f}"))
     for name, now, before in (
         ("pan grows", found.pan_sign, stated.pan_sign),
         ("tilt grows", found.tilt_sign, stated.tilt_sign),
     ):
         words = ("clockwise", "anticlockwise") if name.startswith("pan") else ("upwards", "downwards")
-        table.add_row(name, words[now < 0], "", words[before < 0])
+        rows.append((name, words[now < 0], "", words[before < 0]))
     worst = max(found.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
-    table.caption = f"a direction is known to {worst:.3f} deg or better at every pan"
-    return table
+    print_table(console, "", ("mount", ">fitted, deg", ">sigma", ">stated, deg"), rows)
+    console.print(f"a direction is known to {worst:.3f} deg or better at every pan", highlight=False)
 
 
-def _landmarks(found: MountResection) -> Any:
+def _print_landmarks(console: Console, found: MountResection) -> None:
     import numpy as np
-    from rich.table import Table
 
     off = np.hypot(*found.residuals.T)
-    table = Table("landmark", "pan", "tilt", "zoom", "du px", "dv px", "residual px")
-    table.title = f"{len(off)} landmarks: median residual {np.median(off):.2f} px"
+    rows = []
     for k, name in enumerate(found.points.names):
         reading = [f"{value:.6g}" for value in found.points.readings[k]]
         du, dv = found.residuals[k]
-        style = None if found.used[k] else "red"
-        table.add_row(name, *reading, f"{du:.2f}", f"{dv:.2f}", f"{off[k]:.2f}", style=style)
-    return table
+        cells = [name, *reading, f"{du:.2f}", f"{dv:.2f}", f"{off[k]:.2f}"]
+        rows.append(cells if found.used[k] else [f"[red]{cell}" for cell in cells])
+    title = f"{len(off)} landmarks: median residual {np.median(off):.2f} px"
+    columns = ("landmark", ">pan", ">tilt", ">zoom", ">du px", ">dv px", ">residual px")
+    print_table(console, title, columns, rows)
 
 
-def _lens_table(found: MountResection) -> Any:
-    from rich.table import Table
-
-    table = Table("zoom", "field of view, deg", "focal length, of the table's", "sigma")
+def _print_lens(console: Console, found: MountResection) -> None:
+    rows = []
     for zoom, factor in found.focal_factors.items():
         hfov = found.lens.camera(zoom).hfov_deg
-        table.add_row(f"{zoom:g}", f"{hfov:.3f}", f"{factor:.4f}", f"{found.focal_sigmas[zoom]:.4f}")
-    return table
+        rows.append((f"{zoom:g}", f"{hfov:.3f}", f"{factor:.4f}", f"{found.focal_sigmas[zoom]:.4f}"))
+    columns = (">zoom", ">field of view, deg", ">focal length, of the table's", ">sigma")
+    print_table(console, "", columns, rows)

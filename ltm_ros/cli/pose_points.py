@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ltm_ros.cli.tables import print_table
+
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Console
 
     from ltm_core.geometry.camera import Camera
     from ltm_core.pose_estimation.points.resection import Resection
@@ -72,15 +74,13 @@ def fit_to_points(
         console.print(f"[yellow]{escape(note)}", highlight=False)
     if result.outliers:
         console.print(f"[yellow]left out as outliers: {escape(', '.join(result.outliers))}", highlight=False)
-    console.print(_parameters(result, setup.camera, setup))
-    console.print(_points(result, setup, guess.curvature, guess.refraction))
+    _print_parameters(console, result, setup.camera, setup)
+    _print_points(console, result, setup, guess.curvature, guess.refraction)
     console.print(escape(f"  {out}"), highlight=False)
     return out
 
 
-def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Table:
-    from rich.table import Table
-
+def _print_parameters(console: Console, result: Resection, start: Camera, setup: ResectionSetup) -> None:
     azimuth, pitch, roll = result.pose.angles_deg
     x, y, z = (float(v) for v in result.pose.position)
     values = {
@@ -99,21 +99,22 @@ def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Tabl
         "y": f"{setup.position[1] + setup.frame.y_origin:.2f}",
         "z": f"{setup.position[2]:.2f}",
     }
-    table = Table("parameter", "fitted", "sigma", "given", title="camera")
+    rows = []
     for name, value in values.items():
         sigma = result.sigmas.get(name)
-        table.add_row(name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, ""))
-    return table
+        rows.append((name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, "")))
+    print_table(console, "camera", ("parameter", ">fitted", ">sigma", ">given"), rows)
 
 
-def _points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> Table:
+def _print_points(
+    console: Console, result: Resection, setup: ResectionSetup, curvature: bool, refraction: float
+) -> None:
     import numpy as np
     from rich.markup import escape
-    from rich.table import Table
 
     median = float(np.median(result.residual_px))
     title = f"{len(result.used)} points: median residual {median:.2f} px"
-    table = Table("point", "u", "v", "du px", "dv px", "residual px")
+    columns = ["point", ">u", ">v", ">du px", ">dv px", ">residual px"]
     traced = None
     if setup.dem is not None:
         from ltm_core.pose_estimation.points.resection_check import traced_errors
@@ -121,10 +122,9 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)
         traced = traced_errors(result, tracer)
-        table.add_column("traced off by", justify="right")
-        table.add_column("over the DEM", justify="right")
-        table.add_column("the DEM says")
+        columns += [">traced off by", ">over the DEM", "the DEM says"]
         title += f"\n{_summary(traced)}"
+    rows = []
     for k, name in enumerate(result.points.names):
         u, v = result.points.pixels[k]
         du, dv = result.residuals[k]
@@ -133,9 +133,8 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
             off, above = float(traced.errors[k]), float(traced.above_ground[k])
             cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
             cells.append(escape(str(traced.states[k])))
-        table.add_row(*cells, style=None if result.used[k] else "red")
-    table.title = title
-    return table
+        rows.append(cells if result.used[k] else [f"[red]{cell}" for cell in cells])
+    print_table(console, title, columns, rows)
 
 
 def _summary(traced: TracedErrors) -> str:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.tables import print_table
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_ros.archive.engine import Engine
-    from ltm_ros.archive.run import Summary
+    from ltm_ros.archive.run import Plan, Summary
 
 
 def reprocess(
@@ -46,7 +48,6 @@ def reprocess(
     """
     from rich.console import Console
 
-    from ltm_ros.archive.dry_run import dry_run_table
     from ltm_ros.archive.files import CacheConfig
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
@@ -73,12 +74,21 @@ def reprocess(
     with counting_bar(console, "looking through") as progress:
         planned = look_through(options, progress)
     if dry_run:
-        for table in dry_run_table(planned):
-            console.print(table)
+        _print_dry_run(console, planned)
         return
     with counting_bar(console, "working") as progress:
         summary = run(planned, engine, progress)
     _print(console, summary, out)
+
+
+def _print_dry_run(console: Console, planned: Plan) -> None:
+    from ltm_ros.archive.dry_run import COST_COLUMNS, cost_note, cost_rows, lost_rows
+
+    title = f"{len(planned.frames)} frames in {len(planned.tasks)} tasks"
+    print_table(console, title, COST_COLUMNS, cost_rows(planned))
+    console.print(cost_note(planned), highlight=False)
+    if lost := lost_rows(planned):
+        print_table(console, "not taken", ("camera", "cause", ">frames", "first reason"), lost)
 
 
 def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | None, key: Path | None) -> Engine:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
 
@@ -28,7 +29,6 @@ def trace(
     """Trace one picture to the terrain: depth and alignment rasters, depth over the photo, a map of the seen cells."""
     import numpy as np
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
     from ltm_core.pictures import to_png
@@ -63,24 +63,21 @@ def trace(
     ranges = traced.range
     known = ranges[np.isfinite(ranges)]
     cell_area = setup.dem.geometry.resolution**2
-    table = Table(
-        title=f"{setup.camera.width} x {setup.camera.height} pixels over {', '.join(path.name for path in dem)}",
-        show_header=False,
-    )
+    title = f"{setup.camera.width} x {setup.camera.height} pixels over {', '.join(path.name for path in dem)}"
     clearance = tracer.ground_clearance(setup.pose)
-    table.add_row("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")
+    rows = [("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")]
     for name, share in (
         ("terrain", np.isfinite(ranges).mean()),
         ("sky", np.isposinf(ranges).mean()),
         ("unknown (outside the DEM, nodata)", np.isnan(ranges).mean()),
     ):
-        table.add_row(name, f"{share:.1%} of the pixels")
+        rows.append((name, f"{share:.1%} of the pixels"))
     if known.size:
         near, median, far = np.percentile(known, [0, 50, 100])
-        table.add_row("range: least, median, greatest", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m")
+        rows.append(("range: least, median, greatest", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
     seen = int((counts > 0).sum())
-    table.add_row("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)")
-    console.print(table)
+    rows.append(("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)"))
+    print_table(console, title, ("", ""), rows)
     unknown = unknown_share(ranges)
     if known.size and unknown.whole > MOST_UNKNOWN:
         console.print(f"[yellow]{unknown.reason}.")

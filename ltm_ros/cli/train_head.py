@@ -63,7 +63,7 @@ def head(
     """Teach a head to PHOTOS, judge it by sites that did not teach it, and install it where it is better.
 
     How sure its labels are and how they err is measured on the photos held out, and written with it. Without --out as a
-    path it is kept among the user's own models, where a camera's `head: NAME` finds it.
+    path it is kept among the user's own models, where a camera's `label_head: NAME` finds it.
     """
     import platform
     import time
@@ -75,8 +75,8 @@ def head(
     from ltm_core.base.errors import ModelError
     from ltm_core.base.evenly import evenly
     from ltm_core.vision.head_choice import LIKELIER
-    from ltm_core.vision.label_head import heads_folder, read_head, write_head
-    from ltm_core.vision.manifest import Manifest, Withdrawal
+    from ltm_core.vision.label_head import label_heads_folder, read_label_head, write_label_head
+    from ltm_core.vision.manifest import NetworkManifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_lab.evaluation.figures_io import write_figures
@@ -89,9 +89,9 @@ def head(
     from ltm_lab.training.labelled_frames import read_frames
 
     console, start = Console(), time.perf_counter()
-    segmenter = Segmenter(Manifest.find(model).serving(out), threads)
+    segmenter = Segmenter(NetworkManifest.find(model).serving(out), threads)
     manifest, names = segmenter.manifest, segmenter.labels.names
-    path = Path(out) if out.endswith((".yaml", ".yml")) else heads_folder(manifest) / f"{out}.yaml"
+    path = Path(out) if out.endswith((".yaml", ".yml")) else label_heads_folder(manifest) / f"{out}.yaml"
     left_out = [segmenter.labels.id_of(n.strip()) for n in ignore.split(",") if n.strip()]
     frames = without_classes(read_frames(photos, len(names)), left_out)
     made = f"ltm train head {photos.resolve().name}, {len(frames)} photos, numpy {np.__version__}"
@@ -121,10 +121,10 @@ def head(
         )
     drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
-    write_head(part, trial.file.model_copy(update={"by_name": True, "domain": None}) if by_name else trial.file)
+    write_label_head(part, trial.file.model_copy(update={"by_name": True, "domain": None}) if by_name else trial.file)
     figures = {"photos": {name: score.summary(names) for name, score in scores.items()}}
     try:
-        taught = Segmenter(manifest, threads, segmenter.labels, head=read_head(part, manifest)[0])
+        taught = Segmenter(manifest, threads, segmenter.labels, head=read_label_head(part, manifest)[0])
         for folder in also or []:
             others = evenly(read_frames(folder, len(names), sampled=True), limit)
             elsewhere = {
@@ -150,6 +150,6 @@ def head(
         part.unlink(missing_ok=True)
     console.print(
         f"macro F1 {trial.before.macro_f1:.3f} -> {trial.after.macro_f1:.3f} in {seconds:.0f} s; written: {path}, "
-        f"{path.stat().st_size / 1000:.1f} kB. A camera takes it by `head: {path.stem}` in the site file",
+        f"{path.stat().st_size / 1000:.1f} kB. A camera takes it by `label_head: {path.stem}` in the site file",
         highlight=False,
     )

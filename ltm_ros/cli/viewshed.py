@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_ros.cli.output import Overwrite
+from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
     from ltm_core.geometry.geodesy import SiteFrame
@@ -46,7 +47,6 @@ def viewshed(
 
     import numpy as np
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.pictures import to_png
@@ -78,17 +78,19 @@ def viewshed(
         picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, _title(views, target_height))))
 
     geometry = coverage.geometry
-    table = Table(title=f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m", show_header=False)
-    for cameras in range(1, min(len(views), 4) + 1):
-        table.add_row(f"seen by {cameras} or more", f"{coverage.share(cameras):.1%} of the ground")
+    rows = [
+        (f"seen by {cameras} or more", f"{coverage.share(cameras):.1%} of the ground")
+        for cameras in range(1, min(len(views), 4) + 1)
+    ]
     seen = np.isfinite(coverage.footprint)
     if seen.any():
-        table.add_row("footprint of a pixel, median", f"{np.median(coverage.footprint[seen]):.2f} m")
+        rows.append(("footprint of a pixel, median", f"{np.median(coverage.footprint[seen]):.2f} m"))
     hidden = coverage.height[(coverage.count == 0) & np.isfinite(coverage.height)]
     if hidden.size:
         low, high = np.percentile(hidden, [50, 90])
-        table.add_row("hidden ground: visible from", f"{low:.0f} m above it (median), {high:.0f} m (90 %)")
-    console.print(table)
+        rows.append(("hidden ground: visible from", f"{low:.0f} m above it (median), {high:.0f} m (90 %)"))
+    title = f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m"
+    print_table(console, title, ("", ""), rows)
     for path in (out, picture):
         console.print(f"  {path}", highlight=False)
 

@@ -75,7 +75,7 @@ def _write_landscape(
         terrain.ground,
         site.frame,
         map_.geometry,
-        map_.region,
+        map_.climate,
         system,
         target,
         spare_heights(site, grid),

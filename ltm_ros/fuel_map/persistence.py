@@ -16,7 +16,7 @@ from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, Tile
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace
+from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 
 LOGGED_FRAMES = 1000
 """Frames that wait in the store before its tiles are written: what opening it must count again at most."""
@@ -42,7 +42,7 @@ class Counting(Enum):
 
 
 @dataclass(frozen=True)
-class Counted:
+class CountedFrame:
     """A frame that the map holds; `window`: what it may have changed, None for nothing."""
 
     record: FrameRecord
@@ -77,7 +77,7 @@ class FuelMapPersistence:
         self.saved_frames = 0
         """Frames acknowledged, since the store was made."""
         self._initial = self.shown.copies()
-        self._batch: list[Counted] = []
+        self._batch: list[CountedFrame] = []
         self._in_batch: set[tuple[str, int]] = set()
         self._unseen: tuple[str, int] | None = None
         """What `seen` has last found in neither batch nor store: who asks before votes are decoded is not asked again
@@ -93,7 +93,7 @@ class FuelMapPersistence:
         self.failure = ""
         """What was wrong with the store at the last failure, in words."""
         self._failed = False
-        self._pace = RetryPace()
+        self._pace = Backoff()
         self._open()
 
     @property
@@ -130,7 +130,7 @@ class FuelMapPersistence:
             return Counting.EMPTY
         tiles = [self._keys.setdefault(key, key) for key in self.map.tiles_of(window)]
         record = FrameRecord(votes.source, votes.stamp_ns, tiles, model, payload)
-        self._take(Counted(record, self.map.reached_from(window)))
+        self._take(CountedFrame(record, self.map.reached_from(window)))
         return Counting.COUNTED
 
     def replace_tiles(
@@ -157,7 +157,7 @@ class FuelMapPersistence:
             stamp_ns += 1
         if before is None:
             reached = None if window is None else self.map.reached_from(window)
-            self._take(Counted(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
+            self._take(CountedFrame(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
 
     def wait(self, seconds: float) -> None:
         """Time has passed: where the store was away, try it again now and then."""
@@ -175,7 +175,7 @@ class FuelMapPersistence:
         self._changes += self.shown.refresh(windows)
         return windows
 
-    def settle(self, write_tiles: bool = False, last: bool = False, show: bool = True) -> list[Counted]:
+    def settle(self, write_tiles: bool = False, last: bool = False, show: bool = True) -> list[CountedFrame]:
         """Show and write what was counted; what is acknowledged with it.
 
         `write_tiles`: all that the map holds, at once also where the store was away. `last`: nothing comes after.
@@ -209,7 +209,7 @@ class FuelMapPersistence:
             )
         return self._succeed(bool(tiles))
 
-    def close(self) -> list[Counted]:
+    def close(self) -> list[CountedFrame]:
         """Write all, trying for `LAST_TRIES_S`, and let go of the store; what is acknowledged with it.
 
         `unsaved_frames` are lost then: nobody was told of them, so they may be sent again.
@@ -226,7 +226,7 @@ class FuelMapPersistence:
             self.store.close()
         return saved
 
-    def _succeed(self, wrote_tiles: bool) -> list[Counted]:
+    def _succeed(self, wrote_tiles: bool) -> list[CountedFrame]:
         saved, self._batch = self._batch, []
         self._in_batch.clear()
         self._changes = []
@@ -250,11 +250,11 @@ class FuelMapPersistence:
         """The next attempt writes tiles, so payloads need not be held."""
         self._failed, self.failure = True, str(error)
         self._pace.failed()
-        self._batch = [Counted(replace(c.record, payload=b""), c.window) for c in self._batch]
+        self._batch = [CountedFrame(replace(c.record, payload=b""), c.window) for c in self._batch]
         self._batch_bytes = 0
         self._health.trouble(cause_of(error), f"{error}; {len(self._batch)} frames are in memory only")
 
-    def _take(self, counted: Counted) -> None:
+    def _take(self, counted: CountedFrame) -> None:
         record = counted.record
         self._unseen = None
         self._batch.append(counted)
@@ -297,7 +297,7 @@ class FuelMapPersistence:
         if before:
             self._health.note("store_back")
 
-    def _count_again(self, counted: Counted) -> None:
+    def _count_again(self, counted: CountedFrame) -> None:
         if counted.record.payload:
             self.map.add(votes_of(counted.record, self.map.geometry))
         self._take(counted)

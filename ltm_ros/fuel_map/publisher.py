@@ -8,7 +8,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.pointcloud import fuel_cells_to_msg
-from ltm_ros.fuel_map.persistence import Counted, FuelMapPersistence
+from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
@@ -32,7 +32,7 @@ class FuelPublisher:
         self._since_map = self._since_cells = 0.0
         self._map_due = self._cells_due = True
 
-    def announce(self, saved: list[Counted]) -> None:
+    def announce(self, saved: list[CountedFrame]) -> None:
         """Tell of frames that are in the store now."""
         for counted in saved:
             if counted.window is not None:

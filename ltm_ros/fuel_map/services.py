@@ -147,14 +147,14 @@ def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Pat
     """
     system = system_of(evidence.prior)
     layers, terrain = evidence.layers(), exported_terrain(site, state)
-    canopy = site_canopy(site, evidence.geometry, layers, evidence.prior, evidence.region, terrain, evidence, state)
+    canopy = site_canopy(site, evidence.geometry, layers, evidence.prior, evidence.climate, terrain, evidence, state)
     landscape = make_landscape(
         layers,
         evidence.prior,
         terrain.ground,
         site.frame,
         site.in_crs(evidence.geometry),
-        evidence.region,
+        evidence.climate,
         system,
         spare=spare_heights(site, evidence.geometry),
         seen=canopy.seen,

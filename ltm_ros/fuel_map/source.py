@@ -13,7 +13,7 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray
 from ltm_core.fuel.cell_counts import UNSEEN, CoverageMap
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
@@ -71,14 +71,14 @@ class FuelSource:
 
             (classes, grid, _), bag = last_fuel_map(path, site), path
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
-        region = FuelRegion.named(site.fuel.region)
+        climate = FuelClimate.named(site.fuel.climate)
         nothing = np.full(classes.shape, UNSEEN, np.uint8)
-        shown, empty = (layers_of_classes(one, prior, region) for one in (classes, nothing))
+        shown, empty = (layers_of_classes(one, prior, climate) for one in (classes, nothing))
         return cls(site, labels, grid, prior, shown, empty, bag=bag)
 
     @property
-    def region(self) -> FuelRegion:
-        return FuelRegion.named(self.site.fuel.region)
+    def climate(self) -> FuelClimate:
+        return FuelClimate.named(self.site.fuel.climate)
 
     def at(self, moment: str | None) -> FuelLayers:
         """The map now, or as of a moment. Raises ConfigError for no moment, or where there is no history."""
@@ -106,7 +106,7 @@ class FuelSource:
             self.site.in_map(self.geometry),
             self.at(moment),
             self.prior,
-            self.region,
+            self.climate,
             terrain,
             self.evidence if now else None,
             self.folder if now else None,

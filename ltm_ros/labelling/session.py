@@ -74,6 +74,9 @@ class LabelSession:
         file = folder / POLYGONS_FILE
         self._areas: list[NamedArea] = list(read_areas(file)) if file.exists() else []
 
+    def __len__(self) -> int:
+        return len(self._paths)
+
     def overview(self) -> dict[str, Any]:
         """JSON-ready: photos with the number of their areas, classes with colours, whether there is a network."""
         with self._lock:

@@ -15,7 +15,7 @@ from types import ModuleType
 from pydantic import BaseModel
 
 from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.base.finding import Finding, Verdict
+from ltm_core.base.finding import SiteFinding, SiteVerdict
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site import Site
@@ -63,8 +63,8 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
 class NotReadyError(ConfigError):
     """A line a fault. `status`: see `exit_status`."""
 
-    def __init__(self, findings: Sequence[Finding]) -> None:
-        wrong = (finding for finding in findings if finding.verdict is Verdict.WRONG)
+    def __init__(self, findings: Sequence[SiteFinding]) -> None:
+        wrong = (finding for finding in findings if finding.verdict is SiteVerdict.WRONG)
         super().__init__("\n".join(f"{finding.area}, {finding.name}: {finding.said}" for finding in wrong))
         self.status = exit_status(findings)
 
@@ -75,12 +75,14 @@ def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Si
     if exit_status(findings):
         raise NotReadyError(findings)
     for finding in findings:
-        if finding.verdict is Verdict.DOUBTFUL and finding.name != str(shared_memory.SHM_FOLDER):  # the runner tells
+        if finding.verdict is SiteVerdict.DOUBTFUL and finding.name != str(
+            shared_memory.SHM_FOLDER
+        ):  # the runner tells
             tell(f"doubtful: {finding.area}, {finding.name}: {finding.said}")
     return load_site(path)
 
 
-def examined_apart(path: Path, wanted: Wanted) -> list[Finding]:
+def examined_apart(path: Path, wanted: Wanted) -> list[SiteFinding]:
     """The findings of `examine`, made in a process of its own: the one that watches a tower for months shall not keep
     the memory of a DEM and of what reads it. Where that process is killed, that is what was found.
     """
@@ -89,24 +91,24 @@ def examined_apart(path: Path, wanted: Wanted) -> list[Finding]:
             return pool.submit(_findings, path, wanted).result()
     except BrokenProcessPool:
         said = "the check was killed: is the DEM larger than the memory? Clip it, with coarser rasters around it"
-        return [Finding(MACHINE, "memory", Verdict.WRONG, said)]
+        return [SiteFinding(MACHINE, "memory", SiteVerdict.WRONG, said)]
 
 
-def exit_status(findings: Sequence[Finding]) -> int:
+def exit_status(findings: Sequence[SiteFinding]) -> int:
     """0 where nothing is wrong, EX_CONFIG where the site file must be mended, so that systemd need not try again
     (`RestartPreventExitStatus=78`); 1 where only this machine is not ready.
     """
-    areas = {finding.area for finding in findings if finding.verdict is Verdict.WRONG}
+    areas = {finding.area for finding in findings if finding.verdict is SiteVerdict.WRONG}
     return EX_CONFIG if areas - {MACHINE} else 1 if areas else 0
 
 
-def _findings(path: Path, wanted: Wanted) -> list[Finding]:
+def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
     """Of a graph that is about to start: a large DEM is prepared before it is looked at."""
     prepared = list(_prepare(path))
     return [*examine(path, wanted).findings, *prepared]
 
 
-def _prepare(path: Path) -> Iterator[Finding]:
+def _prepare(path: Path) -> Iterator[SiteFinding]:
     """So that the graph's processes share it. What is wrong with the site or the raster, the check says."""
     with suppress(LtmError):
         raster = load_site(path).dem.path
@@ -114,10 +116,12 @@ def _prepare(path: Path) -> Iterator[Finding]:
             prepared = prepare_heights(raster)
         except OSError as error:
             why = error.strerror or error
-            yield Finding(MACHINE, "dem", Verdict.OK, f"no file beside {raster} ({why}): each process holds its own")
+            yield SiteFinding(
+                MACHINE, "dem", SiteVerdict.OK, f"no file beside {raster} ({why}): each process holds its own"
+            )
         else:
             if prepared is not None:
-                yield Finding(MACHINE, "dem", Verdict.OK, f"prepared in {prepared}: the processes share it")
+                yield SiteFinding(MACHINE, "dem", SiteVerdict.OK, f"prepared in {prepared}: the processes share it")
 
 
 def _config_of(module: ModuleType) -> type[BaseModel]:
@@ -126,7 +130,7 @@ def _config_of(module: ModuleType) -> type[BaseModel]:
     return model
 
 
-def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
+def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     """The parameters of each node type, which it would refuse itself."""
     try:
         graph = describe(
@@ -139,7 +143,7 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             parameters=wanted.parameters,
         )
     except LtmError as error:
-        yield Finding.of("site", "nodes", error)
+        yield SiteFinding.of("site", "nodes", error)
         return
     wrong = False
     for spec in {spec.module: spec for spec in graph}.values():
@@ -148,12 +152,12 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             checked(_config_of(importlib.import_module(spec.module)), given, f"nodes.{spec.executable}")
         except LtmError as error:
             wrong = True
-            yield Finding.of("site", "nodes", error)
+            yield SiteFinding.of("site", "nodes", error)
     if not wrong:
-        yield Finding(
+        yield SiteFinding(
             "site",
             "nodes",
-            Verdict.OK,
+            SiteVerdict.OK,
             f"{len(graph)} nodes in {len(graph.processes)} processes, parameters as they take them",
         )
     needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
@@ -161,13 +165,13 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
         said = f"{free >> 20} MB free, {len(graph.processes)} processes take {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
-            Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.OK, said)
+            SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), SiteVerdict.OK, said)
             if free >= needed
-            else Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.DOUBTFUL, said + remedy)
+            else SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), SiteVerdict.DOUBTFUL, said + remedy)
         )
 
 
-def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
+def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     folders = dict(wanted.folders or {})
     for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
@@ -185,7 +189,7 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
         yield _health_port(site.health)
 
 
-def _sources(site: Site, wanted: Wanted) -> Iterator[Finding]:
+def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
     """Cameras are asked without an end, so nothing that they lack now keeps a graph from starting."""
     for name in wanted.cameras or site.cameras:
         source = site.cameras[name].source
@@ -193,36 +197,38 @@ def _sources(site: Site, wanted: Wanted) -> Iterator[Finding]:
             continue
         doubts = list(doubts_of(source))
         for doubt in doubts:
-            yield Finding(MACHINE, f"source of {name}", Verdict.DOUBTFUL, doubt)
+            yield SiteFinding(MACHINE, f"source of {name}", SiteVerdict.DOUBTFUL, doubt)
         if not doubts:
-            yield Finding("cameras", f"source of {name}", Verdict.OK, source.kind)
+            yield SiteFinding("cameras", f"source of {name}", SiteVerdict.OK, source.kind)
 
 
-def _folder(what: str, folder: Path) -> Finding:
+def _folder(what: str, folder: Path) -> SiteFinding:
     try:
         require_folder(folder.expanduser(), what)
     except LtmError as error:
-        return Finding.of(MACHINE, what, error)
+        return SiteFinding.of(MACHINE, what, error)
     free = free_bytes(folder.expanduser())
     said = f"{folder}: {free / 1e9:.1f} GB free"
     if free >= SCARCE_SPACE:
-        return Finding(MACHINE, what, Verdict.OK, said)
-    verdict = Verdict.WRONG if free < LEAST_SPACE else Verdict.DOUBTFUL
-    return Finding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
+        return SiteFinding(MACHINE, what, SiteVerdict.OK, said)
+    verdict = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
+    return SiteFinding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
 
 
-def _port(name: str, port: int) -> Finding:
+def _port(name: str, port: int) -> SiteFinding:
     error = bind_error(_LOOPBACK, port)
     if error is None:
-        return Finding(MACHINE, name, Verdict.OK, f"{port} on {_LOOPBACK} is free")
+        return SiteFinding(MACHINE, name, SiteVerdict.OK, f"{port} on {_LOOPBACK} is free")
     said = f"port {port} on {_LOOPBACK} is taken ({error.strerror}): name another under `"
-    return Finding(MACHINE, name, Verdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end what uses it")
+    return SiteFinding(
+        MACHINE, name, SiteVerdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end what uses it"
+    )
 
 
-def _health_port(config: HealthConfig) -> Finding:
+def _health_port(config: HealthConfig) -> SiteFinding:
     """No more than a doubt: the tower runs without answering monitoring systems, and tries again."""
     error = bind_error(config.address, config.port)
     if error is None:
-        return Finding(MACHINE, "health", Verdict.OK, f"{config.port} on {config.address} is free")
+        return SiteFinding(MACHINE, "health", SiteVerdict.OK, f"{config.port} on {config.address} is free")
     said = refusal(config.address, config.port, error)
-    return Finding(MACHINE, "health", Verdict.DOUBTFUL, f"{said}; the tower runs, and tries again")
+    return SiteFinding(MACHINE, "health", SiteVerdict.DOUBTFUL, f"{said}; the tower runs, and tries again")

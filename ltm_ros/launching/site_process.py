@@ -126,7 +126,7 @@ class JobNode(OutletNode):
 
 
 @dataclass(frozen=True)
-class _Camera:
+class _CameraNodes:
     nodes: list[JobNode]
     pipeline: CameraPipeline
 
@@ -149,7 +149,7 @@ class SiteProcess:
         workers = load_site(str(specs[0].parameters["site"])).workers or available_cores()
         self._scheduler = FrameScheduler(workers, HEARTBEAT)
         faults: list[LtmError] = []
-        left_out: dict[str, Callable[[], _Camera]] = {}
+        left_out: dict[str, Callable[[], _CameraNodes]] = {}
         reasons: dict[str, str] = {}
         for namespace in dict.fromkeys(spec.namespace for spec in specs):
             make = partial(self._make_camera, [spec for spec in specs if spec.namespace == namespace])
@@ -191,13 +191,13 @@ class SiteProcess:
             diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _make_camera(self, specs: Sequence[NodeSpec]) -> _Camera:
+    def _make_camera(self, specs: Sequence[NodeSpec]) -> _CameraNodes:
         nodes: list[JobNode] = []
 
         def say(name: str, text: str) -> None:
             next(node for node in nodes if node.spec.full_name == name).warn(text)
 
-        made = _Camera(nodes, CameraPipeline(say))
+        made = _CameraNodes(nodes, CameraPipeline(say))
         try:
             for spec in specs:
                 nodes.append(JobNode(spec, made.pipeline))
@@ -209,7 +209,7 @@ class SiteProcess:
             raise
         return made
 
-    def _add_camera(self, made: _Camera) -> None:
+    def _add_camera(self, made: _CameraNodes) -> None:
         healths = {node.spec.full_name: node.health for node in made.nodes}
         self._diagnostics.append(DiagnosticsPublisher(made.nodes[0], healths, made.nodes[0].config.camera))
         self._members += made.nodes

@@ -20,6 +20,7 @@ from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import GraphTraffic, HangWatch, HearingWatch, process_use
 from ltm_ros.runtime.handler import EX_CONFIG
+from ltm_ros.runtime.retry import Backoff
 
 LOOK_S = 1.0
 UNWATCHED_S = 60.0
@@ -32,10 +33,9 @@ Console = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """How a dead node comes back: after `initial_s`, then `factor` times longer each time up to `maximum_s`."""
+    """How a dead node is restarted: after `initial_s`, then twice as long each time up to `maximum_s`."""
 
     initial_s: float = 0.5
-    factor: float = 2.0
     maximum_s: float = 30.0
     healthy_s: float = 20.0
     """A run this long starts the back-off anew."""
@@ -43,24 +43,19 @@ class RestartPolicy:
     """Starts in a row that may end with EX_CONFIG before the node is given up."""
 
 
-@dataclass
-class Backoff:
-    """Pure state of a RestartPolicy: feed it how each run ended, it says how long to wait, or None to give up."""
+class RestartDelay:
+    """The state of a RestartPolicy: `after` returns the pause before the next start, or None to give up."""
 
-    policy: RestartPolicy
-    deaths: int = 0
-    config_errors: int = 0
+    def __init__(self, policy: RestartPolicy) -> None:
+        self._policy = policy
+        self._backoff = Backoff(policy.initial_s, policy.maximum_s)
+        self.config_errors = 0
 
     def after(self, status: int, uptime_s: float) -> float | None:
-        if uptime_s >= self.policy.healthy_s:
-            self.deaths = 0
+        if uptime_s >= self._policy.healthy_s:
+            self._backoff.succeeded()
         self.config_errors = self.config_errors + 1 if status == EX_CONFIG else 0
-        if self.config_errors >= self.policy.config_tries:
-            return None
-        # Bounded exponent: a node that dies for weeks must not overflow a float.
-        delay = self.policy.initial_s * self.policy.factor ** min(self.deaths, 60)
-        self.deaths += 1
-        return min(delay, self.policy.maximum_s)
+        return None if self.config_errors >= self._policy.config_tries else self._backoff.failed()
 
 
 class ProcessState(Enum):
@@ -117,7 +112,7 @@ class NodeProcess:
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._tail: deque[str] = deque(maxlen=12)
-        self._backoff = Backoff(self.policy)
+        self._restarts = RestartDelay(self.policy)
         self._slow_starts = 0
         self._deaf_runs = 0
         """In a row, that heard nothing at all; each doubles the time that the next one has."""
@@ -184,11 +179,11 @@ class NodeProcess:
             if self._stopping.is_set():
                 break
             self.last_exit = f"hung ({self._hang})" if self._hang else describe_exit(status)
-            delay_s = self._backoff.after(status, uptime_s)
+            delay_s = self._restarts.after(status, uptime_s)
             if delay_s is None:
                 self.state = ProcessState.GIVEN_UP
                 reason = next((line for line in reversed(self._tail) if line.strip()), "it said nothing")
-                self._tell(f"given up after {self._backoff.config_errors} starts ({self.last_exit}): {reason}")
+                self._tell(f"given up after {self._restarts.config_errors} starts ({self.last_exit}): {reason}")
                 self.on_given_up()
                 return
             self._tell(f"{self.last_exit} after {uptime_s:.1f} s; starts again in {delay_s:.1f} s")

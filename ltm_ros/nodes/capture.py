@@ -58,7 +58,7 @@ def _view_of(frame: JoinedFrame) -> Hashable:
     return round(azimuth / step), round(pitch / step)
 
 
-class Capture(Handler[CaptureConfig]):
+class CaptureHandler(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
 
@@ -198,7 +198,7 @@ class Capture(Handler[CaptureConfig]):
         return True
 
 
-NODE = NodeType("capture", CaptureConfig, Capture)
+NODE = NodeType("capture", CaptureConfig, CaptureHandler)
 
 
 def main() -> None:

@@ -46,7 +46,7 @@ class DepthConfig(JoinConfig, TracingConfig):
     """Folder of the confirmed surfaces that are traced to; empty: the site's rasters are. The graph gives it."""
 
 
-class Depth(Handler[DepthConfig]):
+class DepthHandler(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
     publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
@@ -123,7 +123,7 @@ def _compile_kernels() -> None:
         TerrainTracer(plain).trace(Camera.from_fov(3, 2, 50.0), pose, way)
 
 
-NODE = NodeType("depth", DepthConfig, Depth)
+NODE = NodeType("depth", DepthConfig, DepthHandler)
 
 
 def main() -> None:

@@ -53,7 +53,7 @@ BURN_SOURCE = "fuel_map/burn"
 """Under which the store keeps burns; no camera can have this name."""
 
 
-class FuelMap(Handler[FuelMapConfig]):
+class FuelMapHandler(Handler[FuelMapConfig]):
     """Sends what frames have changed and the whole map, latched, after they are in the store.
 
     Live, that is at each `tick`, twice a second; in an offline replay, after each frame.
@@ -272,7 +272,7 @@ def _folder(config: FuelMapConfig) -> Path | None:
     return folder
 
 
-NODE = NodeType("fuel_map", FuelMapConfig, FuelMap)
+NODE = NodeType("fuel_map", FuelMapConfig, FuelMapHandler)
 
 
 def main() -> None:

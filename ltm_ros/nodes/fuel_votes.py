@@ -32,7 +32,7 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class FuelVotes(Handler[JoinConfig]):
+class FuelVotesHandler(Handler[JoinConfig]):
     publications = (FUEL_VOTES,)
     acknowledgements = (FINISHED,)
 
@@ -88,7 +88,7 @@ class FuelVotes(Handler[JoinConfig]):
         self.outlet.acknowledge(FINISHED, stamp_of(depth))
 
 
-NODE = NodeType("fuel_votes", JoinConfig, FuelVotes)
+NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)
 
 
 def main() -> None:

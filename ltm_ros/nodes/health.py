@@ -23,13 +23,13 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.traffic import TRAFFIC
+from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower import machine
 from ltm_ros.tower.last_pictures import LastPictures
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch, camera_of
-from ltm_ros.tower.web_server import Answer, Route
 
 
 class HealthNodeConfig(NodeConfig):
@@ -59,36 +59,36 @@ class HealthNode(Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self._health})
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         routes: dict[str, Route] = {
-            "/": lambda: Answer(page, "text/html; charset=utf-8"),
-            "/metrics": lambda: Answer(exposition(self.status()), METRICS_KIND),
-            "/healthz": lambda: _verdict(self.status(), "alive"),
-            "/readyz": lambda: _verdict(self.status(), "ready"),
-            "/status.json": lambda: Answer.json(self.status().as_dict()),
-            "/page.json": self._page_json,
-            "/map.png": lambda: _picture(self._pictures.map_png, "image/png"),
+            "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
+            "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
+            "GET /healthz": lambda _: _verdict(self.status(), "alive"),
+            "GET /readyz": lambda _: _verdict(self.status(), "ready"),
+            "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
+            "GET /page.json": lambda _: self._page_json(),
+            "GET /map.png": partial(_picture, self._pictures.map_png, "image/png"),
         }
         for camera in cameras:
             for kind in ("photo", "labels", "depth"):
                 draw = partial(self._pictures.jpeg, camera, kind)
-                routes[f"/picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
+                routes[f"GET /picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
         self._marks = None
         if site.locating is not None:
             self._marks = Marks(self, site.name, cameras, self._pictures.shown, self._health)
-        taking = {} if self._marks is None else {"/mark": self._marks.take}
+            routes["POST /mark"] = self._marks.take
         log = self.get_logger()
-        self._server = PatientServer(site.health, routes, taking, self._health, log.info, log.warning)
+        self._server = PatientServer(site.health, routes, self._health, log.info, log.warning)
 
     def close(self) -> int:
         self._server.close()
         return 0
 
-    def _page_json(self) -> Answer:
+    def _page_json(self) -> WebResponse:
         """What the page asks for, again and again while somebody looks at it."""
         self._pictures.look()
         said = self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": None}
         if self._marks is not None:
             said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
-        return Answer.json(said)
+        return WebResponse.json(said)
 
     def status(self) -> TowerStatus:
         """Now; may be asked for from any thread."""
@@ -113,18 +113,20 @@ class HealthNode(Node):  # type: ignore[misc]
                 self._watch.hear(status.name, status.level != DiagnosticStatus.OK, status.message, values, now_s)
 
 
-def _verdict(status: TowerStatus, what: str) -> Answer:
+def _verdict(status: TowerStatus, what: str) -> WebResponse:
     fine = status.alive if what == "alive" else status.ready
     lines = [what if fine else f"not {what}", *status.wrong]
-    return Answer(("\n".join(lines) + "\n").encode(), status=HTTPStatus.OK if fine else HTTPStatus.SERVICE_UNAVAILABLE)
+    return WebResponse(
+        ("\n".join(lines) + "\n").encode(), status=HTTPStatus.OK if fine else HTTPStatus.SERVICE_UNAVAILABLE
+    )
 
 
-def _picture(draw: Callable[[], bytes | None], kind: str) -> Answer:
+def _picture(draw: Callable[[], bytes | None], kind: str, _: bytes) -> WebResponse:
     try:
         drawn = draw()
     except LtmError as error:
-        return Answer(f"{error}\n".encode(), status=HTTPStatus.INTERNAL_SERVER_ERROR)
-    return Answer(b"not yet\n", status=HTTPStatus.NOT_FOUND) if drawn is None else Answer(drawn, kind)
+        return WebResponse.error(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
+    return WebResponse.error(HTTPStatus.NOT_FOUND, "not yet") if drawn is None else WebResponse(drawn, kind)
 
 
 CONFIG = HealthNodeConfig

@@ -19,7 +19,7 @@ from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
-from ltm_core.locating.answer import Answer, answer, as_geojson, turned_data
+from ltm_core.locating.answer import LocateResult, answer, as_geojson, turned_data
 from ltm_core.locating.compiled_kernels import compile_kernels
 from ltm_core.locating.known_poses import KnownPoses
 from ltm_core.locating.locator import Location, Locator
@@ -74,7 +74,7 @@ class LocateConfig(NodeConfig):
     """Seconds by which it may be late."""
 
 
-class Locate(Handler[LocateConfig]):
+class LocateHandler(Handler[LocateConfig]):
     """Answers each region in its camera's namespace, and keeps the site's tracks."""
 
     def __init__(self, config: LocateConfig, outlet: Outlet, health: Health) -> None:
@@ -228,7 +228,7 @@ class Locate(Handler[LocateConfig]):
             )
         return *known, stamp
 
-    def _said(self, location: Location) -> Answer:
+    def _said(self, location: Location) -> LocateResult:
         cameras = [
             PosedCamera(name, self._cameras[name], poses.newest[0])
             for name, poses in self._poses.items()
@@ -274,7 +274,7 @@ def _apart(one: Float64Array, other: Float64Array) -> float:
     return float(np.linalg.norm(vector_of_matrix(matrix_of_vector(one) @ matrix_of_vector(other).T)))
 
 
-def _place_msg(said: Answer, stamp: int) -> Any:
+def _place_msg(said: LocateResult, stamp: int) -> Any:
     posterior = said.location.posterior
     x, y = posterior.mean
     height = said.name.elevation
@@ -283,7 +283,7 @@ def _place_msg(said: Answer, stamp: int) -> Any:
     return place_to_msg(place, posterior.covariance, variance, stamp)
 
 
-NODE = NodeType("locate", LocateConfig, Locate)
+NODE = NodeType("locate", LocateConfig, LocateHandler)
 
 
 def main() -> None:

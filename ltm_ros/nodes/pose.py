@@ -48,7 +48,7 @@ class PoseKeepingConfig(JoinConfig):
     """What is found of the mount is kept here over a restart; relative to the site file. Empty: nowhere."""
 
 
-class PoseKeeping(Handler[PoseKeepingConfig]):
+class PoseHandler(Handler[PoseKeepingConfig]):
     """Looks at a picture now and then: what it costs is that of a few frames a minute."""
 
     publications = (POSE_CORRECTION, POSE_INFO, POSE_TURNS)
@@ -168,7 +168,7 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
         }
 
 
-NODE = NodeType("pose", PoseKeepingConfig, PoseKeeping)
+NODE = NodeType("pose", PoseKeepingConfig, PoseHandler)
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ class SegmentationConfig(JoinConfig, LabellingConfig):
     """Parameters of the node: whose pictures, how they are labelled, and how they are joined with where they look."""
 
 
-class Segmentation(Handler[SegmentationConfig]):
+class SegmentationHandler(Handler[SegmentationConfig]):
     """Takes pictures alone; where the camera has masks of single views, with their poses."""
 
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
@@ -94,7 +94,7 @@ class Segmentation(Handler[SegmentationConfig]):
             self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, described))
 
 
-NODE = NodeType("segmentation", SegmentationConfig, Segmentation)
+NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)
 
 
 def main() -> None:

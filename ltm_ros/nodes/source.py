@@ -32,7 +32,7 @@ class SourceNodeConfig(NodeConfig):
     """How the camera is asked stands in the site file, `cameras: NAME: source`."""
 
 
-class Source(Handler[SourceNodeConfig]):
+class SourceHandler(Handler[SourceNodeConfig]):
     """The camera is asked in a thread of its own (`SourceThread`), which publishes too."""
 
     publications: Sequence[Topic] = (IMAGE_COMPRESSED, CAMERA_INFO, POSE, SOURCE_INFO)
@@ -95,7 +95,7 @@ class Source(Handler[SourceNodeConfig]):
         self.outlet.publish(IMAGE_COMPRESSED, compressed_to_msg(data, image_format(data), stamp, self._frame_id))
 
 
-NODE = NodeType("source", SourceNodeConfig, Source)
+NODE = NodeType("source", SourceNodeConfig, SourceHandler)
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace
+from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
@@ -75,7 +75,7 @@ class TerrainNodeConfig(JoinConfig):
     """`measured/depth` and `measured/sigma` come from no node of this graph: a range finder's, say, at any size."""
 
 
-class Terrain(Handler[TerrainNodeConfig]):
+class TerrainHandler(Handler[TerrainNodeConfig]):
     """Sends the cells whose change is new as they are decided and stored, and the whole grid of changes, latched."""
 
     publications: Sequence[Topic] = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
@@ -111,7 +111,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._undecided = 0
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
-        self._pace = RetryPace()
+        self._pace = Backoff()
         compile_kernels(site.terrain)
 
     @property
@@ -288,7 +288,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         return TileStore.open(self._folder / STORE_FILE, schema)
 
 
-NODE = NodeType("terrain", TerrainNodeConfig, Terrain)
+NODE = NodeType("terrain", TerrainNodeConfig, TerrainHandler)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.topodepth import FusedDepth, Verdict
+from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
 from ltm_core.pipeline.frame_steps import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
@@ -59,7 +59,7 @@ class TopoDepthConfig(JoinConfig, FusingConfig):
     it."""
 
 
-class TopoDepth(Handler[TopoDepthConfig]):
+class TopoDepthHandler(Handler[TopoDepthConfig]):
     """Joins photo, calibration, pose and traced depth; labels too, where they come in time."""
 
     publications = (
@@ -128,7 +128,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def _publish(self, fused: FusedDepth, stamp: int, seen: SceneView) -> None:
         frame = self._frame_id
         self.health.note(f"verdict.{fused.verdict.value}")
-        if fused.verdict is not Verdict.OK:
+        if fused.verdict is not FusionVerdict.OK:
             self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
         self.health.gauge("verdict", fused.verdict.value)
         self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
@@ -145,7 +145,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused.depth, stamp, frame))
 
 
-NODE = NodeType("topodepth", TopoDepthConfig, TopoDepth)
+NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ class UplinkNodeConfig(NodeConfig):
     """Where the outbox is kept; relative to the site file."""
 
 
-class Uplink(Handler[UplinkNodeConfig]):
+class UplinkHandler(Handler[UplinkNodeConfig]):
     """Only takes what the votes' nodes publish: frames go into the outbox a moment after they come."""
 
     def __init__(self, config: UplinkNodeConfig, outlet: Outlet, health: Health) -> None:
@@ -114,7 +114,7 @@ def _age_clock() -> int | None:
     return None if kernel_clock().synchronised is False else time.time_ns()
 
 
-NODE = NodeType("uplink", UplinkNodeConfig, Uplink)
+NODE = NodeType("uplink", UplinkNodeConfig, UplinkHandler)
 
 
 def main() -> None:

@@ -61,7 +61,7 @@ class ViewerConfig(NodeConfig):
     grpc_port: int = Field(GRPC_PORT, ge=1, lt=65536)
 
 
-class Viewer(Handler[ViewerConfig]):
+class ViewerHandler(Handler[ViewerConfig]):
     def __init__(self, config: ViewerConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
@@ -188,7 +188,7 @@ class Viewer(Handler[ViewerConfig]):
         self._view.log_points(camera, stamp, points[seen], rgb[every, every].reshape(-1, 3)[seen])
 
 
-NODE = NodeType("viewer", ViewerConfig, Viewer)
+NODE = NodeType("viewer", ViewerConfig, ViewerHandler)
 
 
 def main() -> None:

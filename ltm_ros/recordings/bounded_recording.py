@@ -14,13 +14,14 @@ from ltm_core.storage.disk_io import SpaceFloor, disk_bytes
 from ltm_msgs_py.bag.ring import RecordingRing
 from ltm_msgs_py.bag.writer import BagWriter, Split
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.retry import Backoff
 
 RING_BYTES, RING_SHARE = 16_000_000_000, 0.5
 """Of recordings by default: the lesser of the bytes and of the share of the disk."""
 FLOOR_BYTES, FLOOR_SHARE = 2_000_000_000, 0.1
 """Free space that a recording leaves by default, likewise."""
 RETRY_S, LONGEST_RETRY_S = 1.0, 15.0
-"""After the disk has failed: until the next attempt, doubled each time up to the second."""
+"""First and longest pause after the disk has failed."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class BoundedRecording:
         self._told: Counter[str] = Counter()
         self._failed = ""
         self._retry_at = 0.0
-        self._patience = RETRY_S
+        self._backoff = Backoff(RETRY_S, LONGEST_RETRY_S)
         for folder in self._ring.repair():
             self._tell(f"{folder} was not finished; it is now, and ends with its last whole chunk")
         try:
@@ -203,8 +204,7 @@ class BoundedRecording:
             self._tell(str(error))
         self._failed = str(error)
         self._health.trouble("disk", self._failed)
-        self._retry_at = time.monotonic() + self._patience
-        self._patience = min(2 * self._patience, LONGEST_RETRY_S)
+        self._retry_at = time.monotonic() + self._backoff.failed()
 
     def _account(self) -> None:
         if self._writer is None:
@@ -215,5 +215,6 @@ class BoundedRecording:
                 self._health.published(topic)
         self._told = self._writer.on_disk.copy()
         if new and self._failed:
-            self._failed, self._patience = "", RETRY_S
+            self._failed = ""
+            self._backoff.succeeded()
             self._tell("recording goes on")

@@ -38,7 +38,7 @@ from ltm_core.uplink.vote_transfer import VoteTransfer
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.fuel_map.persistence import Counted, Counting, FuelMapPersistence
+from ltm_ros.fuel_map.persistence import CountedFrame, Counting, FuelMapPersistence
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_check import StampCheck
@@ -164,7 +164,7 @@ class Aggregator:
             self._transfers[tower] = found
         return found[1]
 
-    def _answer_for(self, counted: Counted) -> None:
+    def _answer_for(self, counted: CountedFrame) -> None:
         self._answer((*self._cameras[counted.record.source], counted.record.stamp_ns))
 
     def _answer(self, frame: FrameId, refusal: str = "") -> None:

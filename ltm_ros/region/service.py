@@ -25,11 +25,11 @@ from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_
 from ltm_ros.region.tiles import TilePublisher
 from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower import machine
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
-from ltm_ros.tower.web_server import Answer
 
 SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
@@ -200,10 +200,9 @@ class RegionWatch:
             self._server = PatientServer(
                 site.health,
                 {
-                    "/metrics": lambda: Answer(exposition(self.status()), METRICS_KIND),
-                    "/status.json": lambda: Answer.json(self.status().as_dict()),
+                    "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
+                    "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
                 },
-                {},
                 health,
                 _say,
                 _say,

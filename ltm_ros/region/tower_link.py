@@ -27,7 +27,7 @@ from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_
 from ltm_ros.region.tower_words import outcomes_heard, sealed_votes, tell_what_waits
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
-from ltm_ros.runtime.retry import LAST_TRIES_S
+from ltm_ros.runtime.retry import LAST_TRIES_S, Backoff
 
 WINDOW: Final = 64
 """Frames on their way at a time, and"""
@@ -93,7 +93,7 @@ class TowerLink:
         """When each is sent again, and its bytes."""
         self._answered: set[FrameKey] = set()
         """Frames that the region's map has, and the disk has not yet let go of: they are not sent again."""
-        self._resend_s = RESEND_S
+        self._resend = Backoff(RESEND_S, LONGEST_RESEND_S)
         self._bound_due = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
         topics = [ack_topic(config.name, config.tower), presence_topic(config.name)]
@@ -227,7 +227,7 @@ class TowerLink:
         if refused:
             outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
         if self._answered:
-            self._resend_s = RESEND_S
+            self._resend.succeeded()
             for _ in range(outbox.acknowledge(self._answered)):
                 self._health.note("acknowledged")
             self._answered.clear()
@@ -264,7 +264,7 @@ class TowerLink:
         late = [key for key, (again, _) in self._on_their_way.items() if now_s >= again]
         if late:
             self._health.note("sent_again")
-            self._resend_s = min(2 * self._resend_s, LONGEST_RESEND_S)
+            self._resend.failed()
             for key in late:
                 del self._on_their_way[key]
         frames, room = WINDOW - len(self._on_their_way), WINDOW_BYTES - sum(n for _, n in self._on_their_way.values())
@@ -284,7 +284,7 @@ class TowerLink:
                 continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
                 return
-            self._on_their_way[key] = now_s + self._resend_s, size
+            self._on_their_way[key] = now_s + self._resend.pause_s, size
             room -= size
 
     def _state(self) -> None:

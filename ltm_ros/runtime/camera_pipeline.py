@@ -17,7 +17,7 @@ from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import Activity, Heartbeat
 from ltm_ros.runtime.pipeline import Job, Pipeline
-from ltm_ros.runtime.retry import RetryPace
+from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.stamp_join import data_bytes
 
 
@@ -132,7 +132,7 @@ class CameraPipeline:
         """Whether handlers get further messages before they are idle."""
         self._closing = False
         self._activity = Activity("start")
-        self._broken: dict[str, RetryPace] = {}
+        self._broken: dict[str, Backoff] = {}
         """Jobs whose handlers could not be made anew."""
         self._waited = 0.0
         """Seconds that the handlers have not been told of."""
@@ -231,7 +231,7 @@ class CameraPipeline:
         sys.excepthook(*sys.exc_info())
         job.health.drop(CRASHED, f"{error!r}: a bug; the frame is dropped and {job.name} started anew; see the log")
         self._drop_frame(job, message)
-        self._renew(job, RetryPace())
+        self._renew(job, Backoff())
 
     def _drop_frame(self, job: Job, message: Any) -> None:
         """No job shall wait for what `job` would have made of it."""
@@ -242,7 +242,7 @@ class CameraPipeline:
                 if other is not job and other.name not in self._broken:
                     other.handler.discard(stamp)
 
-    def _renew(self, job: Job, pace: RetryPace) -> None:
+    def _renew(self, job: Job, pace: Backoff) -> None:
         try:
             job.renew()
             job.handler.start()

@@ -32,10 +32,10 @@ class Health:
         self._dropped: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
-        self._ages = _Window()
-        self._work = _Window()
+        self._ages = _LastValues()
+        self._work = _LastValues()
         self._cpu_s: float | None = None
-        self._published_at = _Window()
+        self._published_at = _LastValues()
         self._reasons: dict[str, str] = {}
         self._last_error = ""
         self._last_trouble = -float("inf")
@@ -147,7 +147,7 @@ def _rate(moments: Float64Array) -> float:
     return float((len(recent) - 1) / np.ptp(recent)) if len(recent) > 1 and np.ptp(recent) > 0 else 0.0
 
 
-class _Window:
+class _LastValues:
     """The last `WINDOW` numbers, in one block of memory: as objects they would come and go among all others."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.runtime.retry import RetryPace
+from ltm_ros.runtime.retry import Backoff
 
 LONGEST_PAUSE_S = 120.0
 """Between two attempts: each reads what it needs anew."""
@@ -41,7 +41,7 @@ class LateStart(Generic[MadeT]):
     ) -> None:
         self._makes, self._say, self._start = dict(makes), say, start
         self._said = dict(said)
-        self._paces = {name: RetryPace(LONGEST_PAUSE_S) for name in makes}
+        self._paces = {name: Backoff(longest_s=LONGEST_PAUSE_S) for name in makes}
         for pace in self._paces.values():
             pace.failed()
         self._attempt: threading.Thread | None = None

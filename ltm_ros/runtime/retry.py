@@ -1,35 +1,52 @@
-"""Paces attempts at something that is away: each failure doubles the pause, up to a limit."""
+"""The pauses between attempts that fail: cameras, stores, disks and processes all wait by this rule."""
 
 from __future__ import annotations
 
-RETRY_S = 2.0
-"""The first pause."""
+import random
+
+FIRST_RETRY_S = 2.0
+"""Default pause after the first failure."""
 LONGEST_RETRY_S = 15.0
+"""Default upper limit of the pause."""
 LAST_TRIES_S = 3.0
-"""For which a node that is told to stop tries to write what it has: it is killed after ten seconds."""
+"""Time for which a node that is stopping tries to write its data; it is killed after ten seconds."""
 LAST_PAUSE_S = 0.25
-"""Between these."""
+"""Pause between these last attempts."""
 
 
-class RetryPace:
-    """Counts time that it is told of, as handlers do not look at clocks. `longest`: pause, seconds."""
+class Backoff:
+    """Double the pause with each failure in a row, from `first_s` up to `longest_s`.
 
-    def __init__(self, longest: float = LONGEST_RETRY_S) -> None:
-        self._longest = longest
-        self._pause = RETRY_S
-        self._left = 0.0
+    Sleep for what `failed` returns; or, without a clock, count time with `passed` and try again once it is `due`.
+
+    Args:
+        jitter: shortens each pause by up to half, but not below `first_s`, so that many clients do not retry together.
+    """
+
+    def __init__(
+        self, first_s: float = FIRST_RETRY_S, longest_s: float = LONGEST_RETRY_S, jitter: random.Random | None = None
+    ) -> None:
+        self._first_s, self._longest_s, self._jitter = first_s, longest_s, jitter
+        self.pause_s = first_s
+        """Pause after the next failure, before jitter, seconds."""
+        self._left_s = 0.0
 
     @property
     def due(self) -> bool:
         """Whether the next attempt may be made."""
-        return self._left <= 0.0
+        return self._left_s <= 0.0
 
     def passed(self, seconds: float) -> None:
-        self._left -= seconds
+        self._left_s -= seconds
 
-    def failed(self) -> None:
-        self._left = self._pause
-        self._pause = min(2 * self._pause, self._longest)
+    def failed(self) -> float:
+        """Return the pause before the next attempt, seconds."""
+        pause_s = self.pause_s
+        if self._jitter is not None:
+            pause_s = max(self._first_s, pause_s * self._jitter.uniform(0.5, 1.0))
+        self.pause_s = min(2 * self.pause_s, self._longest_s)
+        self._left_s = pause_s
+        return pause_s
 
     def succeeded(self) -> None:
-        self._left, self._pause = 0.0, RETRY_S
+        self._left_s, self.pause_s = 0.0, self._first_s

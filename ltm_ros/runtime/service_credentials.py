@@ -18,3 +18,8 @@ def service_credential(name: str) -> Path | None:
         return None
     files = (Path(folder) / given for given in (name, f"{PREFIX}{name}"))
     return next((file for file in files if file.is_file()), None)
+
+
+def secret(path: Path) -> Path:
+    """Return the service's credential with the name of `path` if it has one, else `path`."""
+    return service_credential(path.name) or path

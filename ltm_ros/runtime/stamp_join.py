@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ltm_core.base.errors import LtmError
-from ltm_core.site.sections import Limits
+from ltm_core.site.sections import MessageLimits
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 
@@ -40,7 +40,7 @@ class RecentStamps:
         self._next = (self._next + 1) % len(self._stamps)
 
 
-WAITING_BYTES = Limits().waiting_bytes
+WAITING_BYTES = MessageLimits().waiting_bytes
 REMEMBERED = 1000
 """Stamps of finished frames that are known again as duplicates; messages of a part that is matched by nearness."""
 
@@ -81,7 +81,7 @@ class Part:
 
 
 @dataclass
-class _Frame:
+class _FrameParts:
     parts: dict[str, Any] = field(default_factory=dict)
     waited: float = 0.0
     """Seconds since its first message."""
@@ -133,7 +133,7 @@ class StampJoin:
         self._capacity, self._whole_capacity, self._max_wait = capacity, whole_capacity, max_wait
         self._capacity_bytes, self._camera = capacity_bytes, camera
         self._give_up = self._count_unjoined if give_up is None else give_up
-        self._waiting: OrderedDict[int, _Frame] = OrderedDict()
+        self._waiting: OrderedDict[int, _FrameParts] = OrderedDict()
         self._done = RecentStamps(REMEMBERED)
         self._memory: dict[str, OrderedDict[int, Any]] = {
             name: OrderedDict() for name, part in self._parts.items() if not part.begins
@@ -152,7 +152,7 @@ class StampJoin:
             return
         part = self._parts[name]
         if part.begins:
-            self._waiting.setdefault(stamp_ns, _Frame()).parts[name] = message
+            self._waiting.setdefault(stamp_ns, _FrameParts()).parts[name] = message
         else:
             memory = self._memory[name]
             memory[stamp_ns] = message

@@ -18,7 +18,7 @@ from ltm_msgs_py.confirmed_surface import manifest_to_msg
 from ltm_msgs_py.grid import change_to_msg, changed_to_msg
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.retry import RetryPace
+from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.topics import TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_SURFACE, TERRAIN_UPDATE
 
 
@@ -84,7 +84,7 @@ class Confirmation:
         self._current: ConfirmedSurface | None = None
         self._manifest = SurfaceManifest(site=site.name)
         self._read()
-        self._pace = RetryPace()
+        self._pace = Backoff()
 
     def start(self) -> None:
         """Tell of the version that counts."""

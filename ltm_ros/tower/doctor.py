@@ -20,7 +20,7 @@ import ltm_core
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
-from ltm_ros.tower.doctor_finding import Condition, Finding
+from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",
@@ -39,7 +39,7 @@ INSTALL = "pip install"
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
-def examine(site: Path | None = None) -> list[Finding]:
+def examine(site: Path | None = None) -> list[DoctorFinding]:
     """Everything, in the order in which a person would mend it. `site`: the tower's file; by default the installed
     one, where there is one."""
     return [
@@ -54,27 +54,27 @@ def examine(site: Path | None = None) -> list[Finding]:
     ]
 
 
-def as_json(findings: list[Finding]) -> str:
+def as_json(findings: list[DoctorFinding]) -> str:
     return json.dumps({"ok": healthy(findings), "findings": [asdict(finding) for finding in findings]}, indent=2)
 
 
-def healthy(findings: list[Finding]) -> bool:
+def healthy(findings: list[DoctorFinding]) -> bool:
     """Whether nothing required is missing."""
-    return not any(finding.state is Condition.MISSING for finding in findings)
+    return not any(finding.state is DoctorState.MISSING for finding in findings)
 
 
-def summed_up(findings: list[Finding]) -> list[Finding]:
+def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
     """The same with the packages of one area that are as they should be in one line."""
-    lines: list[Finding] = []
+    lines: list[DoctorFinding] = []
     for finding in findings:
-        if not finding.area.startswith("packages") or finding.state is not Condition.OK:
+        if not finding.area.startswith("packages") or finding.state is not DoctorState.OK:
             lines.append(finding)
             continue
         part = f"{finding.name} {finding.detail}"
-        if lines and (lines[-1].area, lines[-1].state, lines[-1].name) == (finding.area, Condition.OK, ""):
-            lines[-1] = Finding(finding.area, "", Condition.OK, f"{lines[-1].detail}, {part}")
+        if lines and (lines[-1].area, lines[-1].state, lines[-1].name) == (finding.area, DoctorState.OK, ""):
+            lines[-1] = DoctorFinding(finding.area, "", DoctorState.OK, f"{lines[-1].detail}, {part}")
         else:
-            lines.append(Finding(finding.area, "", Condition.OK, part))
+            lines.append(DoctorFinding(finding.area, "", DoctorState.OK, part))
     return lines
 
 
@@ -94,39 +94,39 @@ def requirements() -> dict[str, list[Requirement]]:
     return by_extra
 
 
-def check_python() -> Iterator[Finding]:
+def check_python() -> Iterator[DoctorFinding]:
     version = ".".join(map(str, sys.version_info[:3]))
     fine = sys.version_info >= (3, 11)
-    yield Finding(
+    yield DoctorFinding(
         "python",
         "Python",
-        Condition.OK if fine else Condition.MISSING,
+        DoctorState.OK if fine else DoctorState.MISSING,
         f"{version} in {sys.prefix}",
         "" if fine else "install Python 3.11 or newer, then `make demo`",
     )
 
 
-def check_packages() -> Iterator[Finding]:
+def check_packages() -> Iterator[DoctorFinding]:
     for extra, needed in requirements().items():
         for requirement in needed:
             if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
                 continue
             area = f"packages [{extra}]" if extra else "packages"
-            absent = Condition.OPTIONAL if extra else Condition.MISSING
+            absent = DoctorState.OPTIONAL if extra else DoctorState.MISSING
             if extra == "ros" and _distribution(requirement.name) is None:
                 # The ROS part looks at what there is instead: it may come from apt.
                 continue
             yield _package(area, requirement, absent)
 
 
-def _package(area: str, requirement: Requirement, absent: Condition) -> Finding:
+def _package(area: str, requirement: Requirement, absent: DoctorState) -> DoctorFinding:
     version = _distribution(requirement.name)
     remedy = f"{INSTALL} '{requirement.name}{requirement.specifier}'"
     if version is None:
-        return Finding(area, requirement.name, absent, "not installed", remedy)
+        return DoctorFinding(area, requirement.name, absent, "not installed", remedy)
     if not requirement.specifier.contains(version, prereleases=True):
-        return Finding(area, requirement.name, absent, f"{version}, needed {requirement.specifier}", remedy)
-    return Finding(area, requirement.name, Condition.OK, version)
+        return DoctorFinding(area, requirement.name, absent, f"{version}, needed {requirement.specifier}", remedy)
+    return DoctorFinding(area, requirement.name, DoctorState.OK, version)
 
 
 def _distribution(name: str) -> str | None:
@@ -136,40 +136,44 @@ def _distribution(name: str) -> str | None:
         return None
 
 
-def check_ros() -> Iterator[Finding]:
+def check_ros() -> Iterator[DoctorFinding]:
     remedy = f"{INSTALL} 'ltm[ros]' (x86-64), or: apt install ros-jazzy-ros-base && source /opt/ros/jazzy/setup.sh"
     spec = importlib.util.find_spec("rclpy")
     if spec is None or spec.origin is None:
-        yield Finding("ros", "rclpy", Condition.MISSING, "not found", remedy)
+        yield DoctorFinding("ros", "rclpy", DoctorState.MISSING, "not found", remedy)
         return
     place = Path(spec.origin).parent
     wheel = _distribution("ros-jazzy-rclpy")
     from_wheels = wheel is not None and place.is_relative_to(sys.prefix)
     kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', 'of unknown distribution')}"
-    yield Finding("ros", "rclpy", Condition.OK, f"{kind}, {place}")
+    yield DoctorFinding("ros", "rclpy", DoctorState.OK, f"{kind}, {place}")
     absent = [name for name in MESSAGE_PACKAGES if importlib.util.find_spec(name) is None]
     if absent:
-        yield Finding("ros", "messages", Condition.MISSING, f"no {', '.join(absent)}", remedy)
+        yield DoctorFinding("ros", "messages", DoctorState.MISSING, f"no {', '.join(absent)}", remedy)
     else:
-        yield Finding("ros", "messages", Condition.OK, ", ".join(MESSAGE_PACKAGES))
+        yield DoctorFinding("ros", "messages", DoctorState.OK, ", ".join(MESSAGE_PACKAGES))
 
 
-def check_transport() -> Iterator[Finding]:
+def check_transport() -> Iterator[DoctorFinding]:
     if importlib.util.find_spec("rclpy") is None:
         return
     environment = ros_environment()
     given = next((name for name in PROFILE_VARIABLES if os.environ.get(name)), None)
     profile = Path(environment[given or PROFILE_VARIABLES[0]])
     if profile.is_file():
-        yield Finding("transport", "profile", Condition.OK, f"{profile} ({f'from {given}' if given else 'our own'})")
+        yield DoctorFinding(
+            "transport", "profile", DoctorState.OK, f"{profile} ({f'from {given}' if given else 'our own'})"
+        )
     else:
-        yield Finding("transport", "profile", Condition.MISSING, f"{given}={profile} is no file", f"unset {given}")
+        yield DoctorFinding(
+            "transport", "profile", DoctorState.MISSING, f"{given}={profile} is no file", f"unset {given}"
+        )
     domain, reach = environment.get("ROS_DOMAIN_ID", "0"), environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-    yield Finding("transport", "discovery", Condition.OK, f"domain {domain}, range {reach}")
+    yield DoctorFinding("transport", "discovery", DoctorState.OK, f"domain {domain}, range {reach}")
     yield _participant(environment)
 
 
-def _participant(environment: Mapping[str, str]) -> Finding:
+def _participant(environment: Mapping[str, str]) -> DoctorFinding:
     """Start a real one and ask it."""
     wanted = environment["RMW_IMPLEMENTATION"]
     command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
@@ -178,114 +182,116 @@ def _participant(environment: Mapping[str, str]) -> Finding:
             command, env=dict(environment), capture_output=True, text=True, timeout=60
         )
     except subprocess.TimeoutExpired:
-        return Finding("transport", "participant", Condition.MISSING, f"{wanted}: did not start within 60 s")
+        return DoctorFinding("transport", "participant", DoctorState.MISSING, f"{wanted}: did not start within 60 s")
     lines = [line for line in ran.stdout.splitlines() if line.startswith("{")]
     if ran.returncode != 0 or not lines:
         last = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
-        return Finding(
+        return DoctorFinding(
             "transport",
             "participant",
-            Condition.MISSING,
+            DoctorState.MISSING,
             f"{wanted}: {last}",
             f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'",
         )
     answer = json.loads(lines[-1])
     largest = max(answer["segment_bytes"], default=0)
     if answer["rmw"] != "rmw_fastrtps_cpp":
-        return Finding("transport", "participant", Condition.OK, f"{answer['rmw']}: configure it for images yourself")
+        return DoctorFinding(
+            "transport", "participant", DoctorState.OK, f"{answer['rmw']}: configure it for images yourself"
+        )
     if largest < 32 << 20:
         detail = f"shared memory of {largest / 1e6:.1f} MB: too small for images, some will be lost"
-        return Finding(
+        return DoctorFinding(
             "transport",
             "participant",
-            Condition.WARNING,
+            DoctorState.WARNING,
             detail,
             "enlarge /dev/shm (see below), unset profile variables",
         )
-    return Finding(
-        "transport", "participant", Condition.OK, f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
+    return DoctorFinding(
+        "transport", "participant", DoctorState.OK, f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
     )
 
 
-def check_shared_memory() -> Iterator[Finding]:
+def check_shared_memory() -> Iterator[DoctorFinding]:
     free = shared_memory.free_bytes()
     if free is None:
-        yield Finding(
+        yield DoctorFinding(
             "shared memory",
             str(shared_memory.SHM_FOLDER),
-            Condition.WARNING,
+            DoctorState.WARNING,
             "not there: images go over UDP, slowly",
             "mount -t tmpfs tmpfs /dev/shm",
         )
         return
     needed = shared_memory.BYTES_PER_PARTICIPANT * SMALLEST_SITE_NODES
     nodes = free // shared_memory.BYTES_PER_PARTICIPANT
-    yield Finding(
+    yield DoctorFinding(
         "shared memory",
         str(shared_memory.SHM_FOLDER),
-        Condition.OK if free >= needed else Condition.WARNING,
+        DoctorState.OK if free >= needed else DoctorState.WARNING,
         f"{free >> 20} MB free, enough for {nodes} nodes",
         "" if free >= needed else "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g",
     )
     seen = shared_memory.survey()
-    yield Finding(
+    yield DoctorFinding(
         "shared memory",
         "segments",
-        Condition.WARNING if seen.stale else Condition.OK,
+        DoctorState.WARNING if seen.stale else DoctorState.OK,
         f"{seen.segments_in_use} in use, {len(seen.stale)} objects of dead processes ({seen.stale_bytes >> 20} MB)",
         "fastdds shm clean (`ltm run` also does it)" if seen.stale else "",
     )
 
 
-def check_models() -> Iterator[Finding]:
+def check_models() -> Iterator[DoctorFinding]:
     from ltm_core.vision.label_confidence import doubt_of_photographs, load_calibration
-    from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest, shipped_names
+    from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 
     names = shipped_names()
     for name in dict.fromkeys([DEFAULT_MODEL, *names]):
-        absent = Condition.MISSING if name == DEFAULT_MODEL else Condition.OPTIONAL
+        absent = DoctorState.MISSING if name == DEFAULT_MODEL else DoctorState.OPTIONAL
         try:
-            model = OnnxModel(Manifest.find(name))
+            model = OnnxModel(NetworkManifest.find(name))
         except LtmError as error:
-            yield Finding(
+            yield DoctorFinding(
                 "models", name, absent, str(error), "put the file where it was looked for, or set LTM_MODEL_PATH"
             )
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
         told = f"{model.path}{role}, checksum as its manifest states"
         doubt = "" if model.manifest.output.is_depth else doubt_of_photographs(load_calibration(model.manifest))
-        yield Finding("models", name, Condition.OK, f"{told}; its labels were {doubt} here" if doubt else told)
+        yield DoctorFinding("models", name, DoctorState.OK, f"{told}; its labels were {doubt} here" if doubt else told)
 
 
-def check_machine() -> Iterator[Finding]:
+def check_machine() -> Iterator[DoctorFinding]:
     cores = available_cores()
-    yield Finding(
+    yield DoctorFinding(
         "machine",
         "cores",
-        Condition.OK if cores >= 2 else Condition.WARNING,
+        DoctorState.OK if cores >= 2 else DoctorState.WARNING,
         f"{cores} for this process",
         "" if cores >= 2 else "give it two: nodes wait for each other on one",
     )
     memory = _memory_gb()
-    yield Finding(
+    yield DoctorFinding(
         "machine",
         "memory",
-        Condition.OK if memory >= LEAST_MEMORY_GB else Condition.WARNING,
+        DoctorState.OK if memory >= LEAST_MEMORY_GB else DoctorState.WARNING,
         f"{memory:.1f} GB for this process",
         "" if memory >= LEAST_MEMORY_GB else f"give it {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
     )
     folder = numba_cache()
-    yield Finding(
+    yield DoctorFinding(
         "machine",
         "numba cache",
-        Condition.OK if folder else Condition.WARNING,
+        DoctorState.OK if folder else DoctorState.WARNING,
         str(folder) if folder else "no writable folder: kernels are compiled anew at each start",
         "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
     )
 
 
-def check_tower(site: Path | None) -> Iterator[Finding]:
+def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
     """Of the site's file, else of the installed one, where there is one."""
     if site is not None or INSTALLED_SITE.exists():
         from ltm_ros.tower.health_client import check_health_port  # reads site files: packages may be missing

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Condition(StrEnum):
+class DoctorState(StrEnum):
     OK = "ok"
     OPTIONAL = "optional"
     """Absent, and only some commands need it."""
@@ -17,10 +17,10 @@ class Condition(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     area: str
     name: str
-    state: Condition
+    state: DoctorState
     detail: str
     remedy: str = ""
     """Command that mends it."""

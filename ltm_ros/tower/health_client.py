@@ -14,11 +14,11 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site_io import load_site
 from ltm_ros.runtime.ports import bind_error, refusal
-from ltm_ros.tower.doctor_finding import Condition, Finding
-from ltm_ros.tower.web_server import read_token, secret
+from ltm_ros.runtime.service_credentials import secret
+from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
+from ltm_ros.tower.patient_server import read_token
 
 LARGEST = 16 << 20
-ANY = ("0.0.0.0", "::")  # nosec B104 # compared with, not listened on
 
 
 def ask(config: HealthConfig, path: str) -> Any:
@@ -48,20 +48,20 @@ def ask(config: HealthConfig, path: str) -> Any:
         connection.close()
 
 
-def check_health_port(path: Path) -> Iterator[Finding]:
+def check_health_port(path: Path) -> Iterator[DoctorFinding]:
     """Whether the tower of a site file can answer monitoring systems: without that it runs all the same."""
     name = "health port"
     try:
         site = load_site(path)
     except LtmError as error:
-        yield Finding("machine", name, Condition.WARNING, str(error), f"ltm check {path}")
+        yield DoctorFinding("machine", name, DoctorState.WARNING, str(error), f"ltm check {path}")
         return
     health = site.health
     if health is None or health.port == 0:
         return
     taken = bind_error(health.address, health.port)
     if taken is None:
-        yield Finding("machine", name, Condition.OK, f"{health.address}:{health.port} is free: no tower runs")
+        yield DoctorFinding("machine", name, DoctorState.OK, f"{health.address}:{health.port} is free: no tower runs")
         return
     try:
         said = ask(health, "/status.json")
@@ -72,6 +72,6 @@ def check_health_port(path: Path) -> Iterator[Finding]:
         other = "what answers there is no tower"
     if other:
         remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without, and tries again"
-        yield Finding("machine", name, Condition.WARNING, other, remedy)
+        yield DoctorFinding("machine", name, DoctorState.WARNING, other, remedy)
     else:
-        yield Finding("machine", name, Condition.OK, f"{site.name} answers on {health.address}:{health.port}")
+        yield DoctorFinding("machine", name, DoctorState.OK, f"{site.name} answers on {health.address}:{health.port}")

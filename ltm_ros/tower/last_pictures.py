@@ -126,7 +126,7 @@ class LastPictures:
         self._node, self._site, self._health = node, site, health
         self._labels = LabelSet.load(config_path(site.labels))
         self._map_palette = life_form_labels(self._labels)
-        self._cameras = {name: _Camera(node, site, name, health, self._keep) for name in cameras}
+        self._cameras = {name: _CameraFrames(node, site, name, health, self._keep) for name in cameras}
         self._kept: dict[str, CameraPicture] = {}
         self._map: Any = None
         self._looked_s = -float("inf")
@@ -177,7 +177,7 @@ class LastPictures:
             self._map = message
 
 
-class _Camera:
+class _CameraFrames:
     """Listens to one camera's frames, or does not."""
 
     def __init__(

@@ -16,14 +16,14 @@ from ltm_msgs_py.stamp import make_header
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, site_topic
+from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower.last_pictures import CameraPicture
-from ltm_ros.tower.web_server import Answer
 
 SAME_S = 1e-3
 """A browser's numbers hold stamps to microseconds."""
 
 
-class Mark(StrictModel):
+class PageMark(StrictModel):
     """Where somebody clicked. `stamp`: seconds, of the picture that was shown; `across`, `down`: shares of its width
     and height, from its upper left corner."""
 
@@ -119,23 +119,23 @@ class Marks:
             LOCATE_TRACKS.type, site_topic(site, LOCATE_TRACKS), self._hear, stream_qos(LOCATE_TRACKS.latched, 1)
         )
 
-    def take(self, body: bytes) -> Answer:
-        """Of a request: a `Mark` in JSON. What `locate` makes of it, or why it cannot, is its own to say."""
+    def take(self, body: bytes) -> WebResponse:
+        """Of a request: a `PageMark` in JSON. What `locate` makes of it, or why it cannot, is its own to say."""
         try:
-            mark = Mark.model_validate_json(body)
+            mark = PageMark.model_validate_json(body)
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
-            return Answer(f"not a mark: {wrong}\n".encode(), status=HTTPStatus.BAD_REQUEST)
+            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"not a mark: {wrong}")
         picture = self._shown(mark.camera) if mark.camera in self._publishers else None
         if picture is None:
-            return Answer(b"no picture of such a camera\n", status=HTTPStatus.NOT_FOUND)
+            return WebResponse.error(HTTPStatus.NOT_FOUND, "no picture of such a camera")
         if abs(picture.stamp_ns / 1e9 - mark.stamp) > SAME_S:
-            return Answer(b"another picture has come meanwhile: mark it there\n", status=HTTPStatus.CONFLICT)
+            return WebResponse.error(HTTPStatus.CONFLICT, "another picture has come meanwhile: mark it there")
         u, v = picture.pixel(mark.across, mark.down)
         point = PointStamped(header=make_header(picture.stamp_ns, f"{mark.camera}_optical"))
         point.point.x, point.point.y = u, v
         self._publishers[mark.camera].publish(point)
-        return Answer.json({"u": round(u, 1), "v": round(v, 1)})
+        return WebResponse.json({"u": round(u, 1), "v": round(v, 1)})
 
     def places(self) -> list[dict[str, Any]]:
         """The site's tracks, newest first, as `locate` says them."""

@@ -1,38 +1,86 @@
-"""A server of health that somebody else's hold of its port does not keep from running later."""
+"""Serves a tower's status; while its port is in use, it waits for it and the tower works on."""
 
 from __future__ import annotations
 
+import ssl
 import threading
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Final
 
+from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.health import Health
-from ltm_ros.tower.web_server import PortError, Route, Taking, WebServer
+from ltm_ros.runtime.ports import refusal
+from ltm_ros.runtime.service_credentials import secret
+from ltm_ros.runtime.web_server import Route, WebServer
 
 RETRY_S: Final = 5.0
-"""Until a port is tried again: shorter than diagnostics say what is wrong, so that they say it all the time."""
+"""Pause between two attempts to open the port: shorter than diagnostics keep an error, so that they always show it."""
+LEAST_TOKEN: Final = 16
+"""Smallest number of characters of a token."""
+
+
+class PortError(ConfigError):
+    """A port cannot be listened on now; later it may be."""
+
+
+def read_token(path: Path) -> str:
+    """Return the token in a file. Raises ConfigError, whose message never repeats the file's content."""
+    try:
+        token = secret(path).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"health.token: {path}: cannot be read ({type(error).__name__})") from error
+    if len(token) < LEAST_TOKEN or not token.isascii() or any(c.isspace() for c in token):
+        raise ConfigError(
+            f"health.token: {path}: give {LEAST_TOKEN} characters or more, such as `openssl rand -hex 32`"
+        )
+    return token
+
+
+def open_health_server(config: HealthConfig, routes: Mapping[str, Route]) -> WebServer:
+    """Open the server that the section `health` describes.
+
+    Raises PortError if the address cannot be bound, ConfigError if the certificate, key or token cannot be read.
+    """
+    token = None if config.token is None else read_token(config.token)
+    try:
+        return WebServer(routes, config.address, config.port, token=token, tls=_tls(config))
+    except OSError as error:
+        raise PortError(refusal(config.address, config.port, error)) from error
+
+
+def _tls(config: HealthConfig) -> ssl.SSLContext | None:
+    if config.certificate is None or config.key is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(secret(config.certificate), secret(config.key))
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(
+            f"health: certificate {config.certificate} and key {config.key} cannot be taken ({error})"
+        ) from error
+    return context
 
 
 class PatientServer:
-    """Serves from the moment it is made, or as soon as its port is free; until then `health` says what is wrong.
+    """Serve from construction, or as soon as the port is free; until then `health` has the reason.
 
-    What answers monitoring systems shall not keep a tower from its work. Raises ConfigError where a certificate or the
-    token cannot be read: time mends neither.
+    Raises ConfigError if the certificate, key or token cannot be read: waiting does not help there.
     """
 
     def __init__(
         self,
         config: HealthConfig,
         routes: Mapping[str, Route],
-        taking: Mapping[str, Taking],
         health: Health,
         tell: Callable[[str], None],
         warn: Callable[[str], None],
         retry_s: float = RETRY_S,
     ) -> None:
         """`tell`: a line when it listens; `warn`: when it cannot, the first time; from any thread."""
-        self._config, self._routes, self._taking = config, routes, taking
+        self._config, self._routes = config, routes
         self._health, self._tell, self._warn, self._retry_s = health, tell, warn, retry_s
         self._closing = threading.Event()
         self._server: WebServer | None = None
@@ -56,7 +104,7 @@ class PatientServer:
 
     def _listen(self) -> bool:
         try:
-            self._server = WebServer(self._config, self._routes, self._taking)
+            self._server = open_health_server(self._config, self._routes)
         except PortError as error:
             said = f"{error}; it is tried again every {self._retry_s:g} s"
             self._health.trouble("port", said)

@@ -75,7 +75,7 @@ class NodeState(StatedValues):
 
 
 @dataclass(frozen=True)
-class CameraState:
+class CameraStatus:
     name: str
     frame_age_s: float | None
     """Since the stamp of its newest frame; None: none has come."""
@@ -111,7 +111,7 @@ class TowerStatus:
     """By the machine's clock."""
     versions: Mapping[str, str]
     nodes: Sequence[NodeState]
-    cameras: Sequence[CameraState]
+    cameras: Sequence[CameraStatus]
     clock: KernelClock
     clock_steps: int
     disks: Sequence[Disk]
@@ -138,7 +138,7 @@ class TowerStatus:
         return asdict(self) | {"alive": self.alive, "ready": self.ready}
 
 
-def _fresh(camera: CameraState, limit_s: float) -> bool:
+def _fresh(camera: CameraStatus, limit_s: float) -> bool:
     return camera.frame_age_s is not None and abs(camera.frame_age_s) <= limit_s
 
 
@@ -217,7 +217,7 @@ class TowerWatch:
             return NodeState(name, camera, "silent", f"no word for {age_s:.0f} s", age_s, report.values)
         return NodeState(name, camera, "troubled" if report.troubled else "ok", report.message, age_s, report.values)
 
-    def _camera(self, name: str, time_s: float) -> CameraState:
+    def _camera(self, name: str, time_s: float) -> CameraStatus:
         own = {r.name.rpartition("/")[2]: r for r in self._reports.values() if camera_of(r.name) == name}
         dropped: dict[str, int] = {}
         for report in own.values():
@@ -230,7 +230,7 @@ class TowerWatch:
         if mount := (own["pose"].values.get("mount", "") if "pose" in own else ""):
             pose = f"{pose}; mount {mount}" if pose else f"mount {mount}"
         age_s = None if stamp is None else time_s - stamp
-        return CameraState(
+        return CameraStatus(
             name=name,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
@@ -262,7 +262,7 @@ def camera_of(name: str) -> str:
 
 def _sentences(
     nodes: Sequence[NodeState],
-    cameras: Sequence[CameraState],
+    cameras: Sequence[CameraStatus],
     clock: KernelClock,
     disks: Sequence[Disk],
     outbox: OutboxState | None,

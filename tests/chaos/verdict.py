@@ -24,7 +24,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.launching.graph import CAMERA_NODES, Graph, describe
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_VOTES, camera_topic
@@ -120,9 +120,9 @@ def judge(
     return verdict
 
 
-def _map_of(small: SmallSite, frames: Sequence[Sent], votes: Mapping[tuple[str, int], Any]) -> FuelMap:
+def _map_of(small: SmallSite, frames: Sequence[Sent], votes: Mapping[tuple[str, int], Any]) -> FuelMapHandler:
     """A fuel map, in memory, that has counted these frames."""
-    node = FuelMap(FuelMapConfig(site=str(small.path)), Kept(), Health())
+    node = FuelMapHandler(FuelMapConfig(site=str(small.path)), Kept(), Health())
     messages = deepcopy(dict(votes))
     for frame in sorted(frames, key=lambda one: one.stamp_ns):
         message = messages[frame.camera, frame.phase]

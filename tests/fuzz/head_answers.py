@@ -1,4 +1,4 @@
-"""What heads of pan-tilt-zoom cameras answer, and cameras that are looked for on a network."""
+"""What PTZ heads of pan-tilt-zoom cameras answer, and cameras that are looked for on a network."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from fuzz.target import Target
 from ltm_core.site.ptz_config import PtzConfig
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.discovery import camera_in
-from ltm_ros.cameras.protocols.http_client import Answer
-from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.cameras.protocols.http_client import HttpResponse
+from ltm_ros.cameras.ptz.opening import open_ptz
 
 _VAPIX = (
     b"pan=12.5\r\ntilt=-3.25\r\nzoom=120\r\nMinPan=-180\r\nMaxPan=180\r\npresetposno1=north\r\npresetposno2=east\r\n"
@@ -47,9 +47,9 @@ class _Answering:
     def __init__(self, body: bytes) -> None:
         self._body = body
 
-    def ask(self, *asked: Any, **how: Any) -> Answer:
+    def ask(self, *asked: Any, **how: Any) -> HttpResponse:
         headers: Mapping[str, str] = {}
-        return Answer(200, headers, self._body, 0.0, 0.0)
+        return HttpResponse(200, headers, self._body, 0.0, 0.0)
 
     def close(self) -> None:
         """There is nothing to close."""
@@ -59,7 +59,7 @@ def _head(name: str, seed: bytes, **config: object) -> Target:
     def read(folder: Path) -> None:
         adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
         answering: Any = _Answering((folder / "answer").read_bytes())
-        head = open_head(adapter.validate_python(config), None, answering)
+        head = open_ptz(adapter.validate_python(config), None, answering)
         head.read()
         head.limits()
         head.presets()

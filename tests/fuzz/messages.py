@@ -46,15 +46,15 @@ from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.capture import Capture, CaptureConfig
-from ltm_ros.nodes.depth import Depth, DepthConfig
-from ltm_ros.nodes.fuel_map import FuelMap
-from ltm_ros.nodes.fuel_votes import FuelVotes
-from ltm_ros.nodes.locate import Locate, LocateConfig
-from ltm_ros.nodes.segmentation import Segmentation, SegmentationConfig
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
-from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
-from ltm_ros.nodes.viewer import Viewer, ViewerConfig
+from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
+from ltm_ros.nodes.depth import DepthConfig, DepthHandler
+from ltm_ros.nodes.fuel_map import FuelMapHandler
+from ltm_ros.nodes.fuel_votes import FuelVotesHandler
+from ltm_ros.nodes.locate import LocateConfig, LocateHandler
+from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
+from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
+from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
+from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
 from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
@@ -292,7 +292,7 @@ def _kept(make: Callable[[SmallSite, Path], Handler[Any]]) -> Callable[[SmallSit
 
 
 def _capture(small: SmallSite, folder: Path) -> Handler[Any]:
-    return Capture(CaptureConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+    return CaptureHandler(CaptureConfig(site=str(small.path), camera="tower"), _outlet(), Health())
 
 
 def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
@@ -300,20 +300,20 @@ def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
     document["cameras"]["tower"]["sensors"] = {"geoid_undulation": -35.0}
     path = small.path.with_name("sensors.yaml")
     path.write_text(yaml.safe_dump(document))
-    return Capture(CaptureConfig(site=str(path), camera="tower"), _outlet(), Health())
+    return CaptureHandler(CaptureConfig(site=str(path), camera="tower"), _outlet(), Health())
 
 
 def _depth(small: SmallSite, folder: Path) -> Handler[Any]:
     config = DepthConfig(site=str(small.path), camera="tower", surfaces=str(folder / "surfaces"))
-    return Depth(config, _outlet(), Health())
+    return DepthHandler(config, _outlet(), Health())
 
 
 def _fuel_votes(small: SmallSite, folder: Path) -> Handler[Any]:
-    return FuelVotes(JoinConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+    return FuelVotesHandler(JoinConfig(site=str(small.path), camera="tower"), _outlet(), Health())
 
 
 def _segmentation(small: SmallSite, folder: Path) -> Handler[Any]:
-    return Segmentation(SegmentationConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+    return SegmentationHandler(SegmentationConfig(site=str(small.path), camera="tower"), _outlet(), Health())
 
 
 def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
@@ -323,7 +323,7 @@ def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
         model=str(folder / "depth.yaml"),
         surfaces=str(folder / "surfaces"),
     )
-    return TopoDepth(config, _outlet(), Health())
+    return TopoDepthHandler(config, _outlet(), Health())
 
 
 _FUSED = {
@@ -351,7 +351,7 @@ def _fuel_map(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str,
         *[(topic, message) for topic, message in _terrain_news(small)],
     ]
 
-    class Served(FuelMap):
+    class Served(FuelMapHandler):
         """Its services are called too, whatever region there is."""
 
         def finish(self) -> None:
@@ -383,7 +383,7 @@ def _terrain(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, 
     config = TerrainNodeConfig(site=str(small.path), depth_from_elsewhere=True)
     parts = measured_messages(small, small.dem, BEGIN_NS)
     messages = [(f"/{NAME}/mast/{topic.name}", message) for topic, message in parts.items()]
-    return lambda: Terrain(config, _outlet(), Health()), messages
+    return lambda: TerrainHandler(config, _outlet(), Health()), messages
 
 
 def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]:
@@ -406,7 +406,7 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
         (f"/{NAME}/tower/locate/region", region),
         (f"/{NAME}/tower/locate/point", point),
     ]
-    return lambda: Locate(LocateConfig(site=str(small.path), max_behind=1e9), _outlet(), Health()), messages
+    return lambda: LocateHandler(LocateConfig(site=str(small.path), max_behind=1e9), _outlet(), Health()), messages
 
 
 def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]:
@@ -432,7 +432,7 @@ def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
         ("/diagnostics", news),
     ]
     messages += [(f"/{NAME}/{topic}", message) for topic, message in _terrain_news(small)]
-    return lambda: Viewer(ViewerConfig(site=str(small.path)), _outlet(), Health()), messages
+    return lambda: ViewerHandler(ViewerConfig(site=str(small.path)), _outlet(), Health()), messages
 
 
 MESSAGES = (

@@ -24,7 +24,7 @@ from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.grid import msg_to_changed, msg_to_classes, tile_window
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
-from ltm_msgs_py.label_info import msg_to_label_set, msg_to_model
+from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_columns, msg_to_fuel_cells, msg_to_votes
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
@@ -110,7 +110,6 @@ CONVERTERS: list[tuple[Any, Callable[[Any], object]]] = [
     (PointCloud2, lambda message: msg_to_votes(message, GRID, LabelSet.load().names, "north")),
     (PointCloud2, lambda message: msg_to_fuel_cells(message, GRID)),
     (PolygonStamped, lambda message: region_of(message, GRID)),
-    (String, msg_to_label_set),
     (String, msg_to_model),
     (DiagnosticArray, stamp_of),
 ]

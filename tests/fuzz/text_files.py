@@ -19,26 +19,26 @@ from fuzz.mutations import spoil_text
 from fuzz.target import Target
 from ltm_core.base.resources import config_path
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.fuel.codes import FuelModels, FuelRegion
+from ltm_core.fuel.codes import FuelClimate, FuelModels
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.overlays_io import read_burns
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
-from ltm_core.pose_estimation.mount.mount_io import read_head_points, read_readings
+from ltm_core.pose_estimation.mount.mount_io import read_ptz_points, read_readings
 from ltm_core.pose_estimation.points.resection_io import read_control_points, set_up_resection
 from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.surface.surface_manifest import SurfaceManifest, SurfaceVersion
-from ltm_core.surface.surface_versions_io import MANIFEST, Counted, SurfaceVersions
+from ltm_core.surface.surface_manifest import CountedVersion, SurfaceManifest, SurfaceVersion
+from ltm_core.surface.surface_versions_io import MANIFEST, SurfaceVersions
 from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
 from ltm_core.vision.areas import read_areas
 from ltm_core.vision.label_confidence import Calibration
-from ltm_core.vision.label_head import read_head
+from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_lab.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_lab.evaluation.truth_frames_io import read_truth_frames
@@ -54,7 +54,7 @@ _ENTRY = SurfaceVersion(
     version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1
 )
 _SURFACES = SurfaceManifest(
-    site="a", current=_ENTRY.version, versions=(_ENTRY,), history=(Counted(version=_ENTRY.version, as_of_ns=5),)
+    site="a", current=_ENTRY.version, versions=(_ENTRY,), history=(CountedVersion(version=_ENTRY.version, as_of_ns=5),)
 ).model_dump_json(indent=1)
 
 
@@ -194,10 +194,10 @@ TEXT_FILES = (
     Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
     Target("polygons", "polygons.json", _polygons, lambda folder: read_areas(folder / "polygons.json"), spoil_text),
     Target("mask_truth", "m.json", _mask_truth, lambda folder: read_mask_truths(folder / "m.json"), spoil_text),
-    _yaml("manifest", _manifest, Manifest.load),
-    _yaml("head", _head, lambda path: read_head(path, Manifest.load(path.with_name("colors.yaml")))),
+    _yaml("manifest", _manifest, NetworkManifest.load),
+    _yaml("head", _head, lambda path: read_label_head(path, NetworkManifest.load(path.with_name("colors.yaml")))),
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
-    _yaml("fuel_region", _shipped("fuel/regions/dry.yaml"), lambda path: load_yaml(path, FuelRegion)),
+    _yaml("fuel_climate", _shipped("fuel/climates/dry.yaml"), lambda path: load_yaml(path, FuelClimate)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
     _yaml(
         "label_errors",
@@ -246,7 +246,7 @@ TEXT_FILES = (
         _texts(
             "id,x,y,z,u,v,pan_deg,tilt_deg,zoom\na,480100,4150100,900,10.5,20,5,-2,1\nb,480200,4150100,910,40,20,95,1,34\n"
         ),
-        lambda path: read_head_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
+        lambda path: read_ptz_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
         "points.csv",
     ),
     _yaml(

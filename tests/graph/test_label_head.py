@@ -29,7 +29,7 @@ def test_a_camera_s_head_reaches_its_labels(kernels: None, ros_domain: int, tmp_
     network = write_classifier(small.folder, maps=True)
     write_swapping_head(small.folder / "heads" / "swap.yaml", network)
     site = yaml.safe_load(small.path.read_text())
-    site["heads"], site["cameras"]["mast"]["head"] = "heads", "swap"
+    site["label_heads"], site["cameras"]["mast"]["label_head"] = "heads", "swap"
     small.path.write_text(yaml.safe_dump(site))
     small = SmallSite(small.folder)
     whole, lines = describe(small.site, small.path), list[str]()

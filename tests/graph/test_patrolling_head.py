@@ -1,5 +1,5 @@
-"""From a patrolling pan-tilt-zoom camera to a fuel map: `ltm run` drives a head from preset to preset over HTTP, takes
-a picture where it rests, and knows from encoders, mount and zoom what each pixel saw."""
+"""From a patrolling pan-tilt-zoom camera to a fuel map: `ltm run` drives a PTZ head from preset to preset over HTTP,
+takes a picture where it rests, and knows from encoders, mount and zoom what each pixel saw."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LENS = LensConfig(width=320, height=180, zoom=TABLE).lens()
 
 @pytest.fixture
 def model(small: SmallSite) -> MountModel:
-    """A head that leans by more than a degree, and whose tilt axis is off."""
+    """A PTZ head that leans by more than a degree, and whose tilt axis is off."""
     x, y = 560.0, 470.0
     place = (x, y, float(small.dem.elevation_at(x, y)) + 45.0)
     sigmas = np.radians([0.05, 0.05, 0.05, 0.05])

@@ -63,7 +63,8 @@ class Store:
 @pytest.fixture
 def store(small_site: SmallSite, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    monkeypatch.setattr(files, "WAITS_S", (0.0, 0.0))
+    monkeypatch.setattr(files, "TRIES", 3)
+    monkeypatch.setattr(files, "FIRST_WAIT_S", 0.0)
     monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
     store = Store()
     with empty_bucket("towers", store.refuses) as address:
@@ -106,7 +107,7 @@ def test_what_a_store_keeps_refusing_is_named_and_no_result(
     )
     with pytest.raises(ArchiveError, match=rf"1 recordings could not be read.*{recording} cannot be read just now"):
         reprocessed(options)
-    assert store.seen[request] == len(files.WAITS_S) + 1
+    assert store.seen[request] == files.TRIES
     (failure,) = json.loads((tmp_path / "out/run.json").read_text())["failures"]
     assert failure["place"] == f"{store.address}/year/bag/{recording}"
     assert not (tmp_path / "out" / STORE_FILE).exists()

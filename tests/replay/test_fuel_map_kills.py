@@ -20,7 +20,7 @@ from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.site_io import load_site
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 
 TESTS = Path(__file__).parents[1]
@@ -108,7 +108,7 @@ def test_state_is_that_of_a_run_without_kills(tmp_path: Path, cycles: int) -> No
     site = write_site(tmp_path)
     frames = run_with_kills(site, tmp_path / "kept", cycles, seed=cycles)
     assert frames > 5 * cycles
-    whole = FuelMap(FuelMapConfig(site=str(site)), Kept(), Health())
+    whole = FuelMapHandler(FuelMapConfig(site=str(site)), Kept(), Health())
     grid = grid_of(site)
     for number in range(frames):
         whole.on_votes(camera_of(number), message(number, grid))

@@ -10,7 +10,7 @@ import pytest
 from scenes.masked_site import VIEW, hidden_of, hidden_of_view, write_masked_site, write_turning_site
 from scenes.small_site import FRAMES, NAME, SmallSite, write_small_site
 
-from ltm_core.depth.topodepth import Source
+from ltm_core.depth.topodepth import DepthSource
 from ltm_core.depth.unseen_terrain import hidden_at
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -86,7 +86,7 @@ def test_hidden_pixels_have_no_depth(masked: Results, plain: Results, camera: st
     for message in masked.on(camera, FUSED_DEPTH):
         assert not np.isnan(msg_to_depth(message)[~hidden]).all()
     for message in masked.on(camera, FUSED_SOURCE):
-        assert (msg_to_array(message, ("mono8",))[hidden] == Source.UNKNOWN).all()
+        assert (msg_to_array(message, ("mono8",))[hidden] == DepthSource.UNKNOWN).all()
     for topic in (MEASURED_DEPTH, MEASURED_SIGMA):
         for message in masked.on(camera, topic):
             measured = msg_to_depth(message)

@@ -175,7 +175,7 @@ def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(tmp_path: Path
     taught = SmallSite(tmp_path / "taught")
     write_swapping_head(taught.folder / "heads" / "swap.yaml", write_classifier(taught.folder, maps=True))
     site = yaml.safe_load(taught.path.read_text())
-    site["heads"], site["cameras"]["mast"]["head"] = "heads", "swap"
+    site["label_heads"], site["cameras"]["mast"]["label_head"] = "heads", "swap"
     taught.path.write_text(yaml.safe_dump(site))
     replayed(taught, tmp_path / "headed")
     before, after = ({(t, stamp_of(m)): msg_to_array(m, ("mono8",)) for t, _, m in messages_of(tmp_path / name / "bag")
@@ -188,5 +188,5 @@ def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(tmp_path: Path
         assert (after[topic, stamp] == expected).mean() > 0.97, topic
         assert "/mast/" in topic or np.array_equal(after[topic, stamp], labels)
     told = {t: msg_to_model(m) for t, _, m in messages_of(tmp_path / "headed" / "bag") if t.endswith(LABELS_INFO.name)}
-    assert ", head swap " in told[camera_topic(NAME, "mast", LABELS_INFO)]
+    assert ", label head swap " in told[camera_topic(NAME, "mast", LABELS_INFO)]
     assert "head" not in told[camera_topic(NAME, "tower", LABELS_INFO)]

@@ -15,10 +15,10 @@ from scenes.small_site import FRAMES, NAME, SmallSite
 
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_depth
-from ltm_ros.nodes.fuel_map import FuelMap
-from ltm_ros.nodes.fuel_votes import FuelVotes
-from ltm_ros.nodes.terrain import Terrain
-from ltm_ros.nodes.topodepth import TopoDepth
+from ltm_ros.nodes.fuel_map import FuelMapHandler
+from ltm_ros.nodes.fuel_votes import FuelVotesHandler
+from ltm_ros.nodes.terrain import TerrainHandler
+from ltm_ros.nodes.topodepth import TopoDepthHandler
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, FUSED_INFO, camera_topic
@@ -71,9 +71,14 @@ def test_nodes_finish_after_those_that_they_listen_to(
 
         monkeypatch.setattr(handler, "finish", wrapped)
 
-    for handler in (TopoDepth, Terrain, FuelVotes, FuelMap):
+    for handler in (TopoDepthHandler, TerrainHandler, FuelVotesHandler, FuelMapHandler):
         noted(handler)
     run_offline(small_site.bag, path, ReplayOptions(duration=1.0), lambda done, total: None)
-    assert sorted(finished) == ["FuelMap", *["FuelVotes"] * 2, "Terrain", *["TopoDepth"] * 2]
-    assert finished[-1] == "FuelMap"
-    assert finished.index("Terrain") > max(i for i, name in enumerate(finished) if name == "TopoDepth")
+    assert sorted(finished) == [
+        "FuelMapHandler",
+        *["FuelVotesHandler"] * 2,
+        "TerrainHandler",
+        *["TopoDepthHandler"] * 2,
+    ]
+    assert finished[-1] == "FuelMapHandler"
+    assert finished.index("TerrainHandler") > max(i for i, name in enumerate(finished) if name == "TopoDepthHandler")

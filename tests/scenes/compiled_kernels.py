@@ -43,11 +43,11 @@ from ltm_lab.simulator.scenario import CloudConfig
 from ltm_lab.tracers.march import march
 from ltm_lab.training.fusion_samples import frame_samples
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.depth import Depth, DepthConfig
-from ltm_ros.nodes.fuel_map import FuelMap
-from ltm_ros.nodes.fuel_votes import FuelVotes
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
-from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
+from ltm_ros.nodes.depth import DepthConfig, DepthHandler
+from ltm_ros.nodes.fuel_map import FuelMapHandler
+from ltm_ros.nodes.fuel_votes import FuelVotesHandler
+from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
+from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
 from scenes import located, mountain_view
@@ -60,17 +60,17 @@ from scenes.terrain_frames import write_fusing_site
 
 
 def _fusion(site: str) -> None:
-    TopoDepth(TopoDepthConfig(site=site, camera="mast"), Kept(), Health())
+    TopoDepthHandler(TopoDepthConfig(site=site, camera="mast"), Kept(), Health())
 
 
 def _terrain(site: str) -> None:
-    Terrain(TerrainNodeConfig(site=site), Kept(), Health())
+    TerrainHandler(TerrainNodeConfig(site=site), Kept(), Health())
 
 
 def _fuel(site: str) -> None:
-    Depth(DepthConfig(site=site, camera="mast"), Kept(), Health())
-    FuelVotes(JoinConfig(site=site, camera="mast"), Kept(), Health()).start()
-    FuelMap(FuelMapConfig(site=site), Kept(), Health()).start()
+    DepthHandler(DepthConfig(site=site, camera="mast"), Kept(), Health())
+    FuelVotesHandler(JoinConfig(site=site, camera="mast"), Kept(), Health()).start()
+    FuelMapHandler(FuelMapConfig(site=site), Kept(), Health()).start()
 
 
 def _poses(_: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import StoreError
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
@@ -23,7 +23,7 @@ class Node:
     def __init__(self, site: Path, folder: Path) -> None:
         self.outlet, self.health = Kept(), Health()
         self.grid = grid_of(site)
-        self.handler = FuelMap(FuelMapConfig(site=str(site), folder=str(folder)), self.outlet, self.health)
+        self.handler = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(folder)), self.outlet, self.health)
         self.handler.start()
 
     def feed(self, first: int, end: int) -> None:

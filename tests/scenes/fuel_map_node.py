@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 from scenes.fuel_frames import (
     camera_of,
@@ -25,7 +25,7 @@ class Node:
     def __init__(self, site: Path, now: int = 0, **config: Any) -> None:
         self.outlet, self.health = Kept(), Health()
         self.outlet.now = now
-        self.handler = FuelMap(FuelMapConfig(site=str(site), **config), self.outlet, self.health)
+        self.handler = FuelMapHandler(FuelMapConfig(site=str(site), **config), self.outlet, self.health)
         self.handler.start()
 
     def feed(self, *numbers: int, idle: bool = True) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ltm_ros.fuel_map import persistence
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
@@ -47,7 +47,7 @@ def main(site: Path, folder: Path) -> None:
     persistence.LOGGED_FRAMES = TILES_EVERY
     grid = grid_of(site)
     health = Health()
-    handler = FuelMap(FuelMapConfig(site=str(site), folder=str(folder)), Teller(), health)
+    handler = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(folder)), Teller(), health)
     handler.start()
     print("ready", flush=True)
     for line in iter(sys.stdin.readline, ""):

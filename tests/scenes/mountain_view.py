@@ -11,7 +11,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
@@ -38,8 +38,8 @@ def mountains() -> Dem:
     return Dem(z.astype(np.float32), geometry)
 
 
-def terrain() -> Terrain:
-    return Terrain(mountains(), BEND, NOTHING_BEYOND)
+def terrain() -> SearchTerrain:
+    return SearchTerrain(mountains(), BEND, NOTHING_BEYOND)
 
 
 def eye(height: float = 12.0) -> tuple[float, float, float]:

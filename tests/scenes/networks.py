@@ -12,7 +12,7 @@ import onnx
 import yaml
 from onnx import TensorProto, helper, numpy_helper
 
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.picture_domain import DomainSpace, land_statistics
 from ltm_core.vision.picture_domain_io import domain_path, load_domain, write_domain
 
@@ -129,7 +129,7 @@ def write_swapping_head(path: Path, manifest: Path, **changes: Any) -> Path:
 
 def write_domain_of(manifest: Path, photos: Sequence[Any]) -> DomainSpace:
     """Write where pictures of the classifier with `maps` lie, these being its own; axes are the channels' means."""
-    network = Manifest.load(manifest)
+    network = NetworkManifest.load(manifest)
     planes = [(photo[::2, ::2].astype(np.float32) / 255).transpose(2, 0, 1) for photo in photos]
     found = [land_statistics(values, np.ones(values.shape[1:], bool)) for values in planes]
     space = DomainSpace(

@@ -1,5 +1,5 @@
-"""A pan-tilt-zoom camera on loopback: a head that takes its time to turn, asked and driven as those of Axis (VAPIX),
-Hikvision (ISAPI), ONVIF and Reolink are; its pictures show where it really looks."""
+"""A pan-tilt-zoom camera on loopback: a PTZ head that takes its time to turn, asked and driven as those of Axis
+(VAPIX), Hikvision (ISAPI), ONVIF and Reolink are; its pictures show where it really looks."""
 
 from __future__ import annotations
 

@@ -10,7 +10,6 @@ from pydantic import TypeAdapter
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.site.source_config import SourceConfig
-from ltm_ros.cameras.backoff import Backoff
 from ltm_ros.cameras.camera_source import CameraSource, Frame, Gaze
 from ltm_ros.cameras.opening import open_reader
 from ltm_ros.runtime.health import Health
@@ -75,7 +74,7 @@ class Sourced:
             self.frames.append,
             self.health,
             self.clock,
-            Backoff(random.Random(5)),
+            random.Random(5),
         )
 
     @property

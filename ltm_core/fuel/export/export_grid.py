@@ -13,7 +13,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
 from ltm_core.fuel.cell_counts import UNSEEN
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import Landscape, canopy_bands, surface_codes, terrain_bands
 from ltm_core.fuel.life_form import NODATA
@@ -107,7 +107,7 @@ def make_landscape(
     dem: Dem,
     frame: SiteFrame,
     source: GridGeometry,
-    region: FuelRegion,
+    climate: FuelClimate,
     system: FuelSystem,
     target: GridGeometry | None = None,
     spare: Float32Array | None = None,
@@ -124,8 +124,8 @@ def make_landscape(
         seen: the canopy that was measured, on the grid of the layers; None: nowhere.
     """
     transfer = GridTransfer(source, source if target is None else target)
-    canopy = transfer.layer(_canopy(layers, prior, region, seen), NODATA)
-    codes = transfer.layer(surface_codes(layers, prior, region, system), NODATA)
+    canopy = transfer.layer(_canopy(layers, prior, climate, seen), NODATA)
+    codes = transfer.layer(surface_codes(layers, prior, climate, system), NODATA)
     heights, filled = transfer.heights(dem, frame), np.zeros(codes.shape, np.bool_)
     if spare is not None:
         heights, filled = _filled(heights, transfer.layer(spare, np.nan))
@@ -148,23 +148,23 @@ def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64
     return filled, wanted
 
 
-def _canopy(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, seen: SeenCanopy | None) -> Int16Array:
-    bands = canopy_bands(layers, prior, region)
-    return bands if seen is None else with_seen_canopy(bands, seen, layers.code, region.forest)
+def _canopy(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, seen: SeenCanopy | None) -> Int16Array:
+    bands = canopy_bands(layers, prior, climate)
+    return bands if seen is None else with_seen_canopy(bands, seen, layers.code, climate.forest)
 
 
 def with_fuel(
     landscape: Landscape,
     layers: FuelLayers,
     prior: FuelPrior | None,
-    region: FuelRegion,
+    climate: FuelClimate,
     seen: SeenCanopy | None = None,
 ) -> Landscape:
     """A landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as of
     `make_landscape`.
     """
     bands = landscape.bands.copy()
-    bands[3] = surface_codes(layers, prior, region, landscape.system)
-    bands[4:] = _canopy(layers, prior, region, seen)
+    bands[3] = surface_codes(layers, prior, climate, landscape.system)
+    bands[4:] = _canopy(layers, prior, climate, seen)
     bands[:, bands[0] == NODATA] = NODATA
     return replace(landscape, bands=bands)

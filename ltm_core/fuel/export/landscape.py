@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float64Array, Int16Array
-from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models, to_fbfm40
+from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models, to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior, system_of
@@ -120,14 +120,14 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
     return np.where(np.isnan(bands), NODATA, bands).astype(np.int16)
 
 
-def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion) -> Int16Array:
+def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Int16Array:
     """Cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
-    their code or, where there are few, the region's canopy; cells that have lost them get none. Bands that the prior
-    lacks are the region's under trees, none elsewhere.
+    their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
+    lacks are the climate's under trees, none elsewhere.
     """
-    c = region.canopy
+    c = climate.canopy
     new = np.array([c.cover, 10 * c.height, 10 * c.base_height, 100 * c.bulk_density])
     shape = layers.code.shape
     given = prior.canopy if prior is not None else None
@@ -148,10 +148,10 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion
     return np.round(bands).astype(np.int16)
 
 
-def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, system: FuelSystem) -> Int16Array:
+def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, system: FuelSystem) -> Int16Array:
     """The layers' codes in a system, of the fuel type that they have in their own.
 
-    Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
+    Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
     (`ltm_core.fuel.codes`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
     and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`).
@@ -160,10 +160,10 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
     if system is own:
         return layers.code
     if system is FuelSystem.FBFM40:
-        crossed = to_fbfm40(region.crosswalk_back, layers.code)
+        crossed = to_fbfm40(climate.crosswalk_back, layers.code)
     else:
         cover = None if prior is None or prior.canopy is None else prior.canopy[0]
-        crosswalk = region.as_crosswalk()
+        crosswalk = climate.as_crosswalk()
         if prior is not None and prior.fbfm13 is not None:
             crosswalk = crosswalk.learned(prior.codes, prior.fbfm13, cover)
         crossed = crosswalk.to_fbfm13(layers.code, cover)
@@ -173,6 +173,6 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
         (crossed == NODATA) & ~np.isin(layers.code, list(fuel_models().codes(own))), layers.code, crossed
     )
     new = layers.changed | (layers.prior == NODATA)
-    changed = region.changed_codes(layers.code, own, system)
-    fallback = crossed if system is FuelSystem.FBFM40 else region.as_crosswalk().to_fbfm13(layers.code)
+    changed = climate.changed_codes(layers.code, own, system)
+    fallback = crossed if system is FuelSystem.FBFM40 else climate.as_crosswalk().to_fbfm13(layers.code)
     return np.where(new, np.where(changed != NODATA, changed, fallback), crossed).astype(np.int16)

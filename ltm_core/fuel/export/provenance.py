@@ -31,7 +31,7 @@ class Provenance:
     changed: float
     prior: str
     prior_version: str
-    region: str
+    climate: str
     system: FuelSystem
     software: str
     terrain: str = ""
@@ -50,7 +50,7 @@ class Provenance:
             "changed_share": f"{self.changed:.4f}",
             "prior": self.prior,
             "prior_version": self.prior_version,
-            "fuel_region": self.region,
+            "fuel_region": self.climate,
             "fuel_system": self.system.value,
             "software": self.software,
             "TIFFTAG_SOFTWARE": self.software,
@@ -71,7 +71,7 @@ class Provenance:
             f"as of {self.as_of}",
             f"seen {seen}, changed {self.changed:.1%} of {self.cells} cells",
             f"prior {self.prior} ({self.prior_version})",
-            f"{self.system.value}, region {self.region}",
+            f"{self.system.value}, region {self.climate}",
             self.software,
         ]
         return "; ".join(filter(None, [*parts, self.terrain, self.surface]))

@@ -1,4 +1,4 @@
-"""How the mount of a pan-tilt-zoom head is written in a site file; `ltm pose` writes it."""
+"""How the mount of a PTZ head is written in a site file; `ltm pose` writes it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _ANGLES = 4
 
 
 class MountConfig(PoseConfig):
-    """Where a head stands and how it is mounted: the keys of a pose are those of its camera where pan and tilt are 0.
+    """Where a PTZ head stands and how it is mounted: the keys of a pose are those of its camera where pan and tilt are
+    0.
 
-    The sigmas' defaults are those of a head that was set up with a compass and a level, and never calibrated.
+    The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated.
     """
 
     azimuth_sigma_deg: float | None = Field(1.5, gt=0)
@@ -39,7 +40,7 @@ class MountConfig(PoseConfig):
     tilt_sign: Sign = 1
     """1 where tilt grows upwards."""
     encoder_sigma_deg: float = Field(0.03, gt=0)
-    """Of each of pan and tilt: how well the head comes back to a reading."""
+    """Of each of pan and tilt: how well the PTZ head comes back to a reading."""
     covariance_deg2: tuple[tuple[float, ...], ...] | None = None
     """Of azimuth, pitch, roll and tilt zero, 4 by 4, as a calibration gives it; instead of their sigmas."""
     lens: LensConfig | None = None
@@ -91,7 +92,7 @@ class MountConfig(PoseConfig):
 
 
 def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
-    """The section `mount` of a calibrated head, for YAML; its place in the frame's CRS."""
+    """The section `mount` of a calibrated PTZ head, for YAML; its place in the frame's CRS."""
     x, y, z = (float(v) for v in model.base.position)
     azimuth, pitch, roll = model.base.angles_deg
     angles = np.degrees(np.degrees(model.angle_covariance))

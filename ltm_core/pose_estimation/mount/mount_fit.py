@@ -1,4 +1,4 @@
-"""One correction for several pictures of one mount: presets of a pan-tilt-zoom head, or days of a fixed camera.
+"""One correction for several pictures of one mount: presets of a PTZ head, or days of a fixed camera.
 
 A picture's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
@@ -123,13 +123,13 @@ def fit_mount(
     return MountFit(w, tilt, shift, of_mount, poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off)
 
 
-def fit_head(
+def fit_ptz_mount(
     priors: Sequence[PosePrior],
     searches: Sequence[PictureSearch],
     config: PicturePoseConfig,
     tilt_zero_sigma_deg: float,
 ) -> MountFit:
-    """Of a head: with the zero of its tilt axis where pictures in several directions ask for one, else without.
+    """Of a PTZ head: with the zero of its tilt axis where pictures in several directions ask for one, else without.
 
     A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
     three sigmas from none; no picture is then surer of its direction than without it.
@@ -137,20 +137,20 @@ def fit_head(
     plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
     if tilt_zero_sigma_deg == 0:
         return plain
-    head = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
+    ptz = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
     # A floor of pitch is in the mount's rotation, once for each picture's pose; the zero by itself has it, too.
-    sigma = math.hypot(math.sqrt(head.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
-    if head.word != "accepted" or abs(head.tilt_zero) < _SURE * sigma or plain.cost - head.cost < _SURE**2 / 2:
+    sigma = math.hypot(math.sqrt(ptz.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
+    if ptz.word != "accepted" or abs(ptz.tilt_zero) < _SURE * sigma or plain.cost - ptz.cost < _SURE**2 / 2:
         return plain
     surer = [
-        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(head.pose_covariance(k)[3:, 3:])
+        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(ptz.pose_covariance(k)[3:, 3:])
         for k in range(len(priors))
     ]
     wider = max(1.0, *(float(share) for share in surer))
     return replace(
-        head,
-        covariance=head.covariance * wider,
-        reason=f"{head.reason}, with the tilt axis read {math.degrees(head.tilt_zero):+.2f} deg off its zero",
+        ptz,
+        covariance=ptz.covariance * wider,
+        reason=f"{ptz.reason}, with the tilt axis read {math.degrees(ptz.tilt_zero):+.2f} deg off its zero",
     )
 
 

@@ -25,7 +25,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_io import read_point_rows
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 
@@ -36,11 +36,11 @@ READING_COLUMNS: dict[str, Sequence[str]] = {
 }
 
 
-def read_head_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> HeadPoints:
+def read_ptz_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> PtzPoints:
     """Control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and zoom of the
     picture in which each is marked. One place may be marked in several pictures. Raises PoseError."""
     names, rows = read_point_rows(path, frame, first_pixel, READING_COLUMNS)
-    return HeadPoints(names, rows[:, :3], rows[:, 3:5], rows[:, 5:8])
+    return PtzPoints(names, rows[:, :3], rows[:, 3:5], rows[:, 5:8])
 
 
 def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:

@@ -1,10 +1,10 @@
 """Model a pan-tilt head on a mount, and the correction that all its poses share.
 
-A pan-tilt head on a mount that leans: from what its encoders say to the pose of its camera.
+A PTZ head on a mount that leans: from what its encoders say to the pose of its camera.
 
-R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the head as a whole, pan turns about the
-head's own upright axis, tilt about the camera's right. With a head that leans by a degree, an azimuth alone puts
-directions off by more than a degree on one side (`docs/cameras.md`).
+R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the PTZ head as a whole, pan turns about
+the PTZ head's own upright axis, tilt about the camera's right. With a PTZ head that leans by a degree, an azimuth alone
+puts directions off by more than a degree on one side (`docs/cameras.md`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class PoseCorrection:
     """`rotation`: (3,) rad about the map's axes, by which stated poses are turned; `angles`: (3, 3) covariance of their
     angles then, about these axes, rad^2; None: as it is stated.
 
-    `tilt_zero` (rad): by which a head's camera is turned up about its own right besides, wherever it looks.
+    `tilt_zero` (rad): by which a PTZ head's camera is turned up about its own right besides, wherever it looks.
     `tilt_covariance`: (4,) of it with the rotation about x, y and z, and its variance.
     """
 
@@ -53,7 +53,7 @@ class PoseCorrection:
         if self.angles is not None:
             stated, covariance = covariance, np.zeros((6, 6))
             covariance[:3, :3] = stated[:3, :3]
-        # The tilt axis first: it is the head's own, and leans with what the rotation sets upright.
+        # The tilt axis first: it is the PTZ head's own, and leans with what the rotation sets upright.
         tilted = Pose(pose.position, pose.rotation @ matrix_of_vector([self.tilt_zero, 0.0, 0.0]))
         corrected = turned(tilted, self.rotation)
         if self.angles is not None:
@@ -77,7 +77,8 @@ class MountModel:
 
     `tilt_zero` (rad): what is added to each tilt. `covariance`: (7, 7) of place (m), rotation about the map's axes
     (rad), tilt zero (rad), as in `MountFit`. `pan_sign`: 1 where pan grows clockwise as seen from above; `tilt_sign`: 1
-    where tilt grows upwards. `encoder_sigma` (rad): of each of pan and tilt, how well the head comes back to a reading.
+    where tilt grows upwards. `encoder_sigma` (rad): of each of pan and tilt, how well the PTZ head comes back to a
+    reading.
     """
 
     base: Pose
@@ -89,8 +90,8 @@ class MountModel:
 
     def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
         """(3, 3), optical to map."""
-        pan, tilt = head_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
-        return np.asarray(self.base.rotation @ head_rotation(pan, tilt + self.tilt_zero), np.float64)
+        pan, tilt = ptz_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
+        return np.asarray(self.base.rotation @ ptz_rotation(pan, tilt + self.tilt_zero), np.float64)
 
     def pose(
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
@@ -148,11 +149,12 @@ class MountModel:
         return math.degrees(math.sqrt(float(np.linalg.eigvalsh(across.T @ covariance[3:, 3:] @ across)[-1])))
 
 
-def head_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
+def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
     """Pan clockwise and tilt upwards, rad."""
     return pan_sign * math.radians(pan_deg), tilt_sign * math.radians(tilt_deg)
 
 
-def head_rotation(pan: float, tilt: float) -> Float64Array:
-    """(3, 3) from the camera to the head at pan 0, tilt 0, both in optical axes: pan about down, tilt about right."""
+def ptz_rotation(pan: float, tilt: float) -> Float64Array:
+    """(3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
+    right."""
     return matrix_of_pan_tilt(pan, tilt)

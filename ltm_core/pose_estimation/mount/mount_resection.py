@@ -1,4 +1,4 @@
-"""A head's mount from landmarks that are marked in pictures of several presets.
+"""A PTZ head's mount from landmarks that are marked in pictures of several presets.
 
 Shared by all pictures are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
@@ -19,7 +19,7 @@ from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.pose_estimation.mount.mount_search import STEEPEST_LEAN, closed_forms
-from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
 from ltm_core.pose_estimation.skyline.pose_prior import turned
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
@@ -42,7 +42,7 @@ class MountResection:
     `notes`: what a user must know.
     """
 
-    points: HeadPoints
+    points: PtzPoints
     model: MountModel
     lens: ZoomLens
     residuals: Float64Array
@@ -55,7 +55,7 @@ class MountResection:
 
 
 def resect_mount(
-    points: HeadPoints,
+    points: PtzPoints,
     start: MountModel,
     lens: ZoomLens,
     bend: float = 0.0,
@@ -101,7 +101,7 @@ def resect_mount(
     return problem.solved(model, state, notes)
 
 
-def _check(points: HeadPoints, lens: ZoomLens) -> None:
+def _check(points: PtzPoints, lens: ZoomLens) -> None:
     different = {tuple(place) for place in points.places.tolist()}
     if len(different) < LEAST_LANDMARKS:
         raise PoseError(
@@ -122,7 +122,7 @@ class _Adjustment:
 
     def __init__(
         self,
-        points: HeadPoints,
+        points: PtzPoints,
         start: MountModel,
         lens: ZoomLens,
         bend: float,

@@ -8,11 +8,11 @@ holds it on the wrong side.
 
 Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
 
-A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a head that of its tilt axis' zero.
-It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog only
-delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last ones
-say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is sought
-anew.
+A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
+zero. It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog
+only delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last
+ones say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is
+sought anew.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
-from ltm_core.pose_estimation.mount.mount_fit import fit_head
+from ltm_core.pose_estimation.mount.mount_fit import fit_ptz_mount
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
@@ -90,7 +90,7 @@ def skyline_turns(
 
 
 _KEPT = 16
-"""Horizons: as many as a head has presets."""
+"""Horizons: as many as a PTZ head has presets."""
 _WATCH_STEP_DEG = 2.0
 """Directions that differ by less share a horizon."""
 _TRACKING = (*ROUNDS[::2], ROUNDS[-1])
@@ -117,12 +117,12 @@ class MountWatch:
         terrain: what its skylines are compared with.
         config: how many pictures it takes.
         picture_config: constants of the search in a single picture.
-        tilt_zero_sigma_deg: of a head, how far the zero of its tilt axis may be off; 0: none is sought.
+        tilt_zero_sigma_deg: of a PTZ head, how far the zero of its tilt axis may be off; 0: none is sought.
     """
 
     def __init__(
         self,
-        terrain: Terrain,
+        terrain: SearchTerrain,
         config: PoseRefinementConfig,
         picture_config: PicturePoseConfig = PicturePoseConfig(),
         tilt_zero_sigma_deg: float = 0.0,
@@ -205,7 +205,7 @@ class MountWatch:
         return True
 
     def _fit(self) -> None:
-        fit = fit_head(self._priors, self._searches, self._search, self._tilt_zero_sigma_deg)
+        fit = fit_ptz_mount(self._priors, self._searches, self._search, self._tilt_zero_sigma_deg)
         before = self.correction
         if fit.word == "accepted":
             rotation, tilt_zero = fit.rotation, fit.tilt_zero

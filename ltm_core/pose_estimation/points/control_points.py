@@ -47,7 +47,7 @@ class ControlPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class HeadPoints:
+class PtzPoints:
     """Landmarks in pictures of a head. `names`: (N,); `places`: (N, 3) map metres; `pixels`: (N, 2), (0, 0) the centre
     of the top-left pixel; `readings`: (N, 3) pan (deg), tilt (deg) and zoom of each one's picture."""
 

@@ -17,7 +17,7 @@ HIDDEN_BY = 5.0
 off the edge on which it stands."""
 
 
-class PointState(StrEnum):
+class SurveyedState(StrEnum):
     """What the DEM says of a surveyed point, seen from the fitted camera."""
 
     SEEN = "seen"
@@ -38,13 +38,13 @@ class TracedErrors:
     """
 
     errors: Float64Array
-    states: tuple[PointState, ...]
+    states: tuple[SurveyedState, ...]
     above_ground: Float64Array
 
     @property
     def visible(self) -> BoolArray:
         """(N,) whether the ray aimed at the surveyed place itself ends there."""
-        return np.array([state is PointState.SEEN for state in self.states])
+        return np.array([state is SurveyedState.SEEN for state in self.states])
 
     @property
     def met(self) -> BoolArray:
@@ -77,13 +77,13 @@ def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 
 
-def _state(above: float, beyond: float, settled_beyond: float, hidden_by: float) -> PointState:
+def _state(above: float, beyond: float, settled_beyond: float, hidden_by: float) -> SurveyedState:
     if abs(beyond) < hidden_by:
-        return PointState.SEEN
+        return SurveyedState.SEEN
     if np.isnan(above):
-        return PointState.BESIDE
+        return SurveyedState.BESIDE
     if abs(settled_beyond) < hidden_by:
-        return PointState.ABOVE if above > 0 else PointState.BELOW
+        return SurveyedState.ABOVE if above > 0 else SurveyedState.BELOW
     if np.isnan(beyond):
-        return PointState.BESIDE
-    return PointState.ABOVE if beyond > 0 else PointState.HIDDEN
+        return SurveyedState.BESIDE
+    return SurveyedState.ABOVE if beyond > 0 else SurveyedState.HIDDEN

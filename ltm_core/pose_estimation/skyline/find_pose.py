@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
-    Verdict,
+    PoseVerdict,
     judge,
     mean_of_both,
     merged_with_others,
@@ -47,11 +47,11 @@ class PictureSearch:
     hypotheses: tuple[Hypothesis, ...]
     evidence: PictureEvidence
     horizon: TerrainHorizon
-    verdict: Verdict
+    verdict: PoseVerdict
 
 
 @dataclass(frozen=True, eq=False)
-class Terrain:
+class SearchTerrain:
     """Ground for the search: the DEM, the bend of rays over it, and how high ground may be that it does not know."""
 
     dem: Dem
@@ -76,7 +76,7 @@ class Terrain:
 
 def find_pose(
     evidence: PictureEvidence,
-    terrain: Terrain,
+    terrain: SearchTerrain,
     prior: PosePrior,
     config: PicturePoseConfig = PicturePoseConfig(),
     focal_sigma: float = 0.0,
@@ -89,9 +89,9 @@ def find_pose(
     """
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
 
-    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _Judged:
+    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:
         hypotheses = _on_skyline(hypotheses, evidence, horizon, config)
-        return _Judged(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
+        return _JudgedPose(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
@@ -114,24 +114,26 @@ def find_pose(
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _JudgedPose:
     """Hypotheses from the best down, and the verdict on the first."""
 
     hypotheses: list[Hypothesis]
-    verdict: Verdict
+    verdict: PoseVerdict
 
     @property
     def accepted(self) -> bool:
         return self.verdict.word == "accepted"
 
-    def doubted(self, reason: str) -> _Judged:
+    def doubted(self, reason: str) -> _JudgedPose:
         """The same, not accepted."""
         if not self.accepted:
             return self
         return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
 
 
-def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, config: VerdictConfig) -> _Judged:
+def _decided(
+    by_skyline: _JudgedPose, by_ridges: _JudgedPose, together: _JudgedPose | None, config: VerdictConfig
+) -> _JudgedPose:
     """What counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one pose."""
     if not by_skyline.hypotheses:
         return by_ridges
@@ -150,14 +152,14 @@ def _decided(by_skyline: _Judged, by_ridges: _Judged, together: _Judged | None, 
 
 
 def _settled(
-    found: _Judged,
+    found: _JudgedPose,
     evidence: PictureEvidence,
-    terrain: Terrain,
+    terrain: SearchTerrain,
     horizon: TerrainHorizon,
     prior: PosePrior,
     config: PicturePoseConfig,
     focal_sigma: float,
-) -> _Judged:
+) -> _JudgedPose:
     """An open view's pose settled on its ridges alone, whose errors go together by what grows there; as it was where
     ridges leave it open."""
     best, *others = found.hypotheses
@@ -165,10 +167,10 @@ def _settled(
     kept = terrain.above([replace(best, refined=refined)])
     if not kept or refined.sigma_deg[0] > config.settling.most_azimuth_sigma_deg:
         return found
-    return _Judged([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
+    return _JudgedPose([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
-def _asks_ridges(by_skyline: _Judged, config: VerdictConfig) -> bool:
+def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
     """Whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the pose open,
     where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
     if not by_skyline.accepted:

@@ -17,7 +17,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.photo_io import open_picture
@@ -37,7 +37,7 @@ class SearchSetup:
     frame: SiteFrame
     camera: Camera
     prior: PosePrior
-    terrain: Terrain
+    terrain: SearchTerrain
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
         stated.height_sigma or stated.position_sigma or 0.0,
     )
     bend = ray_bend(guess.curvature, guess.refraction)
-    return SearchSetup(frame, guess.calibration.camera(), prior, Terrain(local, bend, guess.possible_ground))
+    return SearchSetup(frame, guess.calibration.camera(), prior, SearchTerrain(local, bend, guess.possible_ground))
 
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:

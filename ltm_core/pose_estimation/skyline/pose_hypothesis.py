@@ -139,7 +139,7 @@ Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PoseVerdict:
     """`word`, and why in words. `gap`: by how much the best alternative costs more (inf: there is none);
     `alternative_deg`: its azimuth; `sigma_deg`: of azimuth, pitch, roll; `support`: share of the skyline that fits.
     """
@@ -159,7 +159,7 @@ def judge(
     config: PicturePoseConfig,
     plants: float,
     gap_by_ridges: float | None = None,
-) -> Verdict:
+) -> PoseVerdict:
     """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
     the share of trees and shrubs in the picture's land. `gap_by_ridges`: ridges alone are of the same pose, and
     alternatives cost so much more by them.
@@ -167,7 +167,7 @@ def judge(
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:
-        return Verdict(
+        return PoseVerdict(
             "no_skyline", "neither a skyline nor a ridge of the DEM is in the picture", 0.0, None, nowhere, 0.0
         )
     best = hypotheses[0]
@@ -181,8 +181,8 @@ def judge(
             break
     support = best.refined.skyline.support
 
-    def verdict(word: Word, reason: str) -> Verdict:
-        return Verdict(word, reason, gap, other, sigma, support)
+    def verdict(word: Word, reason: str) -> PoseVerdict:
+        return PoseVerdict(word, reason, gap, other, sigma, support)
 
     close = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None)
     most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg

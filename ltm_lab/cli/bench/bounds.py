@@ -14,14 +14,14 @@ def bounds(json_path: JsonFile = None) -> None:
 
     from rich.console import Console
 
-    from ltm_core.site.sections import Limits
+    from ltm_core.site.sections import MessageLimits
     from ltm_lab.bench.measure import conditions
     from ltm_lab.bench.message_bounds import dropped, largest_camera, nodes_at_bound
 
     console = Console()
     state = conditions(("numpy", "numba", "onnxruntime", "opencv-python-headless"))
     print_conditions(console, state)
-    camera = largest_camera(Limits())
+    camera = largest_camera(MessageLimits())
     console.print(f"frames of {camera.width:,} x {camera.height:,}; each node in a process of its own, without DDS")
     console.print("most memory: when ready, and with frames")
     runs = []

@@ -28,18 +28,18 @@ def canopy(
     depth: Annotated[
         str, typer.Option(help="With --frames: where heights come from: none, true (with noise), or a depth network.")
     ] = "none",
-    region: Annotated[str, typer.Option(help="Fuel region whose constant canopy is compared.")] = "dry",
+    climate: Annotated[str, typer.Option(help="Fuel climate whose constant canopy is compared.")] = "dry",
     json_path: JsonFile = None,
 ) -> None:
-    """Median errors of the canopy as it is seen, as the older survey has it, and of the region's constant.
+    """Median errors of the canopy as it is seen, as the older survey has it, and of the climate's constant.
 
     What the towers measure is made, of a known surface; poses are exact. With --frames, cover by a network's labels
-    and heights by depth, in cells of trees of which nothing but the region's constant is known.
+    and heights by depth, in cells of trees of which nothing but the climate's constant is known.
     """
     from dataclasses import asdict
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.fuel.codes import FuelRegion
+    from ltm_core.fuel.codes import FuelClimate
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.fuel.canopy_score import confirmed_of, score_canopy
     from ltm_lab.evaluation.terrain.hillside_scenes import SceneConditions, trial
@@ -50,7 +50,7 @@ def canopy(
         raise ConfigError(f"--seeds must be whole numbers with commas, got {seeds!r}") from error
     if depth != "none" and not frames:
         raise ConfigError(f"--depth {depth} is for rendered sites: give --frames")
-    constant, figures = FuelRegion.named(region).canopy, []
+    constant, figures = FuelClimate.named(climate).canopy, []
     if frames:
         rendered = [one for folder in frames for one in _rendered(folder, model, depth, looks, constant)]
         if json_path is not None:

@@ -18,7 +18,7 @@ def crosswalk(
         list[Path],
         typer.Argument(help="Files of FBFM40 codes; canopy cover and FBFM13 are taken from beside them, if there."),
     ],
-    region: Annotated[str, typer.Option(help="Fuel region whose table is scored: dry or humid.")] = "dry",
+    climate: Annotated[str, typer.Option(help="Fuel climate whose table is scored: dry or humid.")] = "dry",
     json_path: JsonFile = None,
 ) -> None:
     """Score how FBFM40 becomes FBFM13: whether grass, shrub and timber stay their own, and agreement with a map's own
@@ -30,7 +30,7 @@ def crosswalk(
     from ltm_lab.evaluation.fuel.crosswalk_score import score_crosswalk
 
     table = Table(
-        title=f"FBFM40 to FBFM13, region {region}",
+        title=f"FBFM40 to FBFM13, climate {climate}",
         caption="unbound table: each code's commonest partner, as it was; table: within the fuel type; its own pairs: "
         "with what the map itself shows; agreement: with the map's own FBFM13; east: in its eastern half",
     )
@@ -38,12 +38,12 @@ def crosswalk(
         table.add_column(name, justify="left" if name in ("map", "way") else "right")
     figures = []
     for path in maps:
-        for score in score_crosswalk(_read(path), region):
+        for score in score_crosswalk(_read(path), climate):
             shares = {**score.kept, "agreement": score.agreement, "east": score.east}
             cells = ["" if share is None or not share.of else f"{share.value:.2%}" for share in shares.values()]
             table.add_row(f"{path.parent.name}/{path.name}", score.way, *cells)
             values = {name: share.value if share is not None and share.of else None for name, share in shares.items()}
-            figures.append({"map": str(path), "region": region, "way": score.way, **values})
+            figures.append({"map": str(path), "climate": climate, "way": score.way, **values})
         table.add_section()
     Console().print(table)
     if json_path is not None:

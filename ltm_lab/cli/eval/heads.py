@@ -1,4 +1,4 @@
-"""`ltm-lab eval heads`: which head `head: auto` chooses for photos, each by itself."""
+"""`ltm-lab eval heads`: which head `label_head: auto` chooses for photos, each by itself."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def heads(
     from ltm_core.base.evenly import evenly
     from ltm_core.storage.photo_io import read_rgb
     from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
-    from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
+    from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.segmentation.overlays_io import write_answer
     from ltm_ros.recordings.camera_pictures import pictures_in
 
-    console, manifest = Console(), Manifest.find(model).serving(AUTO_HEAD)
+    console, manifest = Console(), NetworkManifest.find(model).serving(AUTO_HEAD)
     choice = open_choice(manifest, heads_folder)
     for path, reason in heads_to_choose(manifest, heads_folder)[1].items():
         console.print(f"passed over: {path}: {reason}", highlight=False)
     segmenter = Segmenter(manifest, threads, choice=choice)
-    names = [SHIPPED_HEAD, *(head.name for head in choice.heads)]
+    names = [SHIPPED_LABEL_HEAD, *(head.name for head in choice.heads)]
     figures = {}
     for folder in folders:
         paths = pictures_in(folder)
@@ -53,7 +53,7 @@ def heads(
         for path in paths if limit is None else evenly(paths, limit):
             odds = segmenter.head_odds(photo := read_rgb(path))
             head = choice.alone(odds)
-            name = SHIPPED_HEAD if head is None else head.name
+            name = SHIPPED_LABEL_HEAD if head is None else head.name
             rows.append((path.name, name, odds))
             if overlays is not None:
                 write_answer(overlays, name, segmenter.labels, path, photo, segmenter.segment(photo))

@@ -67,7 +67,7 @@ def segmentation(
     from ltm_core.base.errors import RecordingError
     from ltm_core.base.evenly import evenly
     from ltm_core.vision.areas import POLYGONS_FILE
-    from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_HEAD
+    from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_lab.evaluation.figures_io import write_figures
@@ -85,7 +85,7 @@ def segmentation(
             "folders of them"
         )
     console = Console()
-    heads = [SHIPPED_HEAD, *(head or [])]
+    heads = [SHIPPED_LABEL_HEAD, *(head or [])]
     segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
     chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
     for s in segmenters:

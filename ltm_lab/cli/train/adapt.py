@@ -30,7 +30,7 @@ def adapt(
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest
+    from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
     from ltm_lab.cli.train.training_run import need_torch
     from ltm_ros.cli.progress import message_bar
 
@@ -46,7 +46,7 @@ def adapt(
     place = site or next((p for p in (bag / "site.yaml", bag.parent / "site.yaml") if p.is_file()), None)
     if place is None:
         raise ConfigError(f"{bag}: no site.yaml beside it; name the site file with --site")
-    manifest = Manifest.find(model or DEFAULT_MODEL)
+    manifest = NetworkManifest.find(model or DEFAULT_MODEL)
     network = load_exported(manifest)
     name = name or f"{manifest.name}_{load_site(place).name}"
     out = out or Path("out/train") / name

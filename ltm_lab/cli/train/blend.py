@@ -27,7 +27,7 @@ def blend(
 
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.cli.train.training_run import finished, need_torch, report_scores
     from ltm_lab.training.config import TrainingConfig
     from ltm_lab.training.labelled_frames import read_split
@@ -36,7 +36,7 @@ def blend(
     from ltm_lab.training.exported import blended, load_exported
 
     settings, labels, console = load_yaml(config, TrainingConfig), LabelSet.load(), Console()
-    network = blended(load_exported(Manifest.find(first)), load_exported(Manifest.find(second)), share)
+    network = blended(load_exported(NetworkManifest.find(first)), load_exported(NetworkManifest.find(second)), share)
     split = read_split(frames, settings.split, len(labels))
     manifest = finished(settings, network, split, labels, out, console)
     report_scores(settings, manifest, split, labels, threads, console)

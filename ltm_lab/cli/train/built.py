@@ -30,7 +30,7 @@ def built(
     from rich.console import Console
 
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.segmentation_tables import score_table
     from ltm_lab.cli.train.training_run import need_torch
@@ -42,7 +42,7 @@ def built(
     from ltm_lab.training.exported import load_exported, with_cue
     from ltm_lab.training.structure_cue import CueConfig, cue_samples, fit_cue
 
-    console, base, labels = Console(), Manifest.find(network), LabelSet.load()
+    console, base, labels = Console(), NetworkManifest.find(network), LabelSet.load()
     weights, config = load_exported(base), CueConfig(draws=draws)
     before = Segmenter(base, threads, labels)
     taught = [frame for folder in photos for frame in read_frames(folder, len(labels))]

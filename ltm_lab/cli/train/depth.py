@@ -43,7 +43,7 @@ def depth(
 
     from ltm_core.storage.photo_io import photos_in, read_rgb
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.cli.train.training_run import need_torch
 
     need_torch()
@@ -54,7 +54,7 @@ def depth(
     from ltm_lab.training.export import export_adapted
     from ltm_lab.training.exported import load_exported
 
-    console, base, of = Console(), Manifest.find(labels), Manifest.find(teacher)
+    console, base, of = Console(), NetworkManifest.find(labels), NetworkManifest.find(teacher)
     network, source = load_exported(base), load_exported(of)
     config = DepthPyramidConfig(
         windows=windows, steps=steps, batch=batch, width=base.input.width, height=base.input.height

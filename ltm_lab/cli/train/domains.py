@@ -22,7 +22,8 @@ def domains(
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
 ) -> None:
-    """Measure what `head: auto` compares a camera's pictures with: statistics of a decoder map over land in FOLDERS.
+    """Measure what `label_head: auto` compares a camera's pictures with: statistics of a decoder map over land in
+    FOLDERS.
 
     Heads that were taught before lie on the axes of the former file; they are passed over until they are taught again.
     """

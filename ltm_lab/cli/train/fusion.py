@@ -37,14 +37,14 @@ def fusion(
     from ltm_core.tracing import TerrainTracer
     from ltm_core.tracing.holes import NOTHING_BEYOND
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_lab.training.fusion_fit import fit_fusion
     from ltm_lab.training.fusion_samples import FrameSamples, frame_samples
 
     console = Console()
-    manifest, labels = Manifest.find(model), LabelSet.load()
+    manifest, labels = NetworkManifest.find(model), LabelSet.load()
     network, segmenter = DepthNetwork.open(model), Segmenter.open(segmentation or DEFAULT_MODEL)
     settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
     # Always from the defaults: a fit that starts from its own result would creep.

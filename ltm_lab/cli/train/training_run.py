@@ -99,12 +99,12 @@ def _weights(start: str, fixed: int) -> dict[str, Any]:
     """Of a checkpoint, or of the network that a manifest or a model's name gives."""
     import torch
 
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.training.exported import load_exported
 
     weights: dict[str, Any]
     if not start.endswith(".pt"):
-        weights = load_exported(Manifest.find(start), fixed).state_dict()
+        weights = load_exported(NetworkManifest.find(start), fixed).state_dict()
         return weights
     if not Path(start).is_file():
         raise ConfigError(f"{start}: no such checkpoint to start from")

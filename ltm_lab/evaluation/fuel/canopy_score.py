@@ -92,7 +92,7 @@ def score_canopy(
     conditions: SceneConditions | None = None,
 ) -> list[CanopyScore]:
     """Of what is seen, by the confirmed surface and, where `conditions` of the frames are given, by labels; of the
-    surface alone; of that as it was given, and of a region's `constant` for new trees; empty where nothing was
+    surface alone; of that as it was given, and of a climate's `constant` for new trees; empty where nothing was
     confirmed.
     """
     rows, cols = (n // FUEL_CELL for n in GEOMETRY.shape)

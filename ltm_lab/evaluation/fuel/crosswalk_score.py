@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Int16Array
 from ltm_core.fuel.cell_counts import UNSEEN
-from ltm_core.fuel.codes import Crosswalk, FuelRegion, FuelSystem, of_one_fuel_type
+from ltm_core.fuel.codes import Crosswalk, FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA
@@ -27,7 +27,7 @@ UNBOUND: Final[Mapping[str, Mapping[int, int]]] = {
               164: 10, 165: 10, 181: 8, 182: 8, 183: 8, 184: 8, 185: 9, 186: 9, 187: 10, 188: 9, 189: 9, 201: 11,
               202: 12, 203: 12, 204: 13},
 }  # fmt: skip
-"""The regions' tables until they were bound to the fuel type: of each code the commonest partner in a real set,
+"""The climates' tables until they were bound to the fuel type: of each code the commonest partner in a real set,
 whatever its life form. What `ltm-lab eval crosswalk` calls "unbound"."""
 _GROUPS: Final[Mapping[str, tuple[range, range]]] = {
     "grass": (range(101, 110), range(1, 4)),
@@ -49,24 +49,24 @@ class CrosswalkScore:
     east: Share | None
 
 
-def score_crosswalk(prior: FuelPrior, region_name: str) -> list[CrosswalkScore]:
-    """The unbound table, the region's, and both unchanged exports of a map that brings both systems.
+def score_crosswalk(prior: FuelPrior, climate_name: str) -> list[CrosswalkScore]:
+    """The unbound table, the climate's, and both unchanged exports of a map that brings both systems.
 
     `prior`: loaded with its FBFM13 as given (`PriorConfig.own_fbfm13`).
     """
-    region = FuelRegion.named(region_name)
+    climate = FuelClimate.named(climate_name)
     cover = None if prior.canopy is None else prior.canopy[0]
     ways = {
-        "unbound table": Crosswalk.of(UNBOUND.get(region_name, region.crosswalk), {}).to_fbfm13(prior.codes),
-        "table": region.as_crosswalk().to_fbfm13(prior.codes, cover),
+        "unbound table": Crosswalk.of(UNBOUND.get(climate_name, climate.crosswalk), {}).to_fbfm13(prior.codes),
+        "table": climate.as_crosswalk().to_fbfm13(prior.codes, cover),
     }
     if prior.fbfm13 is not None:
-        learned = region.as_crosswalk().learned(prior.codes, prior.fbfm13, cover)
+        learned = climate.as_crosswalk().learned(prior.codes, prior.fbfm13, cover)
         ways["its own pairs"] = learned.to_fbfm13(prior.codes, cover)
-        layers = layers_of_classes(np.full(prior.codes.shape, UNSEEN, np.uint8), prior, region)
+        layers = layers_of_classes(np.full(prior.codes.shape, UNSEEN, np.uint8), prior, climate)
         within = np.where(of_one_fuel_type(prior.codes, prior.fbfm13), prior.fbfm13, NODATA).astype(np.int16)
         for way, own in (("within the fuel type", within), ("as given", prior.fbfm13)):
-            exported = surface_codes(layers, replace(prior, fbfm13=own), region, FuelSystem.FBFM13)
+            exported = surface_codes(layers, replace(prior, fbfm13=own), climate, FuelSystem.FBFM13)
             ways[f"export, its own FBFM13 {way}"] = exported
     return [_score(way, codes, prior) for way, codes in ways.items()]
 

@@ -18,7 +18,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Arra
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.find_pose import Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import result_of
@@ -60,7 +60,7 @@ class TrialPictures:
         cameras: Sequence[tuple[float, float, float]],
     ) -> None:
         self._fine, self._rng, self._config = world.fine, rng, PicturePoseConfig()
-        self._terrain = Terrain(world.dem, bend, NOTHING_BEYOND)
+        self._terrain = SearchTerrain(world.dem, bend, NOTHING_BEYOND)
         cell = world.geometry.resolution / SUBCELLS
         rows, cols = world.fine.shape
         self._cells = GridGeometry(world.geometry.x_min, world.geometry.y_max, cell, cols, rows)

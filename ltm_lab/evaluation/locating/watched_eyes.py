@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.mount.skyline_turns import SkylineTurns
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_lab.evaluation.locating.smoke_score import TURNED_DEG
 from ltm_lab.evaluation.locating.smoke_trials import PoseErrors
@@ -69,7 +69,7 @@ def stated_pose(true: Pose, offsets: Float64Array, errors: PoseErrors, turned_de
 def watched_eye(
     name: str,
     frames: Sequence[PreparedFrame],
-    terrain: Terrain,
+    terrain: SearchTerrain,
     errors: PoseErrors,
     rng: np.random.Generator,
     picture_config: PicturePoseConfig,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltm_core.base.types import Float32Array, Float64Array, RgbImage
-from ltm_core.depth.topodepth import FusedDepth, Source
+from ltm_core.depth.topodepth import DepthSource, FusedDepth
 from ltm_core.pictures.drawing import metres
 from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, RangeScale, depth_colors, scale_colors
 from ltm_lab.evaluation.pictures.figure import picture_of, swatches
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 # Of unknown and sky as in pictures of depth: one legend tells both.
 _SOURCE_COLORS = {
-    Source.UNKNOWN: UNKNOWN_COLOR,
-    Source.TERRAIN: (196, 170, 120),
-    Source.NETWORK: (214, 75, 70),
-    Source.BOTH: (110, 160, 190),
-    Source.SKY: SKY_COLOR,
+    DepthSource.UNKNOWN: UNKNOWN_COLOR,
+    DepthSource.TERRAIN: (196, 170, 120),
+    DepthSource.NETWORK: (214, 75, 70),
+    DepthSource.BOTH: (110, 160, 190),
+    DepthSource.SKY: SKY_COLOR,
 }
 _LARGEST = 0.5
 """Relative error at the ends of the colour scale."""
@@ -59,7 +59,7 @@ def depth_figure(
     show_picture(rows[0][0], photo, title)
     show_depth(rows[0][1], truth, scale, "true depth of the visible surface")
     order = list(_SOURCE_COLORS)
-    colors = np.zeros((len(Source), 3), np.uint8)
+    colors = np.zeros((len(DepthSource), 3), np.uint8)
     colors[order] = list(_SOURCE_COLORS.values())
     show_picture(rows[0][2], colors[fused.source], "what depth is fused from")
     names = swatches([source.name.lower() for source in order], colors[order])

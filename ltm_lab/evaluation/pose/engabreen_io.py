@@ -18,7 +18,7 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_io import read_control_points
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -46,7 +46,7 @@ class RealPhoto:
     """The photo, its DEM, and the pose and camera that its control points give."""
 
     photo: UInt8Array
-    terrain: Terrain
+    terrain: SearchTerrain
     points: Resection
     stated: Camera
 
@@ -82,7 +82,7 @@ def read_real_photo(folder: Path) -> RealPhoto:
     points = read_control_points(folder / "gcp8902.csv", _FRAME, first_pixel=1.0)
     fitted = resect(points, camera, (x - _FRAME.x_origin, y - _FRAME.y_origin, z), bend=bend)
     dem = Dem.open(folder / "dem_3m_f64.tif").in_frame(_FRAME)
-    return RealPhoto(read_photo(folder / stated.image, camera), Terrain(dem, bend), fitted, camera)
+    return RealPhoto(read_photo(folder / stated.image, camera), SearchTerrain(dem, bend), fitted, camera)
 
 
 def run_real_trials(

@@ -12,7 +12,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.pose_estimation.mount.mount_resection import MountResection, resect_mount
-from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.visibility.point_visibility import pixel_rays
 
 LEAN_DEG, TILT_ZERO_DEG = (0.8, 0.5), 0.3
@@ -70,7 +70,7 @@ def _stated(azimuth_deg: float) -> MountModel:
     return MountModel(Pose.from_angles(_PLACE, azimuth_deg), 0.0, np.zeros((7, 7)))
 
 
-def _marked(true: MountModel, pans: Float64Array, rng: np.random.Generator) -> HeadPoints:
+def _marked(true: MountModel, pans: Float64Array, rng: np.random.Generator) -> PtzPoints:
     camera = lens().camera(1.0)
     names, places, pixels, readings = [], [], [], []
     for k, pan in enumerate(pans):
@@ -81,7 +81,7 @@ def _marked(true: MountModel, pans: Float64Array, rng: np.random.Generator) -> H
         places.append(_PLACE + rotation @ pixel_rays(camera, pixel[None])[0] * rng.uniform(800, 8000))
         pixels.append(pixel + MARK_PX * rng.normal(size=2))
         readings.append((pan, tilt, 1.0))
-    return HeadPoints(tuple(names), np.array(places), np.array(pixels), np.array(readings))
+    return PtzPoints(tuple(names), np.array(places), np.array(pixels), np.array(readings))
 
 
 def _worst_sigma(found: MountResection) -> float:

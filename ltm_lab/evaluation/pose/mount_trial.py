@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_fit import TILT_ZERO_SIGMA_DEG, fit_mount, widened
-from ltm_core.pose_estimation.skyline.find_pose import Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import PreparedFrame
@@ -34,7 +34,7 @@ class MountTrial:
 def run_mount_trial(
     head: str,
     frames: Sequence[PreparedFrame],
-    terrain: Terrain,
+    terrain: SearchTerrain,
     config: PicturePoseConfig,
     rng: np.random.Generator,
     focal_factor: float = 1.0,

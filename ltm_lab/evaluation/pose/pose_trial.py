@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between
@@ -67,7 +67,7 @@ class PreparedFrame:
 
 
 def prepared(
-    name: str, frame: TruthFrame, labels: UInt8Array, terrain: Terrain, config: PicturePoseConfig
+    name: str, frame: TruthFrame, labels: UInt8Array, terrain: SearchTerrain, config: PicturePoseConfig
 ) -> PreparedFrame:
     """`labels`: (H, W) as the search gets them."""
     begin = time.process_time()
@@ -83,7 +83,7 @@ def prepared(
 def run_trial(
     prepared_frame: PreparedFrame,
     sensor: Sensor,
-    terrain: Terrain,
+    terrain: SearchTerrain,
     tracer: TerrainTracer | None,
     config: PicturePoseConfig,
     rng: np.random.Generator,

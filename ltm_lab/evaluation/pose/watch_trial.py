@@ -13,7 +13,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import PreparedFrame
@@ -48,7 +48,7 @@ class WatchTrial:
 def run_watch_trial(
     camera: str,
     frames: Sequence[PreparedFrame],
-    terrain: Terrain,
+    terrain: SearchTerrain,
     picture_config: PicturePoseConfig,
     sigma_deg: float,
     turn_deg: float,

@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 from typing import Any
 
 from ltm_core.site.source_config import CameraListConfig
-from ltm_ros.cameras.protocols.direction import Reading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError
 from ltm_ros.cameras.protocols.http_client import HttpClient, http_time
 from ltm_ros.cameras.protocols.http_pictures import check_begins_as_picture
-from ltm_ros.cameras.protocols.picture import CameraTime, Nothing, Picture, Timing, stated_number
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
 
 _MOST_ENTRIES = 100_000
 _MILLISECONDS = 1e11
@@ -33,7 +33,7 @@ class CameraListReader:
         self._given: object = None
         """The time of the picture that was given last."""
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         entry = self._listed()
         stated = entry.get(self._config.time_key)
         if stated is not None and stated == self._given:
@@ -48,7 +48,7 @@ class CameraListReader:
         self._given = stated
         direction = after
         if before is not None and after is not None and not at_rest(before, after, Tolerance()):
-            direction = Reading(after.pan_deg, after.tilt_deg, after.zoom, True, after.at)
+            direction = PtzReading(after.pan_deg, after.tilt_deg, after.zoom, True, after.at)
         timing = Timing(
             arrived=answer.arrived,
             asked=answer.asked,
@@ -56,7 +56,7 @@ class CameraListReader:
             taken=time_of(stated) or http_time(answer.headers, "Last-Modified"),
             answered=http_time(answer.headers, "Date"),
         )
-        return Picture(timing, jpeg=answer.body, direction=direction)
+        return CameraImage(timing, jpeg=answer.body, direction=direction)
 
     def close(self) -> None:
         self._client.close()
@@ -91,12 +91,12 @@ def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
     raise SourceError(f"the list of cameras has none whose {config.id_key} is {config.id!r}")
 
 
-def reading_of(entry: dict[str, Any], config: CameraListConfig) -> Reading | None:
+def reading_of(entry: dict[str, Any], config: CameraListConfig) -> PtzReading | None:
     """Where the list says that the camera looks; None where it does not say."""
     pan, tilt, zoom = (stated_number(entry.get(key)) for key in (config.pan_key, config.tilt_key, config.zoom_key))
     if pan is None or tilt is None:
         return None
-    return Reading(pan, tilt, zoom if zoom is not None else 1.0, None, time.monotonic())
+    return PtzReading(pan, tilt, zoom if zoom is not None else 1.0, None, time.monotonic())
 
 
 def time_of(value: Any) -> CameraTime | None:

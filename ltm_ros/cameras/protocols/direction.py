@@ -1,4 +1,4 @@
-"""Where a camera looks, as its head tells it: what a source asks before and after each picture."""
+"""Where a camera looks, as its PTZ head tells it: what a source asks before and after each picture."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from ltm_core.geometry.pose import Pose
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What the encoders of a pan-tilt-zoom head said. Signs and zeros are the adapter's; `PoseModel` knows them."""
+class PtzReading:
+    """What the encoders of a PTZ head said. Signs and zeros are the adapter's; `PoseModel` knows them."""
 
     pan_deg: float
     tilt_deg: float
     zoom: float
     """In the camera's own measure, such as 1 to 9999 of VAPIX."""
     moving: bool | None
-    """Whether the head says that it moves; None: it does not say."""
+    """Whether the PTZ head says that it moves; None: it does not say."""
     at: float
     """When it was said: seconds of `time.monotonic`."""
 
 
 class Direction(Protocol):
-    """Reads a head's encoders, over the network: may block for as long as its time limit."""
+    """Reads a PTZ head's encoders, over the network: may block for as long as its time limit."""
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         """Raises `SourceError` (`ltm_ros.cameras.protocols.errors`) where the camera does not tell."""
         ...
 
@@ -36,18 +36,18 @@ class Direction(Protocol):
 
 
 class Patrol(Protocol):
-    """Drives a head from preset to preset."""
+    """Drives a PTZ head from preset to preset."""
 
     def advance(self) -> None:
-        """Go to the next preset, and come back when the head rests there. Raises SourceError; StuckHeadError where it
-        does not come there."""
+        """Go to the next preset, and come back when the PTZ head rests there. Raises SourceError; StuckPtzError where
+        it does not come there."""
         ...
 
 
 class PoseModel(Protocol):
-    """Makes a camera's pose of what its head says."""
+    """Makes a camera's pose of what its PTZ head says."""
 
-    def pose(self, reading: Reading) -> tuple[Pose, Float64Array]:
+    def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
         """The pose of the optical frame in `map`, and its (6, 6) covariance: position in metres, then rotation about
         the map's axes in radians."""
         ...
@@ -55,7 +55,7 @@ class PoseModel(Protocol):
 
 @dataclass(frozen=True)
 class Tolerance:
-    """By how much two readings of a head at rest may differ."""
+    """By how much two readings of a PTZ head at rest may differ."""
 
     angle_deg: float = 0.05
     """Of pan, and of tilt: encoders flicker by their last digit."""
@@ -67,8 +67,8 @@ def difference_deg(first: float, second: float) -> float:
     return abs((second - first + 180.0) % 360.0 - 180.0)
 
 
-def at_rest(before: Reading, after: Reading, tolerance: Tolerance) -> bool:
-    """Whether the head stood still from one reading to the other, as far as they tell."""
+def at_rest(before: PtzReading, after: PtzReading, tolerance: Tolerance) -> bool:
+    """Whether the PTZ head stood still from one reading to the other, as far as they tell."""
     return not (
         before.moving
         or after.moving

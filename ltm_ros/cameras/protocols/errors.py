@@ -13,8 +13,8 @@ class UnauthorisedError(SourceError):
     """A camera refuses the user or the password: to ask again soon would lock the account."""
 
 
-class StuckHeadError(SourceError):
-    """A head was sent elsewhere and does not go there."""
+class StuckPtzError(SourceError):
+    """A PTZ head was sent elsewhere and does not go there."""
 
 
 class PictureError(SourceError):

@@ -16,7 +16,7 @@ from ltm_core.site.source_config import FolderConfig
 from ltm_core.storage.disk_io import is_folder
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
-from ltm_ros.cameras.protocols.picture import CameraTime, Nothing, Picture, Timing
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
 from ltm_ros.runtime.clocks import Clock
 
 MOST_FILES = 20_000
@@ -24,7 +24,7 @@ MOST_FILES = 20_000
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _FileState:
     """A file at one look; one that is being written has another size or time at the next."""
 
     size: int
@@ -45,10 +45,10 @@ class FolderReader:
             self._zone = ZoneInfo(config.zone)
         except (ZoneInfoNotFoundError, ValueError, OSError):
             raise SourceError(f"zone {config.zone!r} is not known; write one such as America/Los_Angeles") from None
-        self._waiting: dict[Path, tuple[_Seen, float]] = {}
-        self._done: dict[Path, _Seen] = {}
+        self._waiting: dict[Path, tuple[_FileState, float]] = {}
+        self._done: dict[Path, _FileState] = {}
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         now, wall = self._clock.monotonic(), self._clock.wall()
         files = self._look(wall)
         # What is gone is forgotten, so that a name may come again.
@@ -69,7 +69,7 @@ class FolderReader:
     def close(self) -> None:
         """Nothing is open."""
 
-    def _look(self, wall: float) -> dict[Path, _Seen]:
+    def _look(self, wall: float) -> dict[Path, _FileState]:
         try:
             if not is_folder(self._folder):
                 raise SourceError(f"{self._folder} is gone: mount it, or mend path")
@@ -77,7 +77,7 @@ class FolderReader:
         except OSError as error:
             raise SourceError(f"{self._folder} cannot be read: {error.strerror}") from None
 
-    def _files(self, wall: float) -> Iterator[tuple[Path, _Seen]]:
+    def _files(self, wall: float) -> Iterator[tuple[Path, _FileState]]:
         home = self._folder.resolve()
         for path in self._folder.glob(self._config.pattern):
             with contextlib.suppress(OSError):
@@ -87,9 +87,9 @@ class FolderReader:
                     continue
                 # A link may lead anywhere, and a camera may write links.
                 if stat.S_ISREG(state.st_mode) and path.resolve().is_relative_to(home):
-                    yield path, _Seen(state.st_size, state.st_mtime_ns)
+                    yield path, _FileState(state.st_size, state.st_mtime_ns)
 
-    def _whole(self, path: Path, seen: _Seen, waited: float) -> bytes | None:
+    def _whole(self, path: Path, seen: _FileState, waited: float) -> bytes | None:
         """The file's bytes; None where it may still grow. Raises PictureError where it will not be whole."""
         if seen.size > self._most_bytes:
             self._finish(path, seen)
@@ -111,21 +111,21 @@ class FolderReader:
             f"{path.name} has {len(data)} bytes and no end of a picture after {waited:.0f} s: its upload broke off"
         )
 
-    def _finish(self, path: Path, seen: _Seen) -> None:
+    def _finish(self, path: Path, seen: _FileState) -> None:
         self._waiting.pop(path, None)
         self._done[path] = seen
         if self._config.delete:
             with contextlib.suppress(OSError):
                 path.unlink()
 
-    def _picture(self, path: Path, data: bytes, written: float) -> Picture:
+    def _picture(self, path: Path, data: bytes, written: float) -> CameraImage:
         timing = Timing(
             arrived=written,
             oldest=self._config.upload,
             taken=self._named_time(path) or exif_time(data, self._zone),
             trusted=self._config.clock == "trusted",
         )
-        return Picture(timing, jpeg=data)
+        return CameraImage(timing, jpeg=data)
 
     def _named_time(self, path: Path) -> CameraTime | None:
         pattern = self._config.name_time

@@ -29,7 +29,7 @@ WHOLE_FACTOR = 3
 """Times the limit for each part of an answer: what a whole one may take, however slowly it drips."""
 KEEP_S = 75.0
 """For which a connection is kept: of snapshots a minute apart too."""
-READ_BYTES = 64 << 10
+
 
 # They tell each request's URL, which may hold a password, at INFO.
 for _name in ("httpx", "httpcore"):
@@ -37,7 +37,7 @@ for _name in ("httpx", "httpcore"):
 
 
 @dataclass(frozen=True)
-class Answer:
+class HttpResponse:
     """`asked`, `arrived`: monotonic seconds of the request and of the answer's head."""
 
     status: int
@@ -90,7 +90,7 @@ class HttpClient:
     def close(self) -> None:
         self._client.close()
 
-    def get(self, url: str, headers: Mapping[str, str] | None = None) -> Answer:
+    def get(self, url: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
         """The whole answer of status 200 or 304. Raises SourceError, UnauthorisedError, PictureError where it is too
         large."""
         return self.send("GET", url, headers)
@@ -102,7 +102,7 @@ class HttpClient:
         headers: Mapping[str, str] | None = None,
         body: bytes | None = None,
         accepted: Collection[int] = TAKEN,
-    ) -> Answer:
+    ) -> HttpResponse:
         """As `get`; `accepted`: statuses that are no error."""
         with (
             self.within(self._whole_s),
@@ -116,7 +116,7 @@ class HttpClient:
                         f"answer of more than {self._most_bytes} bytes: have the camera send smaller pictures, or "
                         "raise image_bytes under `limits:` in the site file"
                     )
-            return Answer(response.status_code, response.headers, bytes(whole), asked, arrived)
+            return HttpResponse(response.status_code, response.headers, bytes(whole), asked, arrived)
 
     @contextlib.contextmanager
     def stream(

@@ -11,8 +11,8 @@ import httpx
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
-from ltm_ros.cameras.protocols.http_client import WHOLE_FACTOR, Answer, HttpClient, http_time
-from ltm_ros.cameras.protocols.picture import CameraTime, Nothing, Picture, Timing, stated_number
+from ltm_ros.cameras.protocols.http_client import WHOLE_FACTOR, HttpClient, HttpResponse, http_time
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
 
 _SHOWN = 16
 """Bytes of an answer that is no picture that an error shows."""
@@ -30,13 +30,13 @@ class SnapshotReader:
         self._body = 0
         self._modified_tells = True
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         answer = self._client.get(self._url, self._conditions)
         if answer.status == 304:
             return Nothing.UNCHANGED
         check_begins_as_picture(answer)
         self._remember(answer)
-        return Picture(
+        return CameraImage(
             Timing(
                 arrived=answer.arrived,
                 asked=answer.asked,
@@ -50,7 +50,7 @@ class SnapshotReader:
     def close(self) -> None:
         self._client.close()
 
-    def _remember(self, answer: Answer) -> None:
+    def _remember(self, answer: HttpResponse) -> None:
         modified = answer.headers.get("last-modified")
         # Some servers state when they were started, or another constant, beside pictures that change.
         if modified is not None and modified == self._modified and hash(answer.body) != self._body and self.pause > 1:
@@ -62,14 +62,14 @@ class SnapshotReader:
         if modified is not None and self._modified_tells:
             self._conditions["If-Modified-Since"] = modified
 
-    def _taken(self, answer: Answer) -> CameraTime | None:
+    def _taken(self, answer: HttpResponse) -> CameraTime | None:
         stated = exif_time(answer.body)
         if stated is not None:
             return stated
         return http_time(answer.headers, "Last-Modified") if self._modified_tells else None
 
 
-def check_begins_as_picture(answer: Answer) -> None:
+def check_begins_as_picture(answer: HttpResponse) -> None:
     """Raises PictureError for a log-in page, an error in words, nothing at all."""
     if answer.body[:3] != b"\xff\xd8\xff" and answer.body[:8] != b"\x89PNG\r\n\x1a\n":
         kind = answer.headers.get("content-type", "of no stated type")
@@ -103,7 +103,7 @@ class MjpegReader:
         self._parts = self._split(response, boundary)
         self._due = 0.0
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         """Waits for the next picture that is due; others are read and forgotten."""
         head, body, arrived = self._next()
         if arrived < self._due:
@@ -111,7 +111,7 @@ class MjpegReader:
         if not body.startswith(_BEGIN):
             raise PictureError(f"a part of {len(body)} bytes of the stream is no JPEG")
         self._due = arrived + self._every
-        return Picture(timing_of(head, arrived), jpeg=body)
+        return CameraImage(timing_of(head, arrived), jpeg=body)
 
     def close(self) -> None:
         with contextlib.suppress(SourceError):

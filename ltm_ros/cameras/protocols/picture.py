@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import UInt8Array
-from ltm_ros.cameras.protocols.direction import Reading, difference_deg
+from ltm_ros.cameras.protocols.direction import PtzReading, difference_deg
 from ltm_ros.cameras.protocols.errors import PictureError
 
 
@@ -47,13 +47,13 @@ class Timing:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class CameraImage:
     timing: Timing
     jpeg: bytes | None = None
     """The camera's own bytes, JPEG or PNG; None: it sent a video, see `rgb`."""
     rgb: UInt8Array | None = None
     """(H, W, 3), of a video."""
-    direction: Reading | None = None
+    direction: PtzReading | None = None
     """Where it came with the picture."""
 
 
@@ -75,13 +75,13 @@ class Nothing(Enum):
     """None has come; ask again."""
 
 
-class PictureReader(Protocol):
+class CameraReader(Protocol):
     """A connection to one camera; used by one thread."""
 
     pause: float
     """Seconds from one call of `read` to the next; 0: `read` waits for the camera itself."""
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         """Blocks for some seconds at most. Raises SourceError where the connection must be made anew, PictureError
         where it need not."""
         ...
@@ -154,7 +154,7 @@ SAME_SHARE = 0.99
 LEAST_CONTRAST = 4.0
 """Below it (fog, darkness) a picture that stays the same says nothing."""
 TURNED_DEG = 5.0
-"""By which a head has turned for its picture to change."""
+"""By which a PTZ head has turned for its picture to change."""
 SAME_BITS = 4
 """Of 64 of a difference hash, in which two pictures of one view differ at most."""
 
@@ -171,11 +171,11 @@ class StuckPicture:
         self._after_s = after_s
         self._first: UInt8Array | None = None
         self._same_since: float | None = None
-        self._turned_from: tuple[int, Reading] | None = None
+        self._turned_from: tuple[int, PtzReading] | None = None
         self._turns_unseen = 0
 
-    def look(self, thumbnail: UInt8Array, direction: Reading | None, now: float) -> None:
-        """Take a picture, of a head at rest in `direction` where it has one."""
+    def look(self, thumbnail: UInt8Array, direction: PtzReading | None, now: float) -> None:
+        """Take a picture, of a PTZ head at rest in `direction` where it has one."""
         telling = contrast(thumbnail) >= LEAST_CONTRAST
         if self._first is None or not telling or same_share(self._first, thumbnail) < SAME_SHARE:
             self._first, self._same_since = thumbnail, now
@@ -190,12 +190,12 @@ class StuckPicture:
     def said(self, now: float) -> str:
         """Why it is stuck; empty: it is not."""
         if self._turns_unseen >= 2:
-            return f"the head says that it turned by {TURNED_DEG:g} deg or more, and the picture stays the same"
+            return f"the PTZ head says that it turned by {TURNED_DEG:g} deg or more, and the picture stays the same"
         if self._same_since is not None and now - self._same_since >= self._after_s:
             return f"the same picture for {now - self._same_since:.0f} s"
         return ""
 
-    def _compare_turn(self, bits: int, direction: Reading) -> None:
+    def _compare_turn(self, bits: int, direction: PtzReading) -> None:
         if self._turned_from is None:
             self._turned_from = bits, direction
             return

@@ -11,7 +11,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.site.source_config import RtspConfig, V4l2Config
 from ltm_ros.cameras.protocols.credentials import Login
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.picture import CameraTime, Nothing, Picture, Timing
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
 
 TURN_S = 2.0
 """After which a call returns without a picture, so that its caller can end."""
@@ -70,7 +70,7 @@ class VideoReader:
         """Whether a key frame has come, without which the others show nothing."""
         self._last = time.monotonic()
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         until = time.monotonic() + TURN_S
         while True:
             packet = self._packet()
@@ -102,7 +102,7 @@ class VideoReader:
             raise SourceError("the stream has ended: the camera is gone, or has closed it")
         return packet
 
-    def _picture(self, packet: Any, arrived: float) -> Picture | None:
+    def _picture(self, packet: Any, arrived: float) -> CameraImage | None:
         self._whole |= packet.is_keyframe
         due = arrived >= self._due
         if not self._whole or (self._keys_only and not (packet.is_keyframe and due)):
@@ -116,7 +116,7 @@ class VideoReader:
         self._due = arrived + self._every
         stream = None if frame.pts is None else float(frame.pts * frame.time_base)
         begun = self._container.start_time_realtime
-        return Picture(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=_rgb(frame))
+        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=_rgb(frame))
 
     def _decoded(self, packet: Any, alone: bool) -> list[Any]:
         try:

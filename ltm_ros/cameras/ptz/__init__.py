@@ -1,1 +1,1 @@
-"""Heads of pan-tilt-zoom cameras: what they say of their direction, by maker."""
+"""PTZ heads of pan-tilt-zoom cameras: what they say of their direction, by maker."""

@@ -1,4 +1,4 @@
-"""One connection to a head: HTTP with the camera's user and password, and XML within bounds."""
+"""One connection to a PTZ head: HTTP with the camera's user and password, and XML within bounds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urllib.parse import SplitResult, urlsplit, urlunsplit
 from ltm_core.site.ptz_config import PtzSettings
 from ltm_core.site.source_config import HttpSettings, NetworkSettings, SourceConfig
 from ltm_ros.cameras.protocols.errors import SourceError
-from ltm_ros.cameras.protocols.http_client import TAKEN, Answer, HttpClient
+from ltm_ros.cameras.protocols.http_client import TAKEN, HttpClient, HttpResponse
 
 MOST_BYTES = 512 << 10
 """Of an answer: 256 presets of ONVIF have 120 kB."""
@@ -32,7 +32,7 @@ def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
     if isinstance(source, HttpSettings) and ca is None:
         ca, check_name = source.ca, source.check_name
     if url is None:
-        raise SourceError("the head has no address: write it as ptz.url in the site file")
+        raise SourceError("the PTZ head has no address: write it as ptz.url in the site file")
     return HttpSettings(
         url=url.rstrip("/"),
         user=user,
@@ -61,7 +61,7 @@ class Connection:
         body: bytes | None = None,
         headers: Mapping[str, str] | None = None,
         accepted: Collection[int] = TAKEN,
-    ) -> Answer:
+    ) -> HttpResponse:
         """Raises SourceError, UnauthorisedError."""
         url = path if path.startswith(("http://", "https://")) else self.settings.url + path
         return self._client.send(method, url, headers, body, accepted)
@@ -116,5 +116,5 @@ def number(text: str | None, what: str) -> float:
     except ValueError:
         value = float("nan")
     if not -1e9 < value < 1e9:
-        raise SourceError(f"the head says {text!r:.40} for {what}: that is no number")
+        raise SourceError(f"the PTZ head says {text!r:.40} for {what}: that is no number")
     return value

@@ -8,34 +8,34 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ltm_core.site.ptz_config import IsapiConfig, OnvifConfig, PatrolConfig, PtzConfig, ReolinkConfig, VapixConfig
-from ltm_ros.cameras.protocols.direction import Reading, Tolerance, at_rest
-from ltm_ros.cameras.protocols.errors import SourceError, StuckHeadError
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.errors import SourceError, StuckPtzError
 
 
 @dataclass(frozen=True)
-class Limits:
-    """How far a head goes, degrees and the camera's own zoom; None: it does not say."""
+class PtzLimits:
+    """How far a PTZ head goes, degrees and the camera's own zoom; None: it does not say."""
 
     pan_deg: tuple[float, float] | None = None
     tilt_deg: tuple[float, float] | None = None
     zoom: tuple[float, float] | None = None
 
 
-class Head(Protocol):
+class PtzHead(Protocol):
     """A `Direction` that knows more. All but `go_to` only asks.
 
-    Everything raises SourceError where the head does not tell, and UnauthorisedError where it refuses the password.
+    Everything raises SourceError where the PTZ head does not tell, and UnauthorisedError where it refuses the password.
     """
 
     spacing: float
-    """Seconds between two readings that show a head which turns by 1 deg/s."""
+    """Seconds between two readings that show a PTZ head which turns by 1 deg/s."""
 
-    def read(self) -> Reading: ...
+    def read(self) -> PtzReading: ...
 
-    def limits(self) -> Limits: ...
+    def limits(self) -> PtzLimits: ...
 
     def presets(self) -> Mapping[str, str]:
-        """What the head calls each preset, by its name."""
+        """What the PTZ head calls each preset, by its name."""
         ...
 
     def go_to(self, preset: str) -> None:
@@ -47,14 +47,14 @@ class Head(Protocol):
 
 
 def token_of(presets: Mapping[str, str], preset: str) -> str:
-    """What the head calls a preset. Raises SourceError naming those there are."""
+    """What the PTZ head calls a preset. Raises SourceError naming those there are."""
     if preset not in presets:
-        raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(presets) or 'none'}")
+        raise SourceError(f"the PTZ head has no preset {preset!r}; it has {', '.join(presets) or 'none'}")
     return presets[preset]
 
 
 def tolerance_of(config: PtzConfig) -> Tolerance:
-    """By which two readings of a head at rest differ: some of its last digit."""
+    """By which two readings of a PTZ head at rest differ: some of its last digit."""
     match config:
         case VapixConfig():
             return Tolerance(config.tolerance_deg or 0.05, 1.0)
@@ -68,7 +68,7 @@ def tolerance_of(config: PtzConfig) -> Tolerance:
 
 
 SLOWEST_DEG_S = 1.0
-"""A head that turns as fast as this is told from one at rest."""
+"""A PTZ head that turns as fast as this is told from one at rest."""
 
 
 def spacing_for(tolerance_deg: float) -> float:
@@ -77,12 +77,12 @@ def spacing_for(tolerance_deg: float) -> float:
 
 
 STARTS_WITHIN_S = 2.0
-"""In which a head that is sent elsewhere begins to move."""
+"""In which a PTZ head that is sent elsewhere begins to move."""
 SAME_PRESET_DEG = 0.5
-"""By which a head may come back to a preset elsewhere before that is told."""
+"""By which a PTZ head may come back to a preset elsewhere before that is told."""
 
 
-class HeadDirection:
+class PtzDirection:
     """For one thread.
 
     Args:
@@ -92,61 +92,61 @@ class HeadDirection:
 
     def __init__(
         self,
-        open_head: Callable[[], Head],
+        open_ptz: Callable[[], PtzHead],
         sleep: Callable[[float], None] = time.sleep,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._open, self._sleep, self._now = open_head, sleep, now
-        self._head: Head | None = None
-        self._last: Reading | None = None
+        self._open, self._sleep, self._now = open_ptz, sleep, now
+        self._ptz: PtzHead | None = None
+        self._last: PtzReading | None = None
 
-    def read(self) -> Reading:
-        """Waits until a head that turns slowly would read otherwise than before; fractions of a second."""
-        head = self.head()
+    def read(self) -> PtzReading:
+        """Waits until a PTZ head that turns slowly would read otherwise than before; fractions of a second."""
+        ptz = self.ptz()
         if self._last is not None:
-            self._sleep(max(0.0, self._last.at + head.spacing - self._now()))
-        self._last = head.read()
+            self._sleep(max(0.0, self._last.at + ptz.spacing - self._now()))
+        self._last = ptz.read()
         return self._last
 
-    def head(self) -> Head:
-        if self._head is None:
-            self._head = self._open()
-        return self._head
+    def ptz(self) -> PtzHead:
+        if self._ptz is None:
+            self._ptz = self._open()
+        return self._ptz
 
     @property
     def now(self) -> float:
         return self._now()
 
     def close(self) -> None:
-        head, self._head = self._head, None
+        ptz, self._ptz = self._ptz, None
         self._last = None
-        if head is not None:
-            head.close()
+        if ptz is not None:
+            ptz.close()
 
 
-class HeadPatrol:
+class PtzPatrol:
     """One controller: what it reads between its own commands must be what these ask for."""
 
-    def __init__(self, direction: HeadDirection, config: PatrolConfig, tolerance: Tolerance) -> None:
+    def __init__(self, direction: PtzDirection, config: PatrolConfig, tolerance: Tolerance) -> None:
         self._direction, self._config, self._tolerance = direction, config, tolerance
         self._next = 0
         self._at: str | None = None
-        self._places: dict[str, Reading] = {}
-        """Where each preset was when the head was there first."""
+        self._places: dict[str, PtzReading] = {}
+        """Where each preset was when the PTZ head was there first."""
 
     def advance(self) -> None:
-        """To the next preset, settled. Raises StuckHeadError where the head does not go or does not stop, SourceError
-        where it does not tell, or where something else has driven it away."""
+        """To the next preset, settled. Raises StuckPtzError where the PTZ head does not go or does not stop,
+        SourceError where it does not tell, or where something else has driven it away."""
         preset = self._config.presets[self._next]
         before = self._direction.read()
-        self._direction.head().go_to(preset)
+        self._direction.ptz().go_to(preset)
         reading = self._arrived(preset, before)
         self._check(preset, before, reading)
         self._places.setdefault(preset, reading)
         self._at = preset
         self._next = (self._next + 1) % len(self._config.presets)
 
-    def _arrived(self, preset: str, before: Reading) -> Reading:
+    def _arrived(self, preset: str, before: PtzReading) -> PtzReading:
         """Two equal readings after it has begun to move, and again two when it has settled."""
         begun = self._direction.now
         until = begun + self._config.arrive_within
@@ -165,32 +165,33 @@ class HeadPatrol:
             elif reading.at - rested_since >= self._config.settle:
                 return reading
             if self._direction.now > until:
-                raise StuckHeadError(
-                    f"the head was sent to preset {preset!r} and has not come to rest within "
+                raise StuckPtzError(
+                    f"the PTZ head was sent to preset {preset!r} and has not come to rest within "
                     f"{self._config.arrive_within:g} s; it reads pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}"
                 )
             last = reading
 
-    def _check(self, preset: str, before: Reading, reading: Reading) -> None:
+    def _check(self, preset: str, before: PtzReading, reading: PtzReading) -> None:
         known = self._places.get(preset)
         if known is not None and not at_rest(known, reading, Tolerance(SAME_PRESET_DEG, self._tolerance.zoom * 10)):
             if self._same(before, reading):
-                raise StuckHeadError(
-                    f"the head was sent to preset {preset!r} (pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}) and "
-                    f"stays at pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck, or something else "
-                    "drives it"
+                raise StuckPtzError(
+                    f"the PTZ head was sent to preset {preset!r} (pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}) "
+                    f"and stays at pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck, or something "
+                    "else drives it"
                 )
             self._places[preset], self._at = reading, preset
             raise SourceError(
                 f"preset {preset!r} was at pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}, and is now at pan "
-                f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it was changed, or something else drives the head"
+                f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it was changed, or something else "
+                "drives the PTZ head"
             )
         other = self._at is not None and self._at != preset
         if known is None and other and self._same(before, reading):
-            raise StuckHeadError(
-                f"the head was sent from preset {self._at!r} to {preset!r} and reads the same direction, pan "
+            raise StuckPtzError(
+                f"the PTZ head was sent from preset {self._at!r} to {preset!r} and reads the same direction, pan "
                 f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck"
             )
 
-    def _same(self, first: Reading, second: Reading) -> bool:
+    def _same(self, first: PtzReading, second: PtzReading) -> bool:
         return at_rest(first, second, self._tolerance)

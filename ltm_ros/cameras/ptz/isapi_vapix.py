@@ -1,6 +1,6 @@
 """Query Hikvision heads by ISAPI and Axis heads by VAPIX.
 
-Hikvision heads by ISAPI. Source: ISAPI 2.0, PTZCtrl; fields as cameras send them.
+Hikvision PTZ heads by ISAPI. Source: ISAPI 2.0, PTZCtrl; fields as cameras send them.
 
 Units differ from page to page: tenths of a degree in `status`, degrees with decimals in `absoluteEx`.
 """
@@ -14,15 +14,15 @@ from urllib.parse import quote
 
 from ltm_core.site.ptz_config import IsapiConfig, VapixConfig
 from ltm_core.site.source_config import SourceConfig
-from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.errors import SourceError
 from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import Limits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 
-class IsapiHead:
-    """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these heads (0 level, 90 straight
-    down): `mount.tilt_sign: -1`."""
+class IsapiPtzHead:
+    """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these PTZ heads (0 level, 90
+    straight down): `mount.tilt_sign: -1`."""
 
     def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._connection = connection or Connection(settings_of(config, source))
@@ -30,7 +30,7 @@ class IsapiHead:
         self._tenths = config.units == "tenths"
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         page, place = ("status", ("AbsoluteHigh",)) if self._tenths else ("absoluteEx", ())
         root = parsed_xml(self._connection.ask(f"{self._base}/{page}").body)
         at = time.monotonic()
@@ -38,12 +38,12 @@ class IsapiHead:
         for name in ("azimuth", "elevation", "absoluteZoom"):
             element = found(root, *place, name)
             if element is None:
-                raise SourceError(f"the head's page {page} holds no {name}: write the other units as ptz.units")
+                raise SourceError(f"the PTZ head's page {page} holds no {name}: write the other units as ptz.units")
             values.append(number(element.text, name))
         scale = 0.1 if self._tenths else 1.0
-        return Reading(values[0] * scale, values[1] * scale, values[2], None, at)
+        return PtzReading(values[0] * scale, values[1] * scale, values[2], None, at)
 
-    def limits(self) -> Limits:
+    def limits(self) -> PtzLimits:
         """In the units of `status`, whatever the readings are in: so cameras state them."""
         root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
 
@@ -56,7 +56,7 @@ class IsapiHead:
 
         space = "AbsolutePanTiltPositionSpace"
         zoom = both(1.0 if self._tenths else 0.1, "AbsoluteZoomPositionSpace", "ZRange")
-        return Limits(both(0.1, space, "XRange"), both(0.1, space, "YRange"), zoom)
+        return PtzLimits(both(0.1, space, "XRange"), both(0.1, space, "YRange"), zoom)
 
     def presets(self) -> Mapping[str, str]:
         root = parsed_xml(self._connection.ask(f"{self._base}/presets").body)
@@ -80,7 +80,7 @@ _PAGE = "/axis-cgi/com/ptz.cgi"
 _PRESET = re.compile(r"presetposno(\d+)")
 
 
-class VapixHead:
+class VapixPtzHead:
     """Degrees: pan clockwise, tilt upwards. It says neither when it read them nor whether it moves."""
 
     def __init__(self, config: VapixConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
@@ -88,19 +88,19 @@ class VapixHead:
         self._camera = f"&camera={config.camera}"
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         said = self._lines("query=position")
         pan, tilt = (number(said.get(axis), axis) for axis in ("pan", "tilt"))
-        return Reading(pan, tilt, number(said.get("zoom", "1"), "zoom"), None, time.monotonic())
+        return PtzReading(pan, tilt, number(said.get("zoom", "1"), "zoom"), None, time.monotonic())
 
-    def limits(self) -> Limits:
+    def limits(self) -> PtzLimits:
         said = {name.lower(): value for name, value in self._lines("query=limits").items()}
 
         def both(axis: str) -> tuple[float, float] | None:
             ends = said.get(f"min{axis}"), said.get(f"max{axis}")
             return None if None in ends else (number(ends[0], axis), number(ends[1], axis))
 
-        return Limits(both("pan"), both("tilt"), both("zoom"))
+        return PtzLimits(both("pan"), both("tilt"), both("zoom"))
 
     def presets(self) -> Mapping[str, str]:
         found = {}
@@ -121,12 +121,12 @@ class VapixHead:
         body = self._connection.ask(f"{_PAGE}?{query}{self._camera}", accepted=accepted).body
         text = body.decode("utf-8", "replace")
         if text.lstrip().lower().startswith("error"):
-            raise SourceError(f"the head answers {text.strip()[:80]!r} to {query.partition('=')[2]}")
+            raise SourceError(f"the PTZ head answers {text.strip()[:80]!r} to {query.partition('=')[2]}")
         return text
 
     def _lines(self, query: str) -> dict[str, str]:
         lines = (line.partition("=") for line in self._ask(query).splitlines())
         said = {name.strip(): value.strip() for name, sign, value in lines if sign}
         if not said and query != "query=presetposall":
-            raise SourceError("the camera tells no position by VAPIX: it has no head, or speaks something else")
+            raise SourceError("the camera tells no position by VAPIX: it has no PTZ head, or speaks something else")
         return said

@@ -4,7 +4,7 @@ The little of SOAP and WS-Security that ONVIF needs. Sources: ONVIF Core Specifi
 OASIS WS-Security UsernameToken Profile 1.0 (password digest).
 
 Own code, since the library for it (onvif-zeep-async) is asynchronous, brings 27 packages, and takes 57 MB and 0.4 s of
-a core to begin; what is asked of a head is six calls.
+a core to begin; what is asked of a PTZ head is six calls.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from xml.sax.saxutils import escape  # nosec B406 # writes only
 from ltm_core.site.ptz_config import OnvifConfig
 from ltm_core.site.source_config import SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login
-from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.cameras.ptz.connection import Connection, at_asked_host, found, local, number, parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import Limits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 DEVICE = "http://www.onvif.org/ver10/device/wsdl"
 MEDIA = "http://www.onvif.org/ver10/media/wsdl"
@@ -138,10 +138,10 @@ def _call(namespace: str, name: str, arguments: Mapping[str, str] | None = None,
 _DEGREES = "SphericalPositionSpaceDegrees"
 
 
-class OnvifHead:
+class OnvifPtzHead:
     """Whether its axes run clockwise and upwards differs from maker to maker, and from its own velocities: the mount's
     signs are calibrated (`ltm pose`), not believed. MoveStatus is often missing or never changes, so that it is only
-    believed where it says that the head moves."""
+    believed where it says that the PTZ head moves."""
 
     def __init__(self, config: OnvifConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._config = config
@@ -152,20 +152,20 @@ class OnvifHead:
         self._addresses: tuple[str, str] | None = None
         self._profile = config.profile
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         root = self._ask("GetStatus")
         at = time.monotonic()
         turn, zoom = found(root, "Position", "PanTilt"), found(root, "Position", "Zoom")
         if turn is None:
-            raise SourceError("the head tells no position by ONVIF (GetStatus without PanTilt): it cannot be used")
+            raise SourceError("the PTZ head tells no position by ONVIF (GetStatus without PanTilt): it cannot be used")
         x, y = number(turn.get("x"), "pan"), number(turn.get("y"), "tilt")
         if _DEGREES not in (turn.get("space") or ""):
             x, y = _scaled(x, self._config.pan_range_deg), _scaled(y, self._config.tilt_range_deg)
         status = found(root, "MoveStatus", "PanTilt")
         moving = True if status is not None and (status.text or "").strip() == "MOVING" else None
-        return Reading(x, y, 0.0 if zoom is None else number(zoom.get("x"), "zoom"), moving, at)
+        return PtzReading(x, y, 0.0 if zoom is None else number(zoom.get("x"), "zoom"), moving, at)
 
-    def limits(self) -> Limits:
+    def limits(self) -> PtzLimits:
         root = self._ask("GetNodes", with_profile=False)
 
         def both(space: str, axis: str, scale: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -179,7 +179,7 @@ class OnvifHead:
         turn = "AbsolutePanTiltPositionSpace"
         pan = both(turn, "XRange", self._config.pan_range_deg)
         tilt = both(turn, "YRange", self._config.tilt_range_deg)
-        return Limits(pan, tilt, both("AbsoluteZoomPositionSpace", "XRange", None))
+        return PtzLimits(pan, tilt, both("AbsoluteZoomPositionSpace", "XRange", None))
 
     def presets(self) -> Mapping[str, str]:
         known = {}
@@ -223,7 +223,7 @@ class OnvifHead:
             for name in ("Media", "PTZ"):
                 address = found(root, name, "XAddr")
                 if address is None or not address.text:
-                    what = "no head" if name == "PTZ" else "no pictures"
+                    what = "no PTZ head" if name == "PTZ" else "no pictures"
                     raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
                 places.append(at_asked_host(address.text, self._connection.settings.url))
             self._addresses = places[0], places[1]
@@ -234,10 +234,12 @@ class OnvifHead:
             media, _ = self._services()
             root = self.soap.call(media, MEDIA, "GetProfiles")
             profiles = [e for e in root.iter() if local(e) == "Profiles" and e.get("token")]
-            with_head = [e for e in profiles if found(e, "PTZConfiguration") is not None]
-            if not with_head:
-                raise SourceError("none of the camera's media profiles has a head: choose one in the camera's settings")
-            self._profile = with_head[0].get("token") or ""
+            with_ptz = [e for e in profiles if found(e, "PTZConfiguration") is not None]
+            if not with_ptz:
+                raise SourceError(
+                    "none of the camera's media profiles has a PTZ head: choose one in the camera's settings"
+                )
+            self._profile = with_ptz[0].get("token") or ""
         return self._profile
 
 

@@ -1,5 +1,5 @@
-"""Reolink heads by the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of the
-position's fields from reolink-aio 0.22.
+"""Reolink PTZ heads by the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of
+the position's fields from reolink-aio 0.22.
 
 Own code: reolink-aio is asynchronous and asks a camera for all it has before it tells a position; that needs two calls.
 """
@@ -14,10 +14,10 @@ from typing import Any
 from ltm_core.site.ptz_config import ReolinkConfig
 from ltm_core.site.source_config import HttpSettings, SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login
-from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.cameras.ptz.connection import Connection, number, settings_of
-from ltm_ros.cameras.ptz.head import Limits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 _PAGE = "/cgi-bin/api.cgi"
 _LOGIN_AGAIN = -6
@@ -25,7 +25,7 @@ _LOGIN_AGAIN = -6
 _BEFORE_END_S = 60.0
 
 
-class ReolinkHead:
+class ReolinkPtzHead:
     """Pan and tilt in the camera's own counts, which are divided by the steps a degree of the site file."""
 
     def __init__(
@@ -41,14 +41,14 @@ class ReolinkHead:
         self._token, self._token_until = "", 0.0
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         channel = self._config.channel
         said = _part(self._ask("GetPtzCurPos", {"PtzCurPos": {"channel": channel}}), "PtzCurPos")
         at = time.monotonic()
         focus = _part(self._ask("GetZoomFocus", {"channel": channel}), "ZoomFocus")
         zoom = _part(focus, "zoom").get("pos", 0)
         pan, tilt = (number(str(said.get(key)), key) for key in ("Ppos", "Tpos"))
-        return Reading(
+        return PtzReading(
             pan / self._config.pan_steps_per_deg,
             tilt / self._config.tilt_steps_per_deg,
             number(str(zoom), "zoom"),
@@ -56,8 +56,8 @@ class ReolinkHead:
             at,
         )
 
-    def limits(self) -> Limits:
-        return Limits()
+    def limits(self) -> PtzLimits:
+        return PtzLimits()
 
     def presets(self) -> Mapping[str, str]:
         said = self._ask("GetPtzPreset", {"channel": self._config.channel}).get("PtzPreset") or []
@@ -82,7 +82,9 @@ class ReolinkHead:
             self._log_in()
             code, value = self._send(command, parameters, f"&token={self._token}")
         if code:
-            raise SourceError(f"the camera refuses {command} (code {code}): it may have no head, or the user no right")
+            raise SourceError(
+                f"the camera refuses {command} (code {code}): it may have no PTZ head, or the user no right"
+            )
         return value
 
     def _log_in(self) -> None:

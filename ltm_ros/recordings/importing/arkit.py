@@ -26,7 +26,7 @@ from ltm_msgs_py.image import decode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.sensed import Relative, Sensed
 from ltm_ros.recordings.importing.video import later, read_video
 from ltm_ros.recordings.importing.video_pictures import frame_photo
@@ -40,7 +40,7 @@ _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _CaptureFrame:
     """`rotation` (3, 3): optical to the capture's world, x and y level and z up where that is known. `position` (3,)
     metres there. `lens`: fx, fy, cx, cy of the stored image. `number`: of the frame; `seconds`: after the first."""
 
@@ -55,7 +55,7 @@ def is_stray_scanner(files: CaptureFiles) -> bool:
     return all(files.find(name) is not None for name in ("odometry.csv", "rgb.mp4"))
 
 
-def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Picture]:
+def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
     """A frame each `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
     if not files.path.is_dir():
         raise RecordingError(
@@ -68,7 +68,7 @@ def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Pi
     frames = _every(_odometry(columns, whole, str(files.path)), assumed.every)
     turns = round(_roll(frames[0]) / 90) % 4
 
-    def picture(frame: _Frame) -> Picture:
+    def picture(frame: _CaptureFrame) -> ImportedImage:
         name = f"{frame.number:06d}.jpg"
 
         def read() -> Photo:
@@ -77,7 +77,7 @@ def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Pi
             told = _sensed("Stray Scanner", frames[0], frame, turns, pixels, level=True)
             return frame_photo(_turned(pixels, turns), files.path / name, replace(told, stamp=stamp))
 
-        return Picture(name, files.path / name, read, capture=files.path.name)
+        return ImportedImage(name, files.path / name, read, capture=files.path.name)
 
     return [picture(frame) for frame in frames]
 
@@ -86,7 +86,7 @@ def is_record3d(files: CaptureFiles) -> bool:
     return _metadata_name(files) is not None and bool(_record3d_images(files))
 
 
-def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Picture]:
+def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
     """A frame each `assumed.every` seconds of an .r3d file or an exported folder. Raises RecordingError."""
     metadata = _metadata_name(files) or ""
     place = f"{files.path}: {metadata!r}"
@@ -114,7 +114,7 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Picture
     images = _record3d_images(files)
     rotations = _rotations(poses[:, :4], place) @ OPENGL_FROM_OPTICAL
     frames = [
-        _Frame(k, k / fps, rotations[k], poses[k, 4:], tuple(lenses[k]))
+        _CaptureFrame(k, k / fps, rotations[k], poses[k, 4:], tuple(lenses[k]))
         for k in range(len(poses))
         if k in images and np.isfinite(poses[k]).all() and np.isfinite(lenses[k]).all()
     ]
@@ -122,14 +122,14 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Picture
         raise RecordingError(f"{place}: none of its {len(poses)} poses belongs to one of its {len(images)} images")
     frames = _every(frames, assumed.every)
 
-    def picture(frame: _Frame) -> Picture:
+    def picture(frame: _CaptureFrame) -> ImportedImage:
         path = files.path / f"{frame.number}.jpg"
 
         def read() -> Photo:
             pixels = decode_rgb(files.read(images[frame.number], LARGEST_FILE), str(path))
             return frame_photo(pixels, path, _sensed("Record3D", frames[0], frame, 0, pixels, level=False))
 
-        return Picture(path.name, path, read, capture=files.path.name)
+        return ImportedImage(path.name, path, read, capture=files.path.name)
 
     return [picture(frame) for frame in frames]
 
@@ -144,7 +144,7 @@ def _record3d_images(files: CaptureFiles) -> dict[int, str]:
     return {int(stem): name for name, stem in stems.items() if stem.isascii() and stem.isdigit() and len(stem) < 9}
 
 
-def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, place: str) -> list[_Frame]:
+def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, place: str) -> list[_CaptureFrame]:
     lacking = set(_ODOMETRY) - columns.keys()
     if lacking:
         raise RecordingError(
@@ -164,7 +164,13 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
     rotations = ENU_FROM_EUS @ _rotations(numbers[:, 5:], place)
     positions = numbers[:, 2:5] @ ENU_FROM_EUS.T
     return [
-        _Frame(int(row[1]), float(row[0] - numbers[0, 0]), rotations[k], positions[k], lenses[k] if lenses else whole)  # type: ignore[arg-type]
+        _CaptureFrame(
+            int(row[1]),
+            float(row[0] - numbers[0, 0]),
+            rotations[k],
+            positions[k],
+            lenses[k] if lenses else whole,  # type: ignore[arg-type]
+        )
         for k, row in enumerate(numbers)
     ]
 
@@ -200,15 +206,15 @@ def _rotations(quaternions: Float64Array, place: str) -> Float64Array:
     return np.asarray(Rotation.from_quat(quaternions).as_matrix())
 
 
-def _every(frames: list[_Frame], seconds: float) -> list[_Frame]:
-    kept: list[_Frame] = []
+def _every(frames: list[_CaptureFrame], seconds: float) -> list[_CaptureFrame]:
+    kept: list[_CaptureFrame] = []
     for frame in frames:
         if not kept or frame.seconds >= kept[-1].seconds + seconds - 1e-6:
             kept.append(frame)
     return kept
 
 
-def _roll(frame: _Frame) -> float:
+def _roll(frame: _CaptureFrame) -> float:
     return optical_angles_deg(frame.rotation)[2]
 
 
@@ -217,7 +223,9 @@ def _turned(pixels: UInt8Array, turns: int) -> UInt8Array:
     return np.ascontiguousarray(np.rot90(pixels, -turns))
 
 
-def _sensed(source: str, first: _Frame, frame: _Frame, turns: int, pixels: UInt8Array, level: bool) -> Sensed:
+def _sensed(
+    source: str, first: _CaptureFrame, frame: _CaptureFrame, turns: int, pixels: UInt8Array, level: bool
+) -> Sensed:
     """Of the image turned by so many quarters."""
     turn = np.linalg.matrix_power(_QUARTER, turns)
     origin, here = first.rotation @ turn, frame.rotation @ turn

@@ -22,7 +22,7 @@ from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.photo_folder import PhotoFolder
-from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.pictures import find_pictures
 from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
@@ -87,7 +87,7 @@ def import_photos(
     if rows is not None and len(files) < given:
         report.notes.append((str(poses), f"does not name {given - len(files)} of the {given} photos: left out"))
 
-    placed: list[tuple[str, Picture, PhotoPose, int]] = []
+    placed: list[tuple[str, ImportedImage, PhotoPose, int]] = []
     for done, file in enumerate(files):
         row = _row_of(file, rows)
         try:
@@ -142,7 +142,7 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
         writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
 
 
-def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
+def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:
     missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
         raise RecordingError(
@@ -151,19 +151,19 @@ def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | No
     return [file for file in files if any(name in rows for name in _names_of(file))]
 
 
-def _names_of(file: Picture) -> tuple[str, str, str]:
+def _names_of(file: ImportedImage) -> tuple[str, str, str]:
     """By which a pose file may call it: its own, that without the suffix, and its capture's."""
     return file.name, Path(file.name).stem, file.capture
 
 
-def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
+def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
     """Its own, or that of its capture, whose begin it then tells."""
     if rows is None:
         return PhotoPose(name=file.name)
     return next(rows[name] for name in _names_of(file) if name in rows)
 
 
-def _read(file: Picture, row: PhotoPose) -> Photo:
+def _read(file: ImportedImage, row: PhotoPose) -> Photo:
     """A frame with a row of its own is placed by that, and not by the capture's first frame."""
     photo = file.read()
     own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
@@ -204,7 +204,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     )
 
 
-def _frame_of(files: list[Picture], rows: dict[str, PhotoPose] | None) -> SiteFrame:
+def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
     for file in files:
         row = _row_of(file, rows)
@@ -223,8 +223,8 @@ def _frame_of(files: list[Picture], rows: dict[str, PhotoPose] | None) -> SiteFr
 
 
 def _apart(
-    placed: list[tuple[str, Picture, PhotoPose, int]], report: ImportReport
-) -> list[tuple[str, Picture, PhotoPose, int]]:
+    placed: list[tuple[str, ImportedImage, PhotoPose, int]], report: ImportReport
+) -> list[tuple[str, ImportedImage, PhotoPose, int]]:
     """In the order of their stamps, with no stamp twice for a camera."""
     ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
     last: dict[str, int] = {}

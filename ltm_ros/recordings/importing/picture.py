@@ -10,7 +10,7 @@ from ltm_ros.recordings.importing.photo import Photo
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImportedImage:
     """`name`: what a pose file calls it. `path`: of its file, or of what it lies in and its name there. `read`: the
     photo, each time anew: a season's photos do not fit in memory. `capture`: what a pose file calls all that was taken
     with it in one go, where this tells of its begin; empty: nothing."""

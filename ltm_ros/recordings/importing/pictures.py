@@ -21,7 +21,7 @@ from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
 from ltm_ros.recordings.importing.photo_time import photo_time
-from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,
@@ -37,7 +37,7 @@ _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """How a phone was held, by the EXIF orientation of its back camera: its sensor's rows lie along the screen's side."""
 
 
-def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
+def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedImage]:
     """The photos of files, folders, zips and videos. A recording of a phone's sensors without photos of its own tells
     of all photos beside it, by their time.
 
@@ -45,7 +45,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
     kind that is read.
     """
     paths = list(paths)
-    found: list[Picture] = []
+    found: list[ImportedImage] = []
     tracks: list[SensorTrack] = []
     for path in paths:
         if not path.exists():
@@ -75,7 +75,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
     return found
 
 
-def _found_in(path: Path, assumed: Assumptions) -> list[Picture | SensorTrack]:
+def _found_in(path: Path, assumed: Assumptions) -> list[ImportedImage | SensorTrack]:
     if path.is_dir() or is_zip(path):
         files = CaptureFiles(path)
         if is_sensor_logger(files):
@@ -102,26 +102,26 @@ def _found_in(path: Path, assumed: Assumptions) -> list[Picture | SensorTrack]:
     return [_photo_file(path)]
 
 
-def _photo_file(path: Path) -> Picture:
-    return Picture(path.name, path, lambda: read_photo(path))
+def _photo_file(path: Path) -> ImportedImage:
+    return ImportedImage(path.name, path, lambda: read_photo(path))
 
 
-def _sensor_logger(files: CaptureFiles) -> list[Picture | SensorTrack]:
+def _sensor_logger(files: CaptureFiles) -> list[ImportedImage | SensorTrack]:
     track = read_sensor_logger(files)
     frames = camera_frames(files)
     if not frames:
         return [track]
 
-    def picture(member: str, stamp_ns: int) -> Picture:
+    def picture(member: str, stamp_ns: int) -> ImportedImage:
         path = files.path / Path(member).name
-        return Picture(
+        return ImportedImage(
             path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
         )
 
     return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
 
 
-def _beside(picture: Picture, tracks: list[SensorTrack], assumed: Assumptions) -> Picture:
+def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumptions) -> ImportedImage:
     """A photo that was taken while sensors were recorded: these tell what its own file does not."""
 
     def read() -> Photo:

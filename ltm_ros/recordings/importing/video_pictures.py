@@ -17,7 +17,7 @@ from ltm_ros.recordings.importing.dji import read_subtitles, subtitles_of
 from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM, ExifFacts
 from ltm_ros.recordings.importing.gopro import read_gopro
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.picture import Picture
+from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.sensed import Sensed
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.recordings.importing.video import Video, later, read_video, telemetry
@@ -27,13 +27,13 @@ _GIMBAL = np.eye(3)
 """What tells the gimbal's angles tells the camera's."""
 
 
-def video_pictures(path: Path, assumed: Assumptions) -> list[Picture]:
+def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
     """A frame each `assumed.every` seconds. Raises RecordingError for a video or telemetry that cannot be read."""
     video = read_video(path, assumed.every)
     track, begins, focal = _telemetry(path, assumed)
     begins = begins or video.begins
 
-    def picture(seconds: float) -> Picture:
+    def picture(seconds: float) -> ImportedImage:
         name = f"{path.stem}_{round(seconds * 1000):07d}.jpg"
         place = path / name
 
@@ -42,7 +42,7 @@ def video_pictures(path: Path, assumed: Assumptions) -> list[Picture]:
             calibration = _calibration(focal or video.focal_35mm, pixels)
             return frame_photo(pixels, place, _sensed(video, track, begins, seconds, calibration))
 
-        return Picture(name, place, read, capture=path.name)
+        return ImportedImage(name, place, read, capture=path.name)
 
     return [picture(seconds) for seconds in video.times]
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
@@ -18,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
@@ -31,8 +32,8 @@ from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pointcloud import fuel_cells_to_msg, votes_to_msg
-from ltm_msgs_py.pose import pose_to_msg, pose_to_stamped
-from ltm_msgs_py.stamp import ns_to_time
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.stamp import make_header, ns_to_time
 
 T0 = 1_700_000_000_123_456_789
 LATCHED = {"/ridge/fuel_map", "/ridge/fuel_map/info", "/ridge/east/labels/info"}
@@ -62,7 +63,7 @@ def every_message() -> dict[str, Any]:
     status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="depth: é", message="1 drop", hardware_id="")
     status.values = [KeyValue(key="rate", value="9.98"), KeyValue(key="drops", value="1")]
     diagnostics.status = [status]
-    layers = replace(layers_of_classes(classes, None, FuelRegion.named("dry")), last_seen=np.full(classes.shape, T0))
+    layers = replace(layers_of_classes(classes, None, FuelClimate.named("dry")), last_seen=np.full(classes.shape, T0))
     return {
         "/ridge/east/image_raw": image_to_msg(rgb, "rgb8", T0, "east_optical"),
         "/ridge/east/image_raw/compressed": compressed_to_msg(encode_rgb(rgb), "jpeg", T0, "east_optical"),
@@ -71,7 +72,7 @@ def every_message() -> dict[str, Any]:
         "/ridge/east/alignment": image_to_msg(np.dstack([depth] * 3), "32FC3", T0, "map"),
         "/ridge/east/camera_info": camera_to_msg(camera, T0, "east_optical"),
         "/ridge/east/pose": pose_to_msg(pose, T0, covariance=np.arange(36.0).reshape(6, 6)),
-        "/ridge/east/pose_stamped": pose_to_stamped(pose, T0),
+        "/ridge/east/pose_stamped": PoseStamped(header=make_header(T0, "map"), pose=pose_to_msg(pose, T0).pose.pose),
         "/ridge/east/labels/info": String(data='{"unlabelled": 255, "place": "Ångström"}'),
         "/ridge/east/fuel/votes": votes_to_msg(votes, ("grass", "shrub", "tree", "bare")),
         "/ridge/fuel_map": classes_to_msg(classes, grid, T0),

@@ -24,7 +24,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
 
@@ -61,7 +61,7 @@ class Ran:
         self, small: SmallSite, votes: dict[tuple[str, int], Any], state: Path, frames: Sequence[Sent]
     ) -> None:
         outlet = Kept()
-        node = FuelMap(FuelMapConfig(site=str(small.path), folder=str(state)), outlet, Health())
+        node = FuelMapHandler(FuelMapConfig(site=str(small.path), folder=str(state)), outlet, Health())
         for frame in frames:
             message = votes[frame.camera, frame.phase]
             message.header.stamp = ns_to_time(frame.stamp_ns)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import MessageError
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_msgs_py.pointcloud import fuel_cells_to_msg, msg_to_fuel_cells
@@ -23,7 +23,7 @@ def layers() -> FuelLayers:
     rng = np.random.default_rng(4)
     classes = rng.integers(1, 8, GRID.shape).astype(np.uint8)
     seen = rng.random(GRID.shape) < 0.5
-    plain = layers_of_classes(classes, None, FuelRegion.named("dry"))
+    plain = layers_of_classes(classes, None, FuelClimate.named("dry"))
     return replace(
         plain,
         last_seen=np.where(seen, 10**18, 0),

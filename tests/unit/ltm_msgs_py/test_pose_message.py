@@ -5,12 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
 
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.pose import Pose
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg, pose_to_stamped
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 
 POSE = Pose.from_angles((722.0, 671.0, 770.0), 230.77, -5.79, -0.77)
+
+
+def pose_to_stamped(pose: Pose, stamp_ns: int) -> PoseStamped:
+    message = pose_to_msg(pose, stamp_ns)
+    return PoseStamped(header=message.header, pose=message.pose.pose)
 
 
 @pytest.mark.parametrize("convert", [pose_to_msg, pose_to_stamped])

@@ -12,7 +12,7 @@ from scenes.depth_order import depth_order
 
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.depth.topodepth import Verdict, fuse
+from ltm_core.depth.topodepth import FusionVerdict, fuse
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
@@ -57,7 +57,7 @@ def test_the_order_of_surveyed_points(shared_data: Path, shared_models: Path, mo
     }
     shares = {name: f"{order.right:.2f} of {order.pairs}" for name, order in orders.items()}
     print("pairs in the right order:", shares, "verdict:", fused.verdict.value, fused.reason)
-    assert fused.verdict is not Verdict.POSE_SUSPECTED
+    assert fused.verdict is not FusionVerdict.POSE_SUSPECTED
     assert orders["traced"].pairs > 20
     assert orders["traced"].right > 0.9
     assert orders["fused"].right >= orders["network"].right

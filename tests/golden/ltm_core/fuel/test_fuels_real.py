@@ -10,7 +10,7 @@ import rasterio
 from rasterio.warp import Resampling, reproject
 
 from ltm_core.base.errors import RasterError
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
@@ -56,15 +56,15 @@ def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
     assert np.abs(ours - golden).sum() < 0.002 * both.sum()
     assert ours.reshape(7, 7)[0, 1:].sum() > 0
 
-    region = FuelRegion.named("dry")
+    climate = FuelClimate.named("dry")
     for name, own in (("early", early_grid), ("later", grid)):
         names = {"early": EARLIER, "later": LATER}
         dem = Dem.open((folder / names[name]).parent / "dem.tif")
         prior = load_prior(PriorConfig(path=folder / names[name]), own)
         frame = SiteFrame(str(dem.geometry.crs))
         unseen = np.full(own.shape, 255, np.uint8)
-        layers = layers_of_classes(unseen, prior, region)
-        made = make_landscape(layers, prior, dem.in_frame(frame), frame, own, region, FuelSystem.FBFM40)
+        layers = layers_of_classes(unseen, prior, climate)
+        made = make_landscape(layers, prior, dem.in_frame(frame), frame, own, climate, FuelSystem.FBFM40)
         np.testing.assert_array_equal(made.band("fuel"), prior.codes)
         for path in (write_lcp(tmp_path / f"{name}.lcp", made), write_landscape(tmp_path / f"{name}.tif", made)):
             with rasterio.open(path) as source:
@@ -110,7 +110,7 @@ def test_a_landfire_download(shared_data: Path) -> None:
     np.testing.assert_array_equal(GridTransfer(grid, snapped).layer(codes, 0), codes)
 
 
-@pytest.mark.parametrize("region", ["dry", "humid"])
+@pytest.mark.parametrize("climate", ["dry", "humid"])
 @pytest.mark.parametrize(
     "name",
     [
@@ -120,11 +120,11 @@ def test_a_landfire_download(shared_data: Path) -> None:
         "fuels_socal_santaana_gridfire/fbfm40.tif",
     ],
 )
-def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, region: str) -> None:
+def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, climate: str) -> None:
     path = shared_data / name
     _, grid = raster(path)
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), grid)
-    scores = {score.way: score for score in score_crosswalk(prior, region)}
+    scores = {score.way: score for score in score_crosswalk(prior, climate)}
     both = prior.fbfm13 is not None
     for way in ("table", "export, its own FBFM13 within the fuel type") if both else ("table",):
         for kind in ("grass", "shrub", "timber"):
@@ -141,11 +141,11 @@ def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, regio
 
 
 @pytest.mark.parametrize(
-    ("name", "region", "contradicting"),
+    ("name", "climate", "contradicting"),
     [("fuels_vermont_landfire/LC22_F40_230.tif", "humid", 593), ("fuels_tubbs_pair/" + LATER, "dry", 47_498)],
 )
 def test_agreement_with_landfires_own_fbfm13_is_never_lower(
-    shared_data: Path, name: str, region: str, contradicting: int
+    shared_data: Path, name: str, climate: str, contradicting: int
 ) -> None:
     """Than the table that knew no fuel type. The humid one gains where cover tells SH3 apart; the dry one alone loses
     what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is brush in the other.
@@ -153,7 +153,7 @@ def test_agreement_with_landfires_own_fbfm13_is_never_lower(
     path = shared_data / name
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), raster(path)[1])
     assert prior.contradicting == contradicting
-    found = {score.way: score.agreement.value for score in score_crosswalk(prior, region) if score.agreement}
+    found = {score.way: score.agreement.value for score in score_crosswalk(prior, climate) if score.agreement}
     before = found["unbound table"]
     assert found["export, its own FBFM13 within the fuel type"] > before > 0.92
-    assert found["table"] > (before if region == "humid" else before - contradicting / prior.codes.size)
+    assert found["table"] > (before if climate == "humid" else before - contradicting / prior.codes.size)

@@ -21,7 +21,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_ros.cli.main import cli
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 
 jinja2 = pytest.importorskip("jinja2", reason="needs the extra `report`")
@@ -79,7 +79,7 @@ def test_of_two_files(tmp_path: Path) -> None:
 
 def test_of_a_store_with_an_ensemble(tmp_path: Path) -> None:
     site = write_grass_site(tmp_path)
-    node = FuelMap(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
+    node = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
     node.start()
     for number in range(40):
         node.on_votes(camera_of(number), message(number, grid_of(site), stamp_of_frame(number)))

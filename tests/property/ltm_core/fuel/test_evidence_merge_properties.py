@@ -16,8 +16,9 @@ from scenes.examples import examples
 from ltm_core.base.errors import ArchiveError
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.evidence_merge import PartialEvidence, merged_tile
+from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.votes import CellVotes
+from ltm_core.storage.tile_store_schema import Tile
 
 pytestmark = pytest.mark.kernel
 
@@ -135,6 +136,11 @@ def test_days_that_know_of_their_own_burns_alone_give_the_map_that_was_told_of_a
     assert_same(
         PartialEvidence({}, {(0, 0): by_day.tile_state((0, 0))}), PartialEvidence({}, {(0, 0): live.tile_state((0, 0))})
     )
+
+
+def merged_tile(one: Tile, other: Tile) -> Tile:
+    first, second = (PartialEvidence({}, {(0, 0): tile}) for tile in (one, other))
+    return dict(first.merged(second).tiles[0, 0])
 
 
 def test_sums_end_at_the_largest_number() -> None:

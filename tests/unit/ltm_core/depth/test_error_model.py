@@ -13,7 +13,7 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.scale_fit import fit_scale, fitted_line
-from ltm_core.depth.topodepth import Source, Verdict, fuse
+from ltm_core.depth.topodepth import DepthSource, FusionVerdict, fuse
 from ltm_core.vision.labels import LabelSet
 
 CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
@@ -97,10 +97,10 @@ def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() ->
     beyond = (inverse < 1 / 900.0) & (inverse > 1e-5)
     values = np.where(beyond, 1 / 500.0, inverse).astype(np.float32)
     result = fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, scene.labels, CLASSES)
-    assert result.verdict is Verdict.OK
+    assert result.verdict is FusionVerdict.OK
     far = np.isfinite(scene.truth) & (scene.truth > 1000) & ~scene.stand
     assert np.median(np.abs(result.depth[far] / scene.truth[far] - 1)) < 0.01
-    assert (result.source[far] == Source.NETWORK).mean() < 0.02
+    assert (result.source[far] == DepthSource.NETWORK).mean() < 0.02
 
 
 def test_a_shift_needs_evidence() -> None:

@@ -14,7 +14,7 @@ from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_
 from ltm_core.depth.topodepth import fuse
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.evaluation.depth.ablation import STAGES, without
 
 
@@ -53,12 +53,12 @@ def test_constants_of_one_network_are_not_written_through_a_link_to_anothers(tmp
 
 
 def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:
-    manifest = Manifest.find("landscape_lite0_depth")
+    manifest = NetworkManifest.find("landscape_lite0_depth")
     assert fusion_path(manifest).is_file()
     assert load_fusion_config(manifest) == load_yaml(fusion_path(manifest), FusionConfig)
     copy = tmp_path / "other.yaml"
     copy.write_text((manifest.folder / f"{manifest.name}.yaml").read_text().replace(manifest.name, "other", 1))
-    assert load_fusion_config(Manifest.load(copy)) == FusionConfig()
+    assert load_fusion_config(NetworkManifest.load(copy)) == FusionConfig()
 
 
 @pytest.mark.parametrize("stage", STAGES)

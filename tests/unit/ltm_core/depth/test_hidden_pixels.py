@@ -11,7 +11,7 @@ from ltm_core.base.types import BoolArray
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities
-from ltm_core.depth.topodepth import FusedDepth, Source, Verdict, fuse
+from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
 from ltm_core.depth.unseen_terrain import edges_seen, hidden_at
 from ltm_core.geometry.range_image import DepthImage
 from ltm_core.vision.labels import LabelSet
@@ -42,10 +42,10 @@ def fused(hidden: BoolArray | None, given: BoolArray | None = None, spoilt: bool
 def test_hidden_pixels_have_no_depth_and_spoil_none() -> None:
     hidden, plain = mast(), fused(None)
     found = fused(hidden, hidden)
-    assert found.verdict is plain.verdict is Verdict.OK
+    assert found.verdict is plain.verdict is FusionVerdict.OK
     for values in (found.depth, found.sigma, found.ground):
         assert np.isnan(values[hidden]).all()
-    assert (found.source[hidden] == Source.UNKNOWN).all()
+    assert (found.source[hidden] == DepthSource.UNKNOWN).all()
     assert found.fit is not None
     assert plain.fit is not None
     assert found.fit.line is not None
@@ -91,7 +91,7 @@ def test_traced_depth_that_lacks_the_hidden_pixels_gives_the_same() -> None:
     labels = np.where(hidden, np.uint8(255), scene.labels)
     given = DepthImage(traced, CAMERA, scene.traced.pose)
     found = fuse(given, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    assert found.verdict is Verdict.OK
+    assert found.verdict is FusionVerdict.OK
     assert np.isnan(found.depth[hidden]).all()
     whole = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
     seen = ~hidden & np.isfinite(whole.depth)
@@ -101,16 +101,16 @@ def test_traced_depth_that_lacks_the_hidden_pixels_gives_the_same() -> None:
 def test_a_mask_over_most_of_the_picture_is_no_unknown_ground() -> None:
     hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
     hidden[:, :400] = True
-    assert fused(hidden, hidden).verdict is Verdict.OK
+    assert fused(hidden, hidden).verdict is FusionVerdict.OK
 
 
 def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -> None:
     scene, hidden = depth_scene(), mast()
     labels = np.where(hidden, np.uint8(255), scene.labels)
     off = fuse(scene.turned(0.8), scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
-    assert off.verdict is Verdict.POSE_SUSPECTED
+    assert off.verdict is FusionVerdict.POSE_SUSPECTED
     dark = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden, unusable="night")
-    assert (dark.verdict, dark.reason) == (Verdict.PICTURE_UNUSABLE, "night")
+    assert (dark.verdict, dark.reason) == (FusionVerdict.PICTURE_UNUSABLE, "night")
     for found in (off, dark):
         assert np.isnan(found.depth[hidden]).all()
         assert np.isnan(found.measured().depth).all()

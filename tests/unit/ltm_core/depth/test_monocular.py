@@ -21,7 +21,7 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 
 CAMERA = Camera(WIDTH * 3, HEIGHT * 2, 120.0, 100.0, 70.0, 33.0)
@@ -67,7 +67,7 @@ def test_a_network_that_wants_the_camera_matrix_gets_it_in_its_own_pixels(tmp_pa
 
 def test_one_file_serves_labels_and_depth(tmp_path: Path) -> None:
     depth_path = write_depth_network(tmp_path, two_heads=True)
-    content = Manifest.load(depth_path).model_dump(mode="json")
+    content = NetworkManifest.load(depth_path).model_dump(mode="json")
     labels = content | {
         "output": {"kind": "logits", "name": "scores"},
         "classes": list(COLORS),

@@ -18,7 +18,7 @@ from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale
-from ltm_core.depth.topodepth import FusedDepth, Source, Verdict, fuse
+from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import Label, LabelSet
@@ -41,10 +41,10 @@ def test_trees_that_the_dem_does_not_know_are_seen(labelled: bool, left: float) 
     """Without labels the trees stand among the ground that the network is fitted to, and less is seen of them."""
     scene = depth_scene()
     result = fused(scene, scene.network(), scene.labels if labelled else None)
-    assert result.verdict is Verdict.OK
+    assert result.verdict is FusionVerdict.OK
     traced = rmse(scene.traced.depth(), scene.truth, scene.stand)
     assert rmse(result.depth, scene.truth, scene.stand) < left * traced
-    seen = np.isin(result.source, (Source.NETWORK, Source.BOTH))
+    seen = np.isin(result.source, (DepthSource.NETWORK, DepthSource.BOTH))
     assert seen[scene.stand].mean() > 1.0 - left
     np.testing.assert_array_equal(result.ground, scene.traced.depth())
 
@@ -85,7 +85,7 @@ def test_sigma_holds_for_what_stands_before_the_ground() -> None:
     labels[crowns.repeat(4, 0).repeat(4, 1)] = 3
     result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
     inside = cv2.erode(crowns.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
-    inside &= result.source == Source.NETWORK
+    inside &= result.source == DepthSource.NETWORK
     assert inside.sum() > 2000
     assert (np.abs(result.depth[inside] - 60.0) < result.sigma[inside]).mean() > 0.68
 
@@ -124,7 +124,7 @@ def test_networks_of_the_other_kinds_are_fitted_too(kind: str) -> None:
     metres = 1 / np.maximum(inverse, 2e-4)
     values = metres * 1.7 if kind == "metric" else 0.01 * metres - 0.5
     result = fused(scene, NetworkDepth(values.astype(np.float32), kind), scene.labels)  # type: ignore[arg-type]
-    assert result.verdict is Verdict.OK
+    assert result.verdict is FusionVerdict.OK
     assert result.fit is not None
     assert result.fit.line is not None
     if kind == "metric":
@@ -140,7 +140,7 @@ def test_noise_is_no_depth(kind: str) -> None:
     scene = depth_scene()
     noise = (1e4 * np.random.default_rng(4).random((32, 48)) ** 6).astype(np.float32)
     result = fused(scene, NetworkDepth(noise, kind), scene.labels)  # type: ignore[arg-type]
-    assert result.verdict is Verdict.NETWORK_UNUSABLE
+    assert result.verdict is FusionVerdict.NETWORK_UNUSABLE
     assert "explains only" in result.reason or "fit one scale" in result.reason or "against" in result.reason
     assert rmse(result.depth, scene.traced.depth(), ~scene.stand & np.isfinite(scene.traced.range)) < 20.0
 
@@ -169,11 +169,11 @@ def test_a_wrong_pose_is_suspected_and_nothing_is_fused(turn: float) -> None:
     scene = depth_scene()
     wrong = scene.turned(turn)
     result = fuse(wrong, scene.network(), scene.photo, scene.labels, CLASSES)
-    assert result.verdict is Verdict.POSE_SUSPECTED
+    assert result.verdict is FusionVerdict.POSE_SUSPECTED
     assert result.pose.pitch_deg == pytest.approx(-turn, abs=0.15)
     assert "deg of pitch" in result.reason
     np.testing.assert_array_equal(result.depth, wrong.depth())
-    assert set(np.unique(result.source)) <= {Source.TERRAIN, Source.SKY, Source.UNKNOWN}
+    assert set(np.unique(result.source)) <= {DepthSource.TERRAIN, DepthSource.SKY, DepthSource.UNKNOWN}
     assert np.isnan(result.sigma).all()
 
 
@@ -188,10 +188,10 @@ def test_an_exact_pose_is_not_suspected() -> None:
 
 def test_without_terrain_and_with_an_empty_sky() -> None:
     scene = depth_scene()
-    for value, source in ((np.nan, Source.UNKNOWN), (np.inf, Source.SKY)):
+    for value, source in ((np.nan, DepthSource.UNKNOWN), (np.inf, DepthSource.SKY)):
         nothing = replace(scene.traced, range=np.full_like(scene.traced.range, value))
         result = fuse(nothing, scene.network(), scene.photo, scene.labels, CLASSES)
-        assert result.verdict is Verdict.NO_TERRAIN
+        assert result.verdict is FusionVerdict.NO_TERRAIN
         assert (result.source == source).all()
 
 
@@ -200,11 +200,11 @@ def test_holes_of_the_dem_stay_holes_or_are_filled_by_the_network_alone() -> Non
     holed = scene.traced.range.copy()
     holed[250:300, 100:220] = np.nan
     result = fuse(replace(scene.traced, range=holed), scene.network(), scene.photo, scene.labels, CLASSES)
-    assert result.verdict is Verdict.OK
+    assert result.verdict is FusionVerdict.OK
     inside = result.source[255:295, 110:210]
-    assert np.isin(inside, (Source.NETWORK, Source.UNKNOWN)).all()
-    filled = result.depth[255:295, 110:210][inside == Source.NETWORK]
-    true = scene.truth[255:295, 110:210][inside == Source.NETWORK]
+    assert np.isin(inside, (DepthSource.NETWORK, DepthSource.UNKNOWN)).all()
+    filled = result.depth[255:295, 110:210][inside == DepthSource.NETWORK]
+    true = scene.truth[255:295, 110:210][inside == DepthSource.NETWORK]
     assert len(filled) > 0.5 * inside.size
     assert np.median(np.abs(filled / true - 1)) < 0.1
 
@@ -218,8 +218,8 @@ def test_land_beyond_the_dem_stays_unknown() -> None:
     result = fuse(replace(scene.traced, range=cut), scene.network(), scene.photo, scene.labels, CLASSES)
     assert far.sum() > 1000
     assert np.isnan(result.depth[far]).mean() > 0.99
-    assert (result.source[far] == Source.UNKNOWN).mean() > 0.99
-    assert np.isnan(result.sigma[result.source == Source.UNKNOWN]).all()
+    assert (result.source[far] == DepthSource.UNKNOWN).mean() > 0.99
+    assert np.isnan(result.sigma[result.source == DepthSource.UNKNOWN]).all()
 
 
 def without_sky(scene: DepthScene) -> RangeImage:
@@ -233,7 +233,7 @@ def test_labels_say_what_is_sky_where_land_may_lie_beyond_the_dem() -> None:
     scene = depth_scene()
     known = fuse(scene.traced, scene.network(), scene.photo, scene.labels, CLASSES)
     found = fuse(without_sky(scene), scene.network(), scene.photo, scene.labels, CLASSES)
-    np.testing.assert_array_equal(found.source == Source.SKY, known.source == Source.SKY)
+    np.testing.assert_array_equal(found.source == DepthSource.SKY, known.source == DepthSource.SKY)
     np.testing.assert_array_equal(found.depth, known.depth)
     assert found.pose.columns == known.pose.columns > 0
     # Without labels nobody knows.
@@ -249,7 +249,7 @@ def test_a_photo_that_is_mostly_unknown_is_not_just_ok() -> None:
     result = fuse(replace(scene.traced, range=near), None, scene.photo, labels, CLASSES)
     share = np.isnan(result.depth).mean()
     assert 0.5 < share < 1
-    assert result.verdict is Verdict.MOSTLY_UNKNOWN
+    assert result.verdict is FusionVerdict.MOSTLY_UNKNOWN
     assert f"{share:.0%}" in result.reason
     assert "over the DEM's edge" in result.reason
     assert result.info()["verdict"] == "mostly_unknown"

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ltm_core.fire.effect import CellDoubt, drawn_codes, with_codes
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
 
 SHAPE = (30, 41)
-REGION = FuelRegion.named("dry")
+CLIMATE = FuelClimate.named("dry")
 MASK = (91, 92, 93, 98, 99)
 
 
@@ -28,7 +28,7 @@ def doubt(prior: int, code: int, **evidence: float) -> CellDoubt:
 
 def draws(of: CellDoubt, count: int = 40, stand: float = 0.4) -> np.ndarray:
     return np.stack(
-        [drawn_codes(of, REGION, FuelSystem.FBFM40, np.random.default_rng([7, k]), 3.0, stand) for k in range(count)]
+        [drawn_codes(of, CLIMATE, FuelSystem.FBFM40, np.random.default_rng([7, k]), 3.0, stand) for k in range(count)]
     )
 
 
@@ -87,17 +87,17 @@ def test_no_draw_changes_a_code_of_no_known_form() -> None:
     codes = np.full((3, 4), 102, np.int16)
     codes[1] = (256, 20, 98, 102)
     prior = FuelPrior(codes, GridGeometry(0.0, 90.0, 30.0, 4, 3, "EPSG:32611"))
-    layers = layers_of_classes(np.full((3, 4), LifeForm.TREE, np.uint8), prior, REGION)
+    layers = layers_of_classes(np.full((3, 4), LifeForm.TREE, np.uint8), prior, CLIMATE)
     np.testing.assert_array_equal(layers.code[1], (256, 20, 98, 183))
     doubts = CellDoubt.of(layers, np.full((3, 4, FORMS), 2.0), MASK)
     for seed in range(20):
-        drawn = drawn_codes(doubts, REGION, FuelSystem.FBFM40, np.random.default_rng(seed))
+        drawn = drawn_codes(doubts, CLIMATE, FuelSystem.FBFM40, np.random.default_rng(seed))
         np.testing.assert_array_equal(drawn[1, :3], (256, 20, 98))
 
 
 def test_layers_with_drawn_codes() -> None:
     prior = FuelPrior(np.full((3, 4), 102, np.int16), GridGeometry(0.0, 90.0, 30.0, 4, 3, "EPSG:32611"))
-    layers = layers_of_classes(np.full((3, 4), 255, np.uint8), prior, REGION)
+    layers = layers_of_classes(np.full((3, 4), 255, np.uint8), prior, CLIMATE)
     codes = layers.code.copy()
     codes[1, 2] = 183
     made = with_codes(layers, codes)

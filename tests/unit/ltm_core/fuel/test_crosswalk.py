@@ -1,4 +1,4 @@
-"""FBFM40 and FBFM13: a life form stays its own; changed cells take the region's codes; an analyst's own models stay."""
+"""FBFM40 and FBFM13: a life form stays its own; changed cells take the climate's codes; own models stay."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models, of_one_fuel_type, partners
+from ltm_core.fuel.codes import FuelClimate, FuelSystem, fuel_models, of_one_fuel_type, partners
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
 
-REGIONS = ("dry", "humid")
+CLIMATES = ("dry", "humid")
 F13, F40 = FuelSystem.FBFM13, FuelSystem.FBFM40
 
 
@@ -27,12 +27,12 @@ def prior_of(codes: list[list[int]], **more: object) -> FuelPrior:
     return FuelPrior(array, grid, **more)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("region", REGIONS)
+@pytest.mark.parametrize("climate", CLIMATES)
 @pytest.mark.parametrize("cover", [None, 0, 35, 85])
-def test_every_code_stays_in_its_fuel_type(region: str, cover: int | None) -> None:
+def test_every_code_stays_in_its_fuel_type(climate: str, cover: int | None) -> None:
     codes = np.array([[*fuel_models().fbfm40, *NONBURNABLE, 14, 55, 89, 0, 256, -5, NODATA]], np.int16)
     trees = None if cover is None else np.full(codes.shape, cover, np.int16)
-    found = FuelRegion.named(region).as_crosswalk().to_fbfm13(codes, trees)[0]
+    found = FuelClimate.named(climate).as_crosswalk().to_fbfm13(codes, trees)[0]
     for code, to in zip(codes[0].tolist(), found.tolist(), strict=True):
         if code in fuel_models().fbfm40:
             assert to in partners(code), (code, to)
@@ -42,7 +42,7 @@ def test_every_code_stays_in_its_fuel_type(region: str, cover: int | None) -> No
 
 def test_grass_under_open_trees_is_timber_with_grass() -> None:
     codes, cover = np.array([[102, 102, 102, 102]], np.int16), np.array([[0, 9, 10, NODATA]], np.int16)
-    found = FuelRegion.named("dry").as_crosswalk().to_fbfm13(codes, cover)
+    found = FuelClimate.named("dry").as_crosswalk().to_fbfm13(codes, cover)
     np.testing.assert_array_equal(found, [[1, 1, 2, 1]])
 
 
@@ -52,7 +52,7 @@ def test_a_map_of_both_systems_teaches_its_own_pairs_of_the_same_fuel_type() -> 
     theirs[:, 0] = np.where(np.arange(60) < 35, 5, 3)  # to most of it the map says brush, to 25 cells tall grass
     theirs[:, 1] = np.where(np.arange(60) < 50, 6, 1)
     theirs[:, 2] = np.where(np.arange(60) < 15, 9, 1)  # 15 cells are too few
-    learned = FuelRegion.named("humid").as_crosswalk().learned(codes, theirs)
+    learned = FuelClimate.named("humid").as_crosswalk().learned(codes, theirs)
     np.testing.assert_array_equal(learned.to_fbfm13(codes[:1]), [[3, 6, 8]])
 
 
@@ -70,69 +70,69 @@ def test_models_of_which_no_fuel_type_is_known_contradict_nothing() -> None:
     assert of_one_fuel_type(fbfm40, fbfm13).all()
 
 
-@pytest.mark.parametrize("region", REGIONS)
-def test_changed_cells_take_the_regions_codes_in_both_systems(region: str) -> None:
-    changed = FuelRegion.named(region).changed
+@pytest.mark.parametrize("climate", CLIMATES)
+def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> None:
+    changed = FuelClimate.named(climate).changed
     forms = [LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BARE, LifeForm.WATER, LifeForm.BUILT]
     keys = ["grass", "shrub", "to_tree", "bare", "water", "built"]
     prior = prior_of([[183, 183, 102, 102, 102, 102], [183, 102, 145, 183, 183, 102]])
     seen = np.array([forms, [LifeForm.TREE, LifeForm.GRASS, 255, 255, 255, LifeForm.TREE]], np.uint8)
     seen[1, 5] = 255
-    layers = layers_of_classes(seen, prior, FuelRegion.named(region))
+    layers = layers_of_classes(seen, prior, FuelClimate.named(climate))
     assert layers.changed.sum() == 6
     for system in (F40, F13):
-        found = surface_codes(layers, prior, FuelRegion.named(region), system)
+        found = surface_codes(layers, prior, FuelClimate.named(climate), system)
         assert found[0].tolist() == [getattr(getattr(changed, system), key) for key in keys]
     # The map's own FBFM13 holds where nothing has changed, and only there.
     own = np.full(prior.codes.shape, 7, np.int16)
-    found = surface_codes(layers, replace(prior, fbfm13=own), FuelRegion.named(region), F13)
+    found = surface_codes(layers, replace(prior, fbfm13=own), FuelClimate.named(climate), F13)
     assert found[0].tolist() == [getattr(changed.fbfm13, key) for key in keys]
     assert (found[1] == 7).all()
 
 
-def test_without_a_prior_every_seen_cell_is_the_regions() -> None:
+def test_without_a_prior_every_seen_cell_is_the_climates() -> None:
     seen = np.array([[LifeForm.SHRUB, LifeForm.TREE, 255]], np.uint8)
-    region = FuelRegion.named("dry")
-    layers = layers_of_classes(seen, None, region)
-    assert surface_codes(layers, None, region, F13).tolist() == [[4, 8, NODATA]]
+    climate = FuelClimate.named("dry")
+    layers = layers_of_classes(seen, None, climate)
+    assert surface_codes(layers, None, climate, F13).tolist() == [[4, 8, NODATA]]
 
 
-@pytest.mark.parametrize("region", REGIONS)
-def test_a_prior_of_fbfm13_becomes_fbfm40(region: str) -> None:
+@pytest.mark.parametrize("climate", CLIMATES)
+def test_a_prior_of_fbfm13_becomes_fbfm40(climate: str) -> None:
     prior = prior_of([[*range(1, 14), 91, 98, 20, NODATA]], system=F13)
-    layers = layers_of_classes(np.full(prior.codes.shape, 255, np.uint8), prior, FuelRegion.named(region))
-    found = surface_codes(layers, prior, FuelRegion.named(region), F40)[0].tolist()
+    layers = layers_of_classes(np.full(prior.codes.shape, 255, np.uint8), prior, FuelClimate.named(climate))
+    found = surface_codes(layers, prior, FuelClimate.named(climate), F40)[0].tolist()
     assert all(code in partners(to) for code, to in zip(range(1, 14), found[:13], strict=True))
     assert found[13:] == [91, 98, 20, NODATA]
 
 
 def test_codes_of_no_system_that_a_site_keeps_pass_into_the_other_system() -> None:
     """The 256 by which ELMFIRE marks buildings; a map of the other system that has a code there goes before."""
-    region = FuelRegion.named("dry")
+    climate = FuelClimate.named("dry")
     prior = prior_of([[256, 102, 256, NODATA], [183, 256, 101, 102]])
     seen = np.full((2, 4), 255, np.uint8)
     seen[0, 2] = LifeForm.SHRUB
-    layers = layers_of_classes(seen, prior, region)
-    found = surface_codes(layers, prior, region, F13)
+    layers = layers_of_classes(seen, prior, climate)
+    found = surface_codes(layers, prior, climate, F13)
     assert (found[0, 0], found[1, 1], found[0, 3]) == (256, 256, NODATA)
     assert 256 not in found[[0, 1], [1, 2]]
     own = np.full(prior.codes.shape, NODATA, np.int16)
     own[0, 0] = 91
-    found = surface_codes(layers, replace(prior, fbfm13=own), region, F13)
+    found = surface_codes(layers, replace(prior, fbfm13=own), climate, F13)
     assert (found[0, 0], found[1, 1]) == (91, 256)
     back = prior_of([[256, 4]], system=F13)
-    kept = layers_of_classes(np.full((1, 2), 255, np.uint8), back, region)
-    assert surface_codes(kept, back, region, F40)[0, 0] == 256
+    kept = layers_of_classes(np.full((1, 2), 255, np.uint8), back, climate)
+    assert surface_codes(kept, back, climate, F40)[0, 0] == 256
 
 
 @pytest.mark.parametrize("own", [14, 37, 89])
 def test_no_label_changes_an_analysts_own_model(own: int) -> None:
     prior = prior_of([[own, 102, own], [own, 102, 98]])
-    region = FuelRegion.named("dry")
-    layers = layers_of_classes(np.full((2, 3), LifeForm.TREE, np.uint8), prior, region)
+    climate = FuelClimate.named("dry")
+    layers = layers_of_classes(np.full((2, 3), LifeForm.TREE, np.uint8), prior, climate)
     np.testing.assert_array_equal(layers.code, [[own, 183, own], [own, 183, 98]])
     np.testing.assert_array_equal(layers.changed, [[False, True, False]] * 2)
-    np.testing.assert_array_equal(surface_codes(layers, prior, region, F13), [[own, 8, own], [own, 8, 98]])
+    np.testing.assert_array_equal(surface_codes(layers, prior, climate, F13), [[own, 8, own], [own, 8, 98]])
 
 
 @pytest.mark.parametrize(
@@ -143,14 +143,14 @@ def test_no_label_changes_an_analysts_own_model(own: int) -> None:
         ("crosswalk_back", 5, 102, "crosswalk_back: 5 -> 102, which is of another fuel type"),
     ],
 )
-def test_a_region_that_mixes_fuel_types_is_refused(key: str, code: int, to: object, message: str) -> None:
-    text = config_path("fuel/regions/dry.yaml").read_text(encoding="utf-8")
+def test_a_climate_that_mixes_fuel_types_is_refused(key: str, code: int, to: object, message: str) -> None:
+    text = config_path("fuel/climates/dry.yaml").read_text(encoding="utf-8")
     content = yaml.safe_load(text)
     content[key][code] = to
     with pytest.raises(ValueError, match=message):
-        FuelRegion.model_validate(content)
+        FuelClimate.model_validate(content)
 
 
-def test_an_unknown_region() -> None:
+def test_an_unknown_climate() -> None:
     with pytest.raises(ConfigError, match="there are dry, humid"):
-        FuelRegion.named("arctic")
+        FuelClimate.named("arctic")

@@ -14,7 +14,7 @@ from ltm_core.base.types import Float32Array
 from ltm_core.fuel.canopy import stand_heights
 from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EXTENDED_VERSION
 from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_canopy, site_evidence_map
@@ -72,16 +72,16 @@ def stands_of(small: SmallSite, state: Path, height: float | Float32Array, weigh
 def test_new_trees_have_the_cover_that_labels_show_and_the_height_that_depth_does(
     small: SmallSite, tmp_path: Path
 ) -> None:
-    evidence, region = wooded(small), FuelRegion.named("dry")
+    evidence, climate = wooded(small), FuelClimate.named("dry")
     stands_of(small, tmp_path, 8.0)
     terrain, grid = given_terrain(small.site), evidence.geometry
-    args = small.site, grid, evidence.layers(), evidence.prior, region, terrain
+    args = small.site, grid, evidence.layers(), evidence.prior, climate, terrain
     nothing = site_canopy(*args)
     assert np.isnan(nothing.seen.cover).all()
     found = site_canopy(*args, evidence, tmp_path)
     assert found.note == ""
     assert np.argwhere(np.isfinite(found.seen.cover)).tolist() == [list(CELL)]
-    assert 10 < found.seen.cover[CELL] < region.canopy.cover
+    assert 10 < found.seen.cover[CELL] < climate.canopy.cover
     assert np.argwhere(np.isfinite(found.seen.height)).tolist() == [list(CELL)]
     # Seen from the side, the higher crowns hide the lower.
     assert found.seen.height[CELL] == pytest.approx(0.8 * 8.0, abs=0.1)
@@ -115,7 +115,7 @@ def test_a_terrain_of_another_grid_is_told_and_the_export_goes_on(small: SmallSi
     assert small.site.terrain is not None
     finer = small.site.model_copy(update={"terrain": small.site.terrain.model_copy(update={"resolution": 5.0})})
     found = site_canopy(
-        finer, evidence.geometry, evidence.layers(), evidence.prior, FuelRegion.named("dry"),
+        finer, evidence.geometry, evidence.layers(), evidence.prior, FuelClimate.named("dry"),
         given_terrain(finer), evidence, tmp_path,
     )  # fmt: skip
     assert "heights of trees are not from the terrain map" in found.note

@@ -17,8 +17,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.label_head import find_head
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.label_head import find_label_head
+from ltm_core.vision.manifest import NetworkManifest
 
 REPOSITORY = Path(__file__).parents[3]
 SITE: dict[str, Any] = {
@@ -100,13 +100,13 @@ def test_wrong_site_files(tmp_path: Path, changes: dict[str, Any], messages: lis
 def test_names_that_no_file_can_have(tmp_path: Path) -> None:
     """They are looked for beside the site file, and told where they are needed."""
     name = "long" * 70
-    site = load(tmp_path, model=f"{name}.yaml", cameras={"north": {"head": name}}, fuel={"prior": {"path": name}})
+    site = load(tmp_path, model=f"{name}.yaml", cameras={"north": {"label_head": name}}, fuel={"prior": {"path": name}})
     with pytest.raises(ModelError, match=name):
-        Manifest.find(site.model)
+        NetworkManifest.find(site.model)
     with pytest.raises(ModelError, match=name):
-        Manifest.find(name)
-    with pytest.raises(ModelError, match=f"no head '{name}'"):
-        find_head(name, Manifest.find("landscape_lite0"), tmp_path)
+        NetworkManifest.find(name)
+    with pytest.raises(ModelError, match=f"no label head '{name}'"):
+        find_label_head(name, NetworkManifest.find("landscape_lite0"), tmp_path)
     assert site.fuel.prior is not None
     with pytest.raises(RasterError, match=f"{name}: no such file"):
         load_prior(site.fuel.prior, GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611"))

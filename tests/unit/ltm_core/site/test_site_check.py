@@ -10,7 +10,7 @@ import pytest
 import yaml
 from scenes.networks import COLORS, write_classifier, write_domain_of, write_swapping_head
 
-from ltm_core.base.finding import Verdict
+from ltm_core.base.finding import SiteVerdict
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -39,47 +39,47 @@ def checked(folder: Path, height: float, **changes: Any) -> SiteCheck:
     return check_site(folder / "site.yaml")
 
 
-def said(check: SiteCheck, verdict: Verdict) -> list[tuple[str, str]]:
+def said(check: SiteCheck, verdict: SiteVerdict) -> list[tuple[str, str]]:
     return [(f.name, f.said) for f in check.findings if f.verdict is verdict]
 
 
 def test_a_site_as_it_should_be(tmp_path: Path) -> None:
     check = checked(tmp_path, 890.0)
-    assert not said(check, Verdict.WRONG)
-    assert not said(check, Verdict.DOUBTFUL)
+    assert not said(check, SiteVerdict.WRONG)
+    assert not said(check, SiteVerdict.DOUBTFUL)
     assert {f.area for f in check.findings} == {"site", "terrain", "cameras", "fuel", "networks"}
-    assert ("north", "calibration and pose come as topics") in said(check, Verdict.OK)
+    assert ("north", "calibration and pose come as topics") in said(check, SiteVerdict.OK)
 
 
 def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> None:
-    assert not said(checked(tmp_path, 890.0, depth_model="landscape_v2_depth"), Verdict.DOUBTFUL)
-    ((name, message),) = said(checked(tmp_path, 890.0, depth_model="landscape_lite0_depth"), Verdict.DOUBTFUL)
+    assert not said(checked(tmp_path, 890.0, depth_model="landscape_v2_depth"), SiteVerdict.DOUBTFUL)
+    ((name, message),) = said(checked(tmp_path, 890.0, depth_model="landscape_lite0_depth"), SiteVerdict.DOUBTFUL)
     assert (name, message.partition(": ")[2]) == ("depth_model", "landscape_v2_depth costs less")
     both = {"model": "landscape_lite0", "depth_model": "landscape_lite0_depth"}
-    assert not said(checked(tmp_path, 890.0, **both), Verdict.DOUBTFUL)
+    assert not said(checked(tmp_path, 890.0, **both), SiteVerdict.DOUBTFUL)
 
 
 def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
-    ((name, message),) = said(checked(tmp_path, 890 / 0.3048), Verdict.WRONG)
+    ((name, message),) = said(checked(tmp_path, 890 / 0.3048), SiteVerdict.WRONG)
     assert name == "dem"
     assert "fine.tif: stands 3.2" in message
     assert "its heights are feet" in message
-    ((_, message),) = said(checked(tmp_path, 1_080.0), Verdict.DOUBTFUL)
+    ((_, message),) = said(checked(tmp_path, 1_080.0), SiteVerdict.DOUBTFUL)
     assert "coarse.tif in the median: check place, unit and datum" in message
 
 
 def test_only_the_cameras_that_run_are_looked_at(tmp_path: Path) -> None:
     buried = {"pose": {"x": 346_700.0, "y": 3_783_900.0, "z": 500.0, "azimuth_deg": 40.0}}
     checked(tmp_path, 890.0, cameras={"north": buried, "south": {}})
-    assert [name for name, _ in said(check_site(tmp_path / "site.yaml"), Verdict.WRONG)] == ["north"]
+    assert [name for name, _ in said(check_site(tmp_path / "site.yaml"), SiteVerdict.WRONG)] == ["north"]
     assert not check_site(tmp_path / "site.yaml", ["south"]).wrong
-    ((_, message),) = said(check_site(tmp_path / "site.yaml", ["west"]), Verdict.WRONG)
+    ((_, message),) = said(check_site(tmp_path / "site.yaml", ["west"]), SiteVerdict.WRONG)
     assert "ridge has no camera 'west'; it has north, south" in message
 
 
 def test_a_mast_as_high_as_none_is(tmp_path: Path) -> None:
     pose = {"x": 346_700.0, "y": 3_783_900.0, "height_above_ground": 400.0, "azimuth_deg": 40.0}
-    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"pose": pose}}), Verdict.DOUBTFUL)
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"pose": pose}}), SiteVerdict.DOUBTFUL)
     assert name == "north"
     assert "400 m is more than masts have" in message
 
@@ -87,13 +87,13 @@ def test_a_mast_as_high_as_none_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("z", "x", "verdict", "part"),
     [
-        (120.0, 50.0, Verdict.OK, "2 different views, 20.0 m above"),
-        (90.0, 50.0, Verdict.WRONG, "10.00 m under the ground"),
-        (390.0, 50.0, Verdict.DOUBTFUL, "as feet it would be 119 m"),
-        (120.0, 5_000.0, Verdict.DOUBTFUL, "beside the DEM, which covers x 0 to 120"),
+        (120.0, 50.0, SiteVerdict.OK, "2 different views, 20.0 m above"),
+        (90.0, 50.0, SiteVerdict.WRONG, "10.00 m under the ground"),
+        (390.0, 50.0, SiteVerdict.DOUBTFUL, "as feet it would be 119 m"),
+        (120.0, 5_000.0, SiteVerdict.DOUBTFUL, "beside the DEM, which covers x 0 to 120"),
     ],
 )
-def test_views_of_a_recording(z: float, x: float, verdict: Verdict, part: str) -> None:
+def test_views_of_a_recording(z: float, x: float, verdict: SiteVerdict, part: str) -> None:
     dem = Dem(np.full((8, 12), 100.0, np.float32), GridGeometry(0.0, 80.0, 10.0, 12, 8))
     views = [
         PosedCamera("tower", Camera.from_fov(32, 20, 60.0), Pose.from_angles((x, 40.0, height), 30.0))
@@ -108,13 +108,13 @@ HEAD = {"x": 347_000.0, "y": 3_783_500.0, "height_above_ground": 20.0, "azimuth_
 
 
 def test_a_head_is_doubted_until_it_is_calibrated(tmp_path: Path) -> None:
-    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": HEAD}}), Verdict.DOUBTFUL)
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": HEAD}}), SiteVerdict.DOUBTFUL)
     assert name == "north"
     assert "not calibrated: directions are open by 1." in message
     known = HEAD | {"covariance_deg2": (np.eye(4) * 0.02**2).tolist()}
     check = checked(tmp_path, 890.0, cameras={"north": {"mount": known}})
-    assert not said(check, Verdict.DOUBTFUL)
-    assert ("north", "head 20.0 m above the ground, directions to 0.03 deg") in said(check, Verdict.OK)
+    assert not said(check, SiteVerdict.DOUBTFUL)
+    assert ("north", "PTZ head 20.0 m above the ground, directions to 0.03 deg") in said(check, SiteVerdict.OK)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_mask_of_a_head_that_hides_the_same_of_every_view(
     sized = {"calibration": {"width": 200, "height": 120, "hfov_deg": 60.0}, "mask": mask}
     check = checked(tmp_path, 890.0, cameras={"north": camera | sized, "south": {}})
     ((_, message),) = [
-        found for found in said(check, Verdict.DOUBTFUL if doubted else Verdict.OK) if "mask" in found[0]
+        found for found in said(check, SiteVerdict.DOUBTFUL if doubted else SiteVerdict.OK) if "mask" in found[0]
     ]
     assert message.startswith("hides ")
     assert ("same pixels in every view" in message) is doubted
@@ -148,53 +148,53 @@ CALIBRATION = {
 
 def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
     below = {key: value for key, value in HEAD.items() if key != "height_above_ground"} | {"z": 5.0}
-    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), Verdict.WRONG)
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), SiteVerdict.WRONG)
     assert name == "north"
     assert "camera at (347000, 3783500)" in message
 
 
 def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
-    check = checked(tmp_path, 890.0, heads="heads", cameras={"north": {"head": "chaparral"}, "south": {}})
-    ((name, message),) = [found for found in said(check, Verdict.WRONG) if found[0] == "head chaparral"]
+    check = checked(tmp_path, 890.0, label_heads="heads", cameras={"north": {"label_head": "chaparral"}, "south": {}})
+    ((name, message),) = [found for found in said(check, SiteVerdict.WRONG) if found[0] == "label head chaparral"]
     assert str(tmp_path / "heads" / "chaparral.yaml") in message
     network = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
-    cameras = {"north": {"head": "chaparral"}, "south": {}}
-    check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
-    ((_, message),) = [found for found in said(check, Verdict.DOUBTFUL) if found[0] == name]
+    cameras = {"north": {"label_head": "chaparral"}, "south": {}}
+    check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
+    ((_, message),) = [found for found in said(check, SiteVerdict.DOUBTFUL) if found[0] == name]
     assert message.startswith("of north: ")
     assert message.endswith("; it was never scored")
 
 
 def test_what_auto_chooses_among_and_what_it_passes_over_is_told(tmp_path: Path) -> None:
-    cameras = {"north": {"head": "auto"}, "south": {}}
+    cameras = {"north": {"label_head": "auto"}, "south": {}}
     network = write_classifier(tmp_path, maps=True)
 
-    def told(verdict: Verdict) -> str:
-        check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
-        ((_, message),) = [found for found in said(check, verdict) if found[0] == "head auto"]
+    def told(verdict: SiteVerdict) -> str:
+        check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
+        ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head auto"]
         return message
 
-    assert "ltm-lab train domains" in told(Verdict.WRONG)
+    assert "ltm-lab train domains" in told(SiteVerdict.WRONG)
     space = write_domain_of(network, [np.full((40, 70, 3), COLORS["lime"], np.uint8)])
-    assert told(Verdict.DOUBTFUL).endswith("of north: chosen by the picture among landscape")
+    assert told(SiteVerdict.DOUBTFUL).endswith("of north: chosen by the picture among landscape")
     domain = {"axes": space.checksum, "centre": [0.0, 1.0, 0.0], "spread": 0.5, "sites": 2}
     write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network, domain=domain, calibration=CALIBRATION)
-    assert told(Verdict.OK).endswith("among landscape, chaparral")
+    assert told(SiteVerdict.OK).endswith("among landscape, chaparral")
     write_swapping_head(tmp_path / "heads" / "old.yaml", network)
-    assert "passed over: " in told(Verdict.DOUBTFUL)
+    assert "passed over: " in told(SiteVerdict.DOUBTFUL)
 
 
 def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
     network = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "heads" / "mast.yaml", network, one_view=True, calibration=CALIBRATION)
     for cameras, verdict in (
-        ({"north": {"head": "mast"}, "south": {}}, Verdict.OK),
-        ({"north": {"head": "mast"}, "south": {"head": "mast"}}, Verdict.DOUBTFUL),
+        ({"north": {"label_head": "mast"}, "south": {}}, SiteVerdict.OK),
+        ({"north": {"label_head": "mast"}, "south": {"label_head": "mast"}}, SiteVerdict.DOUBTFUL),
     ):
-        check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
-        ((_, message),) = [found for found in said(check, verdict) if found[0] == "head mast"]
-        assert message.endswith("teach one for each") is (verdict is Verdict.DOUBTFUL)
+        check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
+        ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head mast"]
+        assert message.endswith("teach one for each") is (verdict is SiteVerdict.DOUBTFUL)
 
 
 @pytest.mark.parametrize("line", [880.0, 897.9, 2400.0])
@@ -202,7 +202,7 @@ def test_a_tree_line_says_how_much_of_the_terrain_is_above_it(tmp_path: Path, li
     check = checked(tmp_path, 890.0, fuel={"growth": {"tree_line_m": line}})
     assert check.dem is not None
     above = (check.dem.elevation > line).mean()
-    assert dict(said(check, Verdict.OK))["tree line"] == (
+    assert dict(said(check, SiteVerdict.OK))["tree line"] == (
         f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
     )
     assert (above > 0, above < 1) == (line < 900, line > 880)

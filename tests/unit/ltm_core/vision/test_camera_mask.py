@@ -11,7 +11,7 @@ from PIL import Image
 from scenes.small_site import MAST, write_small_site
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.finding import Verdict
+from ltm_core.base.finding import SiteVerdict
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
@@ -121,7 +121,7 @@ def test_a_mask_that_cannot_be_is_told_in_words(tmp_path: Path, name: str) -> No
     with pytest.raises(ConfigError, match=str(said)):
         site_scene_filter(load_site(path), "mast")
     found = [f for f in check_site(path).findings if f.name == "mast: mask"]
-    assert [f.verdict for f in found] == [Verdict.WRONG]
+    assert [f.verdict for f in found] == [SiteVerdict.WRONG]
 
 
 @pytest.mark.parametrize("away", ["../m.png", "/etc/hostname", "a/../../m.png", "link.png", "a\0b"])
@@ -173,10 +173,10 @@ def test_polygons_of_another_form_name_their_key(tmp_path: Path, polygons: objec
 def test_the_check_tells_the_share(tmp_path: Path) -> None:
     write_mask(tmp_path / "m.png", corner())
     (found,) = (f for f in check_site(site_with(tmp_path, "m.png")).findings if f.name == "mast: mask")
-    assert (found.verdict, found.said) == (Verdict.OK, "hides 7.6% of 256 x 144 pixels")
+    assert (found.verdict, found.said) == (SiteVerdict.OK, "hides 7.6% of 256 x 144 pixels")
     write_mask(tmp_path / "n.png", ~corner())
     (found,) = (f for f in check_site(site_with(tmp_path, "n.png")).findings if f.name == "mast: mask")
-    assert found.verdict is Verdict.DOUBTFUL
+    assert found.verdict is SiteVerdict.DOUBTFUL
     assert "inverted" in found.said
 
 

@@ -13,8 +13,8 @@ from scenes.networks import COLORS, changed, write_classifier, write_swapping_he
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.vision.label_head import read_head
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.label_head import read_label_head
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.second_scale import with_coarse_look
 from ltm_core.vision.segmenter import Segmenter
 
@@ -92,9 +92,9 @@ def test_a_network_looks_twice_where_its_manifest_says_so(tmp_path: Path, headed
     folder.mkdir()
     size = {"width": LOOK["width"], "height": LOOK["height"]}
     paths = [write_classifier(to, any_size=True, gain=3.0, maps=True) for to in (tmp_path, folder)]
-    once, small = Manifest.load(paths[0]), Manifest.load(changed(paths[1], input=size))
-    head = read_head(write_swapping_head(tmp_path / "swap.yaml", paths[0]), once)[0] if headed else None
-    twice = Manifest.load(write_classifier(tmp_path, any_size=True, gain=3.0, maps=True, coarse_look=LOOK))
+    once, small = NetworkManifest.load(paths[0]), NetworkManifest.load(changed(paths[1], input=size))
+    head = read_label_head(write_swapping_head(tmp_path / "swap.yaml", paths[0]), once)[0] if headed else None
+    twice = NetworkManifest.load(write_classifier(tmp_path, any_size=True, gain=3.0, maps=True, coarse_look=LOOK))
     plain, smaller = (Segmenter(manifest, head=head).logits(photo()) for manifest in (once, small))
     assert (plain.shape[1:], smaller.shape[1:]) == ((16, 24), (7, 10))
     found = Segmenter(twice, head=head).logits(photo())
@@ -115,10 +115,10 @@ def test_a_network_looks_twice_where_its_manifest_says_so(tmp_path: Path, headed
 def test_a_look_that_cannot_be_is_refused(tmp_path: Path, look: dict[str, float], message: str) -> None:
     path = write_classifier(tmp_path, coarse_look=look)
     with pytest.raises(ModelError, match=message):
-        Manifest.load(path)
+        NetworkManifest.load(path)
 
 
 def test_only_scores_can_be_averaged(tmp_path: Path) -> None:
     path = write_classifier(tmp_path, "probabilities", coarse_look=LOOK)
     with pytest.raises(ModelError, match=r"coarse_look belongs to output kind logits; remove it for probabilities"):
-        Manifest.load(path)
+        NetworkManifest.load(path)

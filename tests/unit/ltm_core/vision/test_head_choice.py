@@ -1,4 +1,5 @@
-"""`head: auto`: which head is chosen, that it is steady and alters nothing else, and what cannot be chosen among."""
+"""`label_head: auto`: which head is chosen, that it is steady and alters nothing else, and what cannot be chosen
+among."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.site.networks import camera_label_errors
 from ltm_core.vision.head_choice import HeadChoice
 from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
-from ltm_core.vision.label_head import LabelHead, read_head
+from ltm_core.vision.label_head import LabelHead, read_label_head
 from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import AUTO_HEAD, Manifest
+from ltm_core.vision.manifest import AUTO_HEAD, NetworkManifest
 from ltm_core.vision.picture_domain import DomainSpace, HeadDomain, land_statistics
 from ltm_core.vision.picture_domain_io import load_domain
 from ltm_core.vision.segmenter import Segmenter
@@ -64,9 +65,9 @@ def test_each_picture_by_itself_has_the_head_of_its_kind(manifest: Path) -> None
 
 
 def test_what_is_unlike_both_has_the_network_s_own(manifest: Path) -> None:
-    space = load_domain(Manifest.load(manifest))
+    space = load_domain(NetworkManifest.load(manifest))
     assert space is not None
-    choice = open_choice(Manifest.load(manifest), manifest.parent / "heads")
+    choice = open_choice(NetworkManifest.load(manifest), manifest.parent / "heads")
     (head,) = choice.heads
     assert head.domain is not None
     red = _point(space, RED)
@@ -142,7 +143,7 @@ def test_statistics_are_of_land_alone() -> None:
 
 
 def test_what_cannot_be_chosen_is_passed_over_and_told(manifest: Path, tmp_path: Path) -> None:
-    heads, network = tmp_path / "heads", Manifest.load(manifest)
+    heads, network = tmp_path / "heads", NetworkManifest.load(manifest)
     write_swapping_head(heads / "old.yaml", manifest)
     write_swapping_head(heads / "other.yaml", manifest, sha256="1" * 64)
     write_swapping_head(heads / "named.yaml", manifest, by_name=True)
@@ -154,9 +155,9 @@ def test_what_cannot_be_chosen_is_passed_over_and_told(manifest: Path, tmp_path:
         "old", "other", "moved",
     }  # fmt: skip
     assert "does not say where its photos lie" in passed[heads / "old.yaml"]
-    assert "is a head of network" in passed[heads / "other.yaml"]
+    assert "is a label head of network" in passed[heads / "other.yaml"]
     with pytest.raises(ModelError, match="stands for a choice"):
-        read_head(write_swapping_head(tmp_path / "auto.yaml", manifest), network)
+        read_label_head(write_swapping_head(tmp_path / "auto.yaml", manifest), network)
 
 
 def test_a_network_of_which_nobody_knows_where_pictures_lie_cannot_choose(manifest: Path) -> None:
@@ -178,14 +179,14 @@ def test_the_map_takes_an_auto_camera_s_labels_to_err_as_all_heads_do(manifest: 
     confusion = np.eye(7)
     confusion[2] = [0.0, 0.1, 0.5, 0.4, 0.0, 0.0, 0.0]
     calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "x", "photographs": 3}
-    space = load_domain(Manifest.load(manifest))
+    space = load_domain(NetworkManifest.load(manifest))
     assert space is not None
     domain = {"axes": space.checksum, "centre": [0.0] * len(space.axes), "spread": 0.5, "sites": 2}
     write_swapping_head(tmp_path / "heads" / "swap.yaml", manifest, calibration=calibration, domain=domain)
 
-    cameras = {"a": SimpleNamespace(head="auto"), "b": SimpleNamespace(head="landscape")}
+    cameras = {"a": SimpleNamespace(label_head="auto"), "b": SimpleNamespace(label_head="landscape")}
     fuel = SimpleNamespace(label_errors=None)
-    site = SimpleNamespace(fuel=fuel, model=str(manifest), heads=tmp_path / "heads", cameras=cameras)
+    site = SimpleNamespace(fuel=fuel, model=str(manifest), label_heads=tmp_path / "heads", cameras=cameras)
     found = camera_label_errors(site)  # type: ignore[arg-type]
     assert list(found) == ["a"]
     shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.install_io import add_model
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli import main
 
@@ -67,7 +67,7 @@ def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path
 
 def test_a_url_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"url"):
-        Manifest.load(changed(write_classifier(tmp_path), url="ftp://host/net.onnx"))
+        NetworkManifest.load(changed(write_classifier(tmp_path), url="ftp://host/net.onnx"))
 
 
 def test_the_name_of_a_shipped_model_cannot_be_taken(tmp_path: Path) -> None:

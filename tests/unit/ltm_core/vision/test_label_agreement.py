@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.vision.label_confidence import Agreement, agreed
+from ltm_core.vision.label_confidence import LabelAgreement, agreed
 from ltm_lab.training.temperature_scaling import fit_exponent
 
 
@@ -21,13 +21,15 @@ def probabilities() -> Float32Array:
 
 
 def test_patches_and_edges_are_less_sure_than_the_middle_of_a_region() -> None:
-    sure = agreed(probabilities(), Agreement(reach=0.03))
+    sure = agreed(probabilities(), LabelAgreement(reach=0.03))
     assert sure.shape == (60, 100)
     assert sure[5, 10] == pytest.approx(0.8, abs=1e-3)
     assert sure[50, 60] == pytest.approx(0.4, abs=0.08)
     assert sure[30, 20] < 0.1
     assert sure[30, 17] > 0.7
-    np.testing.assert_allclose(agreed(probabilities(), Agreement(reach=0.03, exponent=0.5)), np.sqrt(sure), atol=1e-6)
+    np.testing.assert_allclose(
+        agreed(probabilities(), LabelAgreement(reach=0.03, exponent=0.5)), np.sqrt(sure), atol=1e-6
+    )
 
 
 def test_the_exponent_makes_it_the_share_of_right_labels() -> None:

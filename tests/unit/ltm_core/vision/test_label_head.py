@@ -1,4 +1,5 @@
-"""Heads of a label network: none is none to the bit, what a head adds is its formula, a wrong file is refused."""
+"""Label heads of a label network: none is none to the bit, what a label head adds is its formula, a wrong file is
+refused."""
 
 from __future__ import annotations
 
@@ -19,10 +20,17 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site
-from ltm_core.vision.label_confidence import Agreement, load_calibration
-from ltm_core.vision.label_head import HeadFile, LabelHead, find_head, heads_folder, read_head, write_head
+from ltm_core.vision.label_confidence import LabelAgreement, load_calibration
+from ltm_core.vision.label_head import (
+    LabelHead,
+    LabelHeadFile,
+    find_label_head,
+    label_heads_folder,
+    read_label_head,
+    write_label_head,
+)
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest, Withdrawal
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter
 
 
@@ -52,7 +60,7 @@ def test_agreement_changes_how_sure_labels_are_and_not_the_labels() -> None:
     head = LabelHead("a", "a", zeros, np.zeros(len(manifest.classes), np.float32), 1.0, Withdrawal(confidence=0.5))
     photo = _photo()
     alone = Segmenter(manifest, head=head).segment(photo)
-    around = Segmenter(manifest, head=replace(head, agreement=Agreement(reach=0.02))).segment(photo)
+    around = Segmenter(manifest, head=replace(head, agreement=LabelAgreement(reach=0.02))).segment(photo)
     np.testing.assert_array_equal(around.labels, alone.labels)
     unlabelled = around.labels == UNLABELLED
     assert 0 < unlabelled.mean() < 1
@@ -88,22 +96,22 @@ def test_a_head_changes_the_labels_of_who_names_it_alone(tmp_path: Path) -> None
     assert (plain.segment(photo).labels[20, 5], plain.segment(photo).labels[20, 60]) == (Label.BUILT, Label.GRASS)
     assert (swapped.segment(photo).labels[20, 5], swapped.segment(photo).labels[20, 60]) == (Label.GRASS, Label.BUILT)
     network, _, doubt = plain.described.partition(", ")
-    assert swapped.described.startswith(f"{network}, head swap ")
+    assert swapped.described.startswith(f"{network}, label head swap ")
     assert doubt == "never scored"
     assert swapped.name == "colors swap"
 
 
 def test_a_head_is_found_in_the_site_s_folder_then_beside_the_network(tmp_path: Path) -> None:
     path = write_classifier(tmp_path, maps=True)
-    manifest = Manifest.load(path)
-    assert find_head(SHIPPED_HEAD, manifest) is None
-    beside = write_swapping_head(heads_folder(manifest, tmp_path) / "swap.yaml", path)
-    assert find_head("swap", manifest) == beside
+    manifest = NetworkManifest.load(path)
+    assert find_label_head(SHIPPED_LABEL_HEAD, manifest) is None
+    beside = write_swapping_head(label_heads_folder(manifest, tmp_path) / "swap.yaml", path)
+    assert find_label_head("swap", manifest) == beside
     own = write_swapping_head(tmp_path / "site" / "swap.yaml", path)
-    assert find_head("swap", manifest, tmp_path / "site") == own
-    assert find_head("swap.yaml", manifest, tmp_path / "site") == own
-    with pytest.raises(ModelError, match=r"no head 'sand'.*site/sand\.yaml.*colors_heads/sand\.yaml"):
-        find_head("sand", manifest, tmp_path / "site")
+    assert find_label_head("swap", manifest, tmp_path / "site") == own
+    assert find_label_head("swap.yaml", manifest, tmp_path / "site") == own
+    with pytest.raises(ModelError, match=r"no label head 'sand'.*site/sand\.yaml.*colors_heads/sand\.yaml"):
+        find_label_head("sand", manifest, tmp_path / "site")
 
 
 def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
@@ -111,8 +119,8 @@ def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
     head = write_swapping_head(tmp_path / "swap.yaml", manifest)
     (tmp_path / "other").mkdir()
     other = write_classifier(tmp_path / "other", maps=True, gain=50.0)
-    with pytest.raises(ModelError, match=r"is a head of network 'colors' with sha256.*ltm train head"):
-        read_head(head, Manifest.load(other))
+    with pytest.raises(ModelError, match=r"is a label head of network 'colors' with sha256.*ltm train head"):
+        read_label_head(head, NetworkManifest.load(other))
 
 
 @pytest.mark.parametrize(
@@ -126,7 +134,7 @@ def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
         ({"classes": ["a", "b", "c", "d", "e"]}, "is of classes a, b"),
         ({"temperature": 0.0}, "temperature"),
         ({"bias": [0.0, 0.0, 0.0, 0.0, 1e9]}, "bias"),
-        ({"name": "landscape"}, "network's own head"),
+        ({"name": "landscape"}, "network's own label head"),
         ({"mood": 3}, "mood: unknown key"),
     ],
 )
@@ -134,7 +142,7 @@ def test_a_head_that_does_not_fit_is_refused_in_words(tmp_path: Path, change: di
     manifest = write_classifier(tmp_path, maps=True)
     head = write_swapping_head(tmp_path / "swap.yaml", manifest, **change)
     with pytest.raises(ModelError, match=said):
-        read_head(head, Manifest.load(manifest))
+        read_label_head(head, NetworkManifest.load(manifest))
 
 
 def test_maps_that_the_network_does_not_have_are_refused(tmp_path: Path) -> None:
@@ -148,10 +156,12 @@ def test_maps_that_the_network_does_not_have_are_refused(tmp_path: Path) -> None
 
 def test_a_head_that_was_written_is_read_again(tmp_path: Path) -> None:
     manifest = write_classifier(tmp_path, maps=True)
-    content = HeadFile.model_validate(yaml.safe_load(write_swapping_head(tmp_path / "a.yaml", manifest).read_text()))
+    content = LabelHeadFile.model_validate(
+        yaml.safe_load(write_swapping_head(tmp_path / "a.yaml", manifest).read_text())
+    )
     values = tuple(tuple(float(v) for v in row) for row in np.random.default_rng(1).normal(size=(5, 3)))
-    write_head(tmp_path / "b.yaml", content.model_copy(update={"maps": {"mean": values}}))
-    head, again = read_head(tmp_path / "b.yaml", Manifest.load(manifest))
+    write_label_head(tmp_path / "b.yaml", content.model_copy(update={"maps": {"mean": values}}))
+    head, again = read_label_head(tmp_path / "b.yaml", NetworkManifest.load(manifest))
     np.testing.assert_allclose(head.weights["mean"], values, rtol=1e-3)
     assert again.classes == content.classes
 
@@ -163,15 +173,18 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
     calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "two photos"}
     manifest = write_classifier(tmp_path, maps=True)
     write_swapping_head(tmp_path / "swap.yaml", manifest, calibration=calibration)
-    errors = LabelErrors.of_head(str(manifest), "swap", tmp_path)
+    errors = LabelErrors.of_label_head(str(manifest), "swap", tmp_path)
     shrub = LifeForm.SHRUB - 1
     np.testing.assert_allclose(errors.shares[shrub, [LifeForm.GRASS - 1, shrub, LifeForm.TREE - 1]], [0.1, 0.6, 0.3])
-    assert errors.source == "head swap, on two photos"
-    assert LabelErrors.of_head(str(manifest), SHIPPED_HEAD).source == LabelErrors.of_model(str(manifest)).source
+    assert errors.source == "label head swap, on two photos"
+    assert (
+        LabelErrors.of_label_head(str(manifest), SHIPPED_LABEL_HEAD).source
+        == LabelErrors.of_model(str(manifest)).source
+    )
 
 
 def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> None:
-    """Shares of wrong labels are 1.8 times as large; not those of a head that photos judged, or nobody says."""
+    """Shares of wrong labels are 1.8 times as large; not those of a label head that photos judged, or nobody says."""
     names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
     confusion = np.full((7, 7), 0.0) + np.eye(7)
     confusion[2] = [0.0, 0.1, 0.7, 0.2, 0.0, 0.0, 0.0]
@@ -184,18 +197,18 @@ def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> 
         ("open", {}, "", 0.2),
     ):
         write_swapping_head(tmp_path / f"{name}.yaml", manifest, calibration=calibration | photographs)
-        errors = LabelErrors.of_head(str(manifest), name, tmp_path)
+        errors = LabelErrors.of_label_head(str(manifest), name, tmp_path)
         assert errors.shares[shrub, tree] == pytest.approx(wrong)
         assert errors.shares[shrub].sum() == pytest.approx(1.0)
         assert ("never scored on photographs" in errors.source) == bool(doubt)
         described = Segmenter.open(manifest, head=name, heads=tmp_path).described
-        assert described.partition(f"head {name} ")[2][12:] == doubt
+        assert described.partition(f"label head {name} ")[2][12:] == doubt
     write_swapping_head(tmp_path / "bare.yaml", manifest)
     assert Segmenter.open(manifest, head="bare", heads=tmp_path).described.endswith(", never scored")
 
 
 def test_the_shipped_network_was_scored_on_photographs() -> None:
-    calibration = load_calibration(Manifest.find("landscape_v2"))
+    calibration = load_calibration(NetworkManifest.find("landscape_v2"))
     assert calibration is not None
     assert calibration.photographs == 15
     assert "never" not in Segmenter.open().described
@@ -207,12 +220,12 @@ def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> 
     assert by_default.described == of_it.described
     np.testing.assert_array_equal(by_default.segment(photo).labels, of_it.segment(photo).labels)
     assert Segmenter.open("landscape_v2").model_path != by_default.model_path
-    errors = [LabelErrors.of_head(name, "near") for name in ("landscape_v2", "landscape_lite0")]
+    errors = [LabelErrors.of_label_head(name, "near") for name in ("landscape_v2", "landscape_lite0")]
     np.testing.assert_array_equal(errors[0].shares, errors[1].shares)
 
 
 def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
-    cameras = {"north": {}, "east": {"head": "near"}}
+    cameras = {"north": {}, "east": {"label_head": "near"}}
     site = Site.model_validate(
         {
             "name": "s",
@@ -230,10 +243,10 @@ def test_a_camera_with_a_head_has_labels_and_depth_of_one_file() -> None:
 
 
 def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:
-    manifest = Manifest.load(write_classifier(tmp_path, maps=True))
+    manifest = NetworkManifest.load(write_classifier(tmp_path, maps=True))
     (tmp_path / "x.yaml").write_text("name: [")
     with pytest.raises(ModelError, match=r"x\.yaml"):
-        read_head(tmp_path / "x.yaml", manifest)
+        read_label_head(tmp_path / "x.yaml", manifest)
     shutil.rmtree(tmp_path / "colors_heads", ignore_errors=True)
-    with pytest.raises((ModelError, ConfigError), match="no head"):
+    with pytest.raises((ModelError, ConfigError), match="no label head"):
         Segmenter.open(tmp_path / "colors.yaml", head="absent")

@@ -18,7 +18,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.label_confidence import load_calibration
 from ltm_core.vision.labels import Label, LabelSet
-from ltm_core.vision.manifest import DEFAULT_MODEL, MODEL_PATH_VARIABLE, Manifest
+from ltm_core.vision.manifest import DEFAULT_MODEL, MODEL_PATH_VARIABLE, NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 from ltm_lab.evaluation.metrics.skyline import SkylineTally, skyline
@@ -30,8 +30,8 @@ def _photo(path: Path, size: tuple[int, int]) -> UInt8Array:
 
 
 def test_the_files_are_small_and_say_how_they_err() -> None:
-    manifest = Manifest.find(DEFAULT_MODEL)
-    files = {m.model_file() for m in (manifest, Manifest.find(f"{DEFAULT_MODEL}_depth"))}
+    manifest = NetworkManifest.find(DEFAULT_MODEL)
+    files = {m.model_file() for m in (manifest, NetworkManifest.find(f"{DEFAULT_MODEL}_depth"))}
     assert sum(file.stat().st_size for file in files) < 16e6
     calibration = load_calibration(manifest)
     assert calibration is not None

@@ -14,7 +14,7 @@ from onnx import helper, numpy_helper
 from scenes.networks import changed, write_classifier, write_manifest
 
 from ltm_core.base.errors import ModelError
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest, shipped_names
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, NetworkManifest, shipped_names
 from ltm_core.vision.onnx_model import OnnxModel
 
 
@@ -48,31 +48,34 @@ def test_a_wrong_manifest_is_refused_by_the_key_at_fault(
     manifest_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ModelError, match=message) as caught:
-        Manifest.load(changed(manifest_path, **changes))
+        NetworkManifest.load(changed(manifest_path, **changes))
     assert str(manifest_path) in str(caught.value)
 
 
 def test_a_missing_key_is_named(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"sha256: missing"):
-        Manifest.load(write_manifest(tmp_path / "m.yaml", {"name": "m", "file": "m.onnx"}))
+        NetworkManifest.load(write_manifest(tmp_path / "m.yaml", {"name": "m", "file": "m.onnx"}))
 
 
 def test_an_unknown_name_lists_the_models_that_ship() -> None:
     assert "mosaic_r4_ade20k31" in shipped_names()
     with pytest.raises(ModelError, match=r"'spline'.*mosaic_r4_ade20k31"):
-        Manifest.find("spline")
+        NetworkManifest.find("spline")
 
 
 def test_a_network_that_takes_heads_of_another_leaves_cameras_with_a_head_to_it() -> None:
     for suffix in ("", "_depth"):
-        network, taught = Manifest.find(f"landscape_v2{suffix}"), Manifest.find(f"landscape_lite0{suffix}")
+        network, taught = (
+            NetworkManifest.find(f"landscape_v2{suffix}"),
+            NetworkManifest.find(f"landscape_lite0{suffix}"),
+        )
         assert network.serving("landscape") is network
         assert network.serving("near").sha256 == network.serving("auto").sha256 == taught.sha256 != network.sha256
         assert taught.serving("near") is taught
 
 
 def test_an_absent_network_of_heads_is_told(manifest_path: Path) -> None:
-    network = Manifest.load(changed(manifest_path, heads_of="elsewhere"))
+    network = NetworkManifest.load(changed(manifest_path, heads_of="elsewhere"))
     assert network.serving("landscape") is network
     with pytest.raises(ModelError, match=r"no model is called 'elsewhere'"):
         network.serving("near")
@@ -80,7 +83,7 @@ def test_an_absent_network_of_heads_is_told(manifest_path: Path) -> None:
 
 def test_every_shipped_manifest_loads_and_has_its_card() -> None:
     for name in shipped_names():
-        manifest = Manifest.find(name)
+        manifest = NetworkManifest.find(name)
         assert manifest.name == name
         assert (manifest.folder / manifest.card).is_file()
 
@@ -92,7 +95,7 @@ def test_the_file_is_found_beside_the_manifest_before_the_model_path(
     other.mkdir()
     (other / "colors.onnx").write_bytes(b"another")
     monkeypatch.setenv(MODEL_PATH_VARIABLE, str(other))
-    manifest = Manifest.load(manifest_path)
+    manifest = NetworkManifest.load(manifest_path)
     assert manifest.model_file() == tmp_path / "colors.onnx"
     (tmp_path / "colors.onnx").unlink()
     assert manifest.model_file() == other / "colors.onnx"
@@ -105,7 +108,7 @@ def test_the_model_path_is_searched_by_relative_path_then_by_bare_name(
     (second / "nets").mkdir(parents=True)
     first.mkdir()
     (second / "nets" / "far.onnx").write_bytes(b"x")
-    manifest = Manifest.load(changed(manifest_path, file="nets/far.onnx"))
+    manifest = NetworkManifest.load(changed(manifest_path, file="nets/far.onnx"))
     monkeypatch.setenv(MODEL_PATH_VARIABLE, os.pathsep.join([str(first), str(second)]))
     assert manifest.model_file() == second / "nets" / "far.onnx"
     (first / "far.onnx").write_bytes(b"x")
@@ -116,13 +119,13 @@ def test_an_absent_file_says_where_it_was_looked_for(
     manifest_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(MODEL_PATH_VARIABLE, "/nowhere")
-    manifest = Manifest.load(changed(manifest_path, file="gone.onnx", source="https://example.org/gone"))
+    manifest = NetworkManifest.load(changed(manifest_path, file="gone.onnx", source="https://example.org/gone"))
     with pytest.raises(ModelError, match=r"gone\.onnx.*/nowhere/gone\.onnx.*LTM_MODEL_PATH.*example\.org"):
         manifest.model_file()
 
 
 def test_a_changed_file_is_refused_with_both_checksums(manifest_path: Path, tmp_path: Path) -> None:
-    manifest = Manifest.load(manifest_path)
+    manifest = NetworkManifest.load(manifest_path)
     network = tmp_path / "colors.onnx"
     network.write_bytes(network.read_bytes() + b"\0")
     with pytest.raises(ModelError, match=rf"sha256 [0-9a-f]{{64}}, expected {manifest.sha256}"):
@@ -134,7 +137,7 @@ def test_a_file_that_is_no_network_is_refused(manifest_path: Path, tmp_path: Pat
     (tmp_path / "colors.onnx").write_bytes(text)
     checksum = hashlib.sha256(text).hexdigest()
     with pytest.raises(ModelError, match=r"expected an ONNX network, found 26 bytes"):
-        OnnxModel(Manifest.load(changed(manifest_path, sha256=checksum)))
+        OnnxModel(NetworkManifest.load(changed(manifest_path, sha256=checksum)))
 
 
 @pytest.mark.parametrize(
@@ -160,11 +163,11 @@ def test_a_network_unlike_its_manifest_is_refused_with_expected_and_found(
     manifest_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ModelError, match=message):
-        OnnxModel(Manifest.load(changed(manifest_path, **changes)))
+        OnnxModel(NetworkManifest.load(changed(manifest_path, **changes)))
 
 
 def test_a_network_of_one_size_cannot_look_twice(tmp_path: Path) -> None:
-    manifest = Manifest.load(write_classifier(tmp_path, coarse_look={"width": 24, "height": 16, "share": 0.5}))
+    manifest = NetworkManifest.load(write_classifier(tmp_path, coarse_look={"width": 24, "height": 16, "share": 0.5}))
     expected = r"input 'image': shape: expected \[1, 3, 16, 24\] \(NCHW, 24 x 16\), found \[1, 3, 32, 48\]"
     with pytest.raises(ModelError, match=expected):
         OnnxModel(manifest)
@@ -182,7 +185,7 @@ def test_a_network_without_an_input_or_an_output_is_refused(manifest_path: Path,
     content = network.SerializeToString()
     (tmp_path / "colors.onnx").write_bytes(content)
     with pytest.raises(ModelError, match=rf"{part}: expected one, found none"):
-        OnnxModel(Manifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
+        OnnxModel(NetworkManifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
 
 
 def test_a_network_that_fails_as_it_runs_is_an_error_of_ours(manifest_path: Path, tmp_path: Path) -> None:
@@ -193,7 +196,7 @@ def test_a_network_that_fails_as_it_runs_is_an_error_of_ours(manifest_path: Path
     pool.attribute.extend([helper.make_attribute("kernel_shape", [64, 2]), helper.make_attribute("strides", [2, 2])])
     content = network.SerializeToString()
     (tmp_path / "colors.onnx").write_bytes(content)
-    model = OnnxModel(Manifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
+    model = OnnxModel(NetworkManifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
     with pytest.raises(
         ModelError, match=r"(?s)colors\.onnx\): ONNX Runtime .* cannot run it .*; give the network that"
     ):

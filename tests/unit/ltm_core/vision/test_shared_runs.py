@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 import yaml
 
-from ltm_core.vision.manifest import DEFAULT_MODEL, Manifest
+from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel, SharedRuns
 
 
@@ -91,14 +91,14 @@ def test_what_nobody_takes_makes_room() -> None:
 def test_labels_and_depth_of_one_file_are_the_same_alone_and_shared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    labels = Manifest.find(DEFAULT_MODEL)
+    labels = NetworkManifest.find(DEFAULT_MODEL)
     path = tmp_path / "one_depth.yaml"
     output = {"name": "inverse_depth", "kind": "relative_inverse", "layout": "NCHW"}
     asked = {"name": "one_depth", "file": str(labels.model_file()), "output": output}
     kept = yaml.safe_load((labels.folder / f"{DEFAULT_MODEL}.yaml").read_text())
     content = {name: kept[name] for name in ("sha256", "licence", "card", "source", "input")} | asked
     path.write_text(yaml.safe_dump(content))
-    depth = Manifest.load(path)
+    depth = NetworkManifest.load(path)
     tensor = np.random.default_rng(3).normal(0, 1, labels.input.shape).astype(np.float32)
     alone = OnnxModel(labels).run(tensor), OnnxModel(depth).run(tensor)
     runs: list[list[str]] = []

@@ -11,7 +11,7 @@ import yaml
 from scenes.small_site import TOWER, write_small_site
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.finding import Verdict
+from ltm_core.base.finding import SiteVerdict
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
@@ -104,7 +104,7 @@ def test_of_two_views_the_nearer_is_taken(tmp_path: Path) -> None:
         assert found is not None
         assert found.sum() == count
     (said, _) = (f for f in check_site(path).findings if "mask of view" in f.name)
-    assert said.verdict is Verdict.DOUBTFUL
+    assert said.verdict is SiteVerdict.DOUBTFUL
     assert "b looks there too" in said.said
 
 
@@ -128,14 +128,14 @@ def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
 def test_the_check_tells_a_file_that_is_not_there_and_a_size_that_is_wrong(tmp_path: Path) -> None:
     path = site_with(tmp_path, [view("a", 10.0, "none.png")])
     (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is Verdict.WRONG
+    assert found.verdict is SiteVerdict.WRONG
     assert "cannot be read" in found.said
     write_mask(tmp_path / "small.png", np.eye(20, 30, dtype=np.bool_))
     lens = {"width": 320, "height": 180, "hfov_deg": 62.0}
     path = site_with(tmp_path, [view("a", 10.0, "small.png")], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
-    assert found.verdict is Verdict.WRONG
+    assert found.verdict is SiteVerdict.WRONG
     assert "30 x 20 pixels, the camera's pictures have 320 x 180" in found.said
     path = site_with(tmp_path, [view("a", 10.0, [rectangle(0, 0, 90, 320)])], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: mask of view a")
-    assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (Verdict.OK, True)
+    assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (SiteVerdict.OK, True)

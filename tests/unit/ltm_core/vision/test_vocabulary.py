@@ -13,7 +13,7 @@ from scenes.networks import write_classifier, write_manifest
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import Vocabulary, open_vocabulary, parse_queries, read_queries
 
@@ -77,7 +77,7 @@ def test_pixels_take_the_word_whose_embedding_is_nearest(tmp_path: Path) -> None
 
 
 def test_only_the_queried_words_compete(tmp_path: Path) -> None:
-    manifest = Manifest.load(_write_embedder(tmp_path))
+    manifest = NetworkManifest.load(_write_embedder(tmp_path))
     segmenter, readings = open_vocabulary(manifest, ["oak", "dry grass"])
     assert [reading.how for reading in readings] == ["is a word of embedder"] * 2
     assert segmenter.labels.names == ("oak", "dry grass")
@@ -118,7 +118,7 @@ def test_words_of_another_dimension_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -> None:
-    manifest = Manifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
+    manifest = NetworkManifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
     segmenter, readings = open_vocabulary(manifest, parse_queries("dry grass,  Cabin house, cloud, meadow"))
     assert [reading.classes for reading in readings] == [("lime", "olive"), ("red",), ("blue",), ()]
     assert readings[0].how == "is read as grass by its last word: colors knows no finer word"
@@ -132,7 +132,7 @@ def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -
 
 
 def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
-    manifest = Manifest.load(write_classifier(tmp_path))
+    manifest = NetworkManifest.load(write_classifier(tmp_path))
     with pytest.raises(ConfigError, match=r"nothing here knows 'medow'; near it: meadow"):
         read_queries(["medow"], manifest, Vocabulary.load())
     with pytest.raises(ConfigError, match=r"'chaparral' is shrub, of which colors knows no class"):
@@ -144,7 +144,9 @@ def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
 def test_the_shipped_vocabulary_reads_into_labels_and_into_mosaics_classes() -> None:
     vocabulary = Vocabulary.load()
     assert set(vocabulary.synonyms) == set(LabelSet.load().names)
-    readings = read_queries(["dry grass", "chaparral", "oak", "road"], Manifest.find("mosaic_r4_ade20k31"), vocabulary)
+    readings = read_queries(
+        ["dry grass", "chaparral", "oak", "road"], NetworkManifest.find("mosaic_r4_ade20k31"), vocabulary
+    )
     assert [reading.classes for reading in readings] == [("grass", "field"), ("plant",), ("tree",), ("road",)]
 
 

@@ -14,7 +14,7 @@ from ltm_lab.cli.main import cli
     [
         (["--seeds", "23,a"], "whole numbers"),
         (["--scenes", "flood"], "no scene 'flood'"),
-        (["--region", "moon"], "moon"),
+        (["--climate", "moon"], "moon"),
         (["--depth", "true"], "give --frames"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import RasterError
-from ltm_core.depth.topodepth import Source
+from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import RangeScale, depth_colors
 from ltm_core.raster.dem import Dem
@@ -154,8 +154,8 @@ def test_a_sheet_of_depths() -> None:
     truth[0] = np.inf
     traced, network = truth * np.float32(1.1), truth * np.float32(0.6)
     network[3, 0] = np.nan
-    source = np.full(truth.shape, Source.BOTH, np.uint8)
-    source[0], source[1] = Source.SKY, Source.TERRAIN
+    source = np.full(truth.shape, DepthSource.BOTH, np.uint8)
+    source[0], source[1] = DepthSource.SKY, DepthSource.TERRAIN
     photo = np.zeros((8, 14, 3), np.uint8)
     depths = {"traced": traced, "network": network, "fused": truth}
     figure = depth_figure("oak", photo, depths, truth, SimpleNamespace(source=source))  # type: ignore[arg-type]

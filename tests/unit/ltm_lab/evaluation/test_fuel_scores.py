@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, ImageError, RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
@@ -24,7 +24,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.label_confidence import Calibration, load_calibration
 from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.false_changes import false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
@@ -78,7 +78,7 @@ def test_what_false_changes_are() -> None:
     mapped = truth.copy()
     mapped[1:3, 1:4], mapped[5, 9] = LifeForm.SHRUB, LifeForm.GRASS
     mapped[0, 10] = LifeForm.BARE  # nobody has seen it
-    layers = layers_of_classes(mapped, prior, FuelRegion.named("dry"))
+    layers = layers_of_classes(mapped, prior, FuelClimate.named("dry"))
     cells = np.argwhere(np.arange(88).reshape(grid.shape) != 10)
     rows, cols = cells.T.astype(np.int32)
     counts = np.zeros((len(cells), len(LABELS)), np.uint32)
@@ -177,7 +177,7 @@ def test_one_camera_tells_nothing_of_two() -> None:
 
 
 def test_shares_are_those_of_the_models_calibration() -> None:
-    calibration = load_calibration(Manifest.find("landscape_lite0"))
+    calibration = load_calibration(NetworkManifest.find("landscape_lite0"))
     assert isinstance(calibration, Calibration)
     shares = LabelErrors.of_model("landscape_lite0").shares
     matrix, names = np.array(calibration.confusion), list(calibration.classes)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ModelError
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.picture_domain import DomainSpace
 from ltm_core.vision.picture_domain_io import load_domain, write_domain
 from ltm_lab.cli.main import cli
@@ -21,14 +21,14 @@ from ltm_lab.training.domain_fit import fit_head_domain, fit_space, held_out_odd
 def test_the_network_s_pictures_have_no_mean_and_unit_spread_on_each_axis() -> None:
     rng = np.random.default_rng(3)
     many, few = (rng.normal(m, 1, (n, 12)) @ rng.normal(size=(12, 12)) for n, m in ((200, 0.0), (40, 2.0)))
-    space = fit_space(Manifest.find("landscape_lite0"), [many, few], "drawn", axes=5)
+    space = fit_space(NetworkManifest.find("landscape_lite0"), [many, few], "drawn", axes=5)
     points = [(rows - np.array(space.mean)) @ np.array(space.axes).T for rows in (many, few)]
     weight = np.concatenate([np.full(200, 1 / 400), np.full(40, 1 / 80)])  # each set counts alike
     every = np.concatenate(points)
     np.testing.assert_allclose(weight @ every, 0.0, atol=1e-9)
     np.testing.assert_allclose((weight[:, None] * every).T @ every, np.eye(5), atol=1e-9)
     with pytest.raises(ModelError, match="10 pictures that show land; expected 15"):
-        fit_space(Manifest.find("landscape_lite0"), [many[:10]], "drawn", axes=5)
+        fit_space(NetworkManifest.find("landscape_lite0"), [many[:10]], "drawn", axes=5)
 
 
 def test_a_spread_is_how_far_another_site_will_lie() -> None:
@@ -60,7 +60,7 @@ def test_a_site_like_the_others_is_likelier_than_one_like_the_network_s_own() ->
 
 
 def test_a_space_that_was_written_is_read_again(tmp_path: Path) -> None:
-    manifest = Manifest.find("landscape_lite0")
+    manifest = NetworkManifest.find("landscape_lite0")
     space = load_domain(manifest)
     assert space is not None
     write_domain(tmp_path / "again.yaml", space)
@@ -85,7 +85,7 @@ def test_the_commands_measure_and_choose(tmp_path: Path) -> None:
             if folder == "pink":
                 cv2.imwrite(str(tmp_path / folder / f"site{k % 3}_{k}_labels.png"), labels)
     for name in ("landscape_lite0.yaml", "landscape_lite0.onnx"):
-        (tmp_path / name).write_bytes((Manifest.find("landscape_lite0").folder / name).read_bytes())
+        (tmp_path / name).write_bytes((NetworkManifest.find("landscape_lite0").folder / name).read_bytes())
     model, out = ["--model", str(tmp_path / "landscape_lite0.yaml")], tmp_path / "heads" / "pink.yaml"
     run = CliRunner()
     assert run.invoke(cli, ["train", "domains", str(tmp_path / "own"), *model]).exit_code == 0

@@ -42,7 +42,7 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.geometry.camera import Camera
-    from ltm_core.vision.manifest import CoarseLook, Manifest, Withdrawal
+    from ltm_core.vision.manifest import CoarseLook, NetworkManifest, Withdrawal
     from ltm_lab.training.adapt import AdaptConfig, adapted, depth_error, frame_of
     from ltm_lab.training.export import export, export_adapted
     from ltm_lab.training.exported import load_exported
@@ -57,9 +57,9 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
         update={"network": form, "heads_of": "taught", "coarse_look": look, "withdraw": Withdrawal(tree_contrast=6)}
     )
     start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
-    base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
+    base = NetworkManifest.load(export(start, tiny, labels, tmp_path / "base"))
     assert base.heads_of == "taught"
-    assert Manifest.load(tmp_path / "base" / f"{tiny.name}_depth.yaml").heads_of == "taught_depth"
+    assert NetworkManifest.load(tmp_path / "base" / f"{tiny.name}_depth.yaml").heads_of == "taught_depth"
     network = load_exported(base)
     metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
     views = [drawn_frame(seed) for seed in range(4)]
@@ -71,10 +71,10 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     taught = adapted(network, posed, config, lambda step, loss: None)
     assert depth_error(taught, posed, config) < 0.7 * before
     written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted", "adapted by a test")
-    assert Manifest.load(written).heads_of == "taught"
-    assert base.coarse_look == Manifest.load(written).coarse_look == look
-    assert base.output.withdraw.tree_contrast == Manifest.load(written).output.withdraw.tree_contrast == 6
-    assert not Manifest.load(tmp_path / "adapted" / "tiny_north_depth.yaml").heads_of
+    assert NetworkManifest.load(written).heads_of == "taught"
+    assert base.coarse_look == NetworkManifest.load(written).coarse_look == look
+    assert base.output.withdraw.tree_contrast == NetworkManifest.load(written).output.withdraw.tree_contrast == 6
+    assert not NetworkManifest.load(tmp_path / "adapted" / "tiny_north_depth.yaml").heads_of
     photo, truth = drawn_frame(40)
     first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
     np.testing.assert_array_equal(first.labels, second.labels)
@@ -89,7 +89,7 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.geometry.camera import Camera
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.training.depth_pyramid import DepthPyramidConfig, differences, joined, with_depth_of
     from ltm_lab.training.export import export, export_adapted
     from ltm_lab.training.exported import load_exported
@@ -100,7 +100,9 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
     tiny = with_steps(TINY, 6).model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
     first, _ = train(tiny, split, 7, lambda _: None)
     second, _ = train(tiny.model_copy(update={"seed": 9}), split, 7, lambda _: None)
-    bases = [Manifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))]
+    bases = [
+        NetworkManifest.load(export(n, tiny, labels, tmp_path / name)) for n, name in ((first, "a"), (second, "b"))
+    ]
     ours, theirs = (load_exported(base) for base in bases)
     photos = [drawn_frame(seed)[0] for seed in range(6)]
     config = DepthPyramidConfig(windows=24, steps=60, batch=3, learning_rate=0.005, average=0.5, width=96, height=64)
@@ -122,9 +124,9 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
 
     written = export_adapted(found, bases[0], "both", labels, tmp_path / "c", "joined by a test")
     photo = photos[5]
-    ids = [Segmenter(m).segment(photo).labels for m in (bases[0], Manifest.load(written))]
+    ids = [Segmenter(m).segment(photo).labels for m in (bases[0], NetworkManifest.load(written))]
     np.testing.assert_array_equal(*ids)
-    again = load_exported(Manifest.load(written))
+    again = load_exported(NetworkManifest.load(written))
     further = Run.start(tiny, 7, again.state_dict())
     torch.testing.assert_close(further.network.state_dict(), again.state_dict())
     before = differences(found, theirs, photos[4:], config)
@@ -138,14 +140,14 @@ def test_a_network_takes_on_anothers_depth_and_keeps_its_labels(frames: Path, tm
 def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Path) -> None:
     """At its first step it gives the exported network's own labels; a checkpoint of it can be resumed."""
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.training.export import export
     from ltm_lab.training.exported import blended, load_exported
     from ltm_lab.training.loop import Run, score, train
 
     split, labels = read_split(frames, TINY.split, 7), LabelSet.load()
     first, _ = train(with_steps(TINY, 8), split, 7, lambda _: None)
-    base = Manifest.load(export(first, TINY, labels, tmp_path / "base"))
+    base = NetworkManifest.load(export(first, TINY, labels, tmp_path / "base"))
     weights = load_exported(base, fixed=1).state_dict()
     config = with_steps(TINY, 4)
     run = Run.start(config, 7, weights)
@@ -156,7 +158,7 @@ def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Pat
     resumed = Run.resume(tmp_path / "checkpoint.pt", config, 7)
     same = (torch.equal(a, b) for a, b in zip(resumed.network.parameters(), run.network.parameters(), strict=True))
     assert all(same)
-    second = load_exported(Manifest.load(export(network, TINY, labels, tmp_path / "next")))
+    second = load_exported(NetworkManifest.load(export(network, TINY, labels, tmp_path / "next")))
     mean = blended(load_exported(base), second, 0.25).classes.bias
     torch.testing.assert_close(mean, 0.75 * weights["classes.bias"] + 0.25 * second.classes.bias)
     assert not torch.equal(mean, second.classes.bias)
@@ -170,8 +172,8 @@ def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
     from scenes.networks import write_classifier
 
     from ltm_core.base.errors import ModelError
-    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.manifest import NetworkManifest
     from ltm_lab.training.exported import load_exported
 
     with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
-        load_exported(Manifest.load(write_classifier(tmp_path)))
+        load_exported(NetworkManifest.load(write_classifier(tmp_path)))

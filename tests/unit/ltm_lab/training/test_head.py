@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ImageError, ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.vision.head_choice_io import heads_to_choose
-from ltm_core.vision.label_head import find_head, read_head
+from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli.main import cli
 from ltm_lab.training.area_folds import by_area
@@ -124,8 +124,8 @@ def test_the_command_installs_a_head_that_is_better_where_it_was_not_taught(tmp_
     assert "what the head forgets" in result.output
     score = json.loads((tmp_path / "h.json").read_text())["photos"]
     assert score["head pink"]["f1"]["built"] > 0.9
-    manifest = Manifest.find("landscape_lite0")
-    head, content = read_head(out, manifest)
+    manifest = NetworkManifest.find("landscape_lite0")
+    head, content = read_label_head(out, manifest)
     assert out.stat().st_size < 20_000
     assert content.calibration is not None
     assert content.calibration.measured_on == "3 photos of 3 sites, held out by site"
@@ -140,8 +140,8 @@ def test_a_head_that_has_to_be_named_is_chosen_by_no_picture(tmp_path: Path) -> 
     photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
     result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out), "--by-name"])
     assert result.exit_code == 0, result.output
-    manifest = Manifest.find("landscape_lite0")
-    _, content = read_head(out, manifest)
+    manifest = NetworkManifest.find("landscape_lite0")
+    _, content = read_label_head(out, manifest)
     assert content.by_name
     assert content.domain is None
     taken, passed = heads_to_choose(manifest, out.parent)
@@ -149,10 +149,10 @@ def test_a_head_that_has_to_be_named_is_chosen_by_no_picture(tmp_path: Path) -> 
 
 
 def test_the_near_head_fits_the_network_that_ships_and_is_chosen_by_no_picture() -> None:
-    manifest = Manifest.find("landscape_lite0")
-    file = find_head("near", manifest)
+    manifest = NetworkManifest.find("landscape_lite0")
+    file = find_label_head("near", manifest)
     assert file is not None
-    head, content = read_head(file, manifest)
+    head, content = read_label_head(file, manifest)
     assert not head.doubt
     assert content.by_name
     taken, passed = heads_to_choose(manifest)
@@ -205,7 +205,7 @@ def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path
     write_classifier(tmp_path)
     with pytest.raises(ModelError, match="no convolution of network"):
         with_decoder_maps(onnx.load(tmp_path / "colors.onnx"))
-    model, channels = with_decoder_maps(onnx.load(Manifest.find("landscape_lite0").model_file()))
+    model, channels = with_decoder_maps(onnx.load(NetworkManifest.find("landscape_lite0").model_file()))
     assert channels == {"last": 32, "s2": 64, "s1": 64}
     assert [output.name for output in model.graph.output].count("last") == 1
 
@@ -252,8 +252,8 @@ def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> 
     out = tmp_path / "heads" / "mast.yaml"
     result = CliRunner().invoke(cli, ["train", "head", str(folder), "--out", str(out), "--one-view"])
     assert result.exit_code == 0, result.output
-    manifest = Manifest.find("landscape_lite0")
-    head, content = read_head(out, manifest)
+    manifest = NetworkManifest.find("landscape_lite0")
+    head, content = read_label_head(out, manifest)
     assert content.one_view
     assert content.calibration is not None
     assert content.calibration.measured_on == "1 photos of 1 sites, held out by area, all of one view"

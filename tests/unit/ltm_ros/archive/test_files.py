@@ -22,7 +22,8 @@ Store = Callable[[str, bytes], str]
 @pytest.fixture
 def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
     """Puts a file on a store in memory; gives its URL."""
-    monkeypatch.setattr(files, "WAITS_S", (0.0, 0.0))
+    monkeypatch.setattr(files, "TRIES", 3)
+    monkeypatch.setattr(files, "FIRST_WAIT_S", 0.0)
     memory = fsspec.filesystem("memory")
 
     def put(name: str, content: bytes) -> str:

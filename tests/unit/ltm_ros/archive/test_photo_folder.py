@@ -15,7 +15,7 @@ from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.photo_folder import photo_messages, photo_picture
-from ltm_ros.archive.pictures import PictureReader
+from ltm_ros.archive.pictures import ArchiveImageReader
 
 
 def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +36,7 @@ def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypat
     path.write_bytes(data)
     picture = photo_picture(data, 7)
     frame = ArchiveFrame("tower", 7, str(path), "", 7, len(data), picture_digest(picture), (), (), (), ())
-    with PictureReader(ArchiveFiles(CacheConfig())) as reader:
+    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
         assert bytes(reader.read(frame).data) == data
         os.truncate(path, 1 << 40)
         monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))

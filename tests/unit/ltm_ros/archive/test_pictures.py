@@ -21,10 +21,10 @@ from ltm_msgs_py.image import image_to_msg
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.pictures import PictureReader, SmallLook
+from ltm_ros.archive.pictures import ArchiveImageReader, SmallLook
 
 
-class _Pictures(PictureReader):
+class _Pictures(ArchiveImageReader):
     """Gives one picture for all frames."""
 
     def __init__(self, rgb: UInt8Array) -> None:
@@ -78,5 +78,5 @@ def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Pat
     (file,) = (tmp_path / "bag").glob("*.mcap")
     wanted = picture_digest(picture_of(raw, RAW_TYPE))
     frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
-    with PictureReader(ArchiveFiles(CacheConfig())) as reader:
+    with ArchiveImageReader(ArchiveFiles(CacheConfig())) as reader:
         assert reader.read(frame).size == (6, 4)

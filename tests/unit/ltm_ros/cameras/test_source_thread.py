@@ -9,7 +9,7 @@ from scenes.waiting import wait_for
 
 from ltm_core.geometry.camera import Camera
 from ltm_ros.cameras import source_thread
-from ltm_ros.cameras.protocols.picture import Nothing, Picture, Timing
+from ltm_ros.cameras.protocols.picture import CameraImage, Nothing, Timing
 from ltm_ros.cameras.source_thread import SourceThread
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.heartbeat import Activity
@@ -20,7 +20,7 @@ class Broken:
 
     pause = 0.01
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         raise KeyError("a bug of ours")
 
     def close(self) -> None:
@@ -30,8 +30,8 @@ class Broken:
 class Whole:
     pause = 0.01
 
-    def read(self) -> Picture | Nothing:
-        return Picture(Timing(arrived=0.0, oldest=0.0), jpeg=jpeg(scene(320, 180)))
+    def read(self) -> CameraImage | Nothing:
+        return CameraImage(Timing(arrived=0.0, oldest=0.0), jpeg=jpeg(scene(320, 180)))
 
     def close(self) -> None:
         """Nothing is open."""

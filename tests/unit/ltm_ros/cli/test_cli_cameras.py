@@ -85,7 +85,7 @@ def test_probe_finds_a_fixed_camera_and_its_entry_makes_a_site(small: SmallSite)
 def test_probe_finds_a_head_by_the_camera_s_bare_address(camera: HttpCamera, small: SmallSite) -> None:
     where = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48)
     said = run("probe", camera.url(""), *where, "--site", small.path, "--camera", "north")
-    for told in ("head speaks", "vapix", "-180 to 180 deg", "1 to 9999", "north, east, south ridge", "123.40 deg"):
+    for told in ("PTZ head speaks", "vapix", "-180 to 180 deg", "1 to 9999", "north, east, south ridge", "123.40 deg"):
         assert told in said
     north = load_site(small.path).camera("north")
     assert north.ptz is not None
@@ -217,7 +217,7 @@ def test_nothing_there_is_told_with_what_was_asked() -> None:
     with running() as camera:
         camera.behaviour.status = 404
         with pytest.raises(
-            ConfigError, match=r"neither a picture nor a head[\s\S]*/snapshot.jpg: the camera answers HTTP 404"
+            ConfigError, match=r"neither a picture nor a PTZ head[\s\S]*/snapshot.jpg: the camera answers HTTP 404"
         ):
             run("probe", camera.url())
 
@@ -304,8 +304,8 @@ LENS = {
 }
 
 
-def write_head(small: SmallSite, camera: HttpCamera, **ptz: object) -> None:
-    """The tower of the small site becomes a head that is asked by VAPIX."""
+def write_label_head(small: SmallSite, camera: HttpCamera, **ptz: object) -> None:
+    """The tower of the small site becomes a PTZ head that is asked by VAPIX."""
     content = yaml.safe_load(small.path.read_text())
     content["cameras"]["tower"] = {
         "source": {"kind": "snapshot", "url": camera.url(), "every": 0.2},
@@ -320,7 +320,7 @@ def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: Fa
     head.place = (95.0, -14.0, 1.0)
     head.send(head.place)
     with running(ptz_camera(head, lambda place: seen)) as camera:
-        write_head(small, camera, patrol={"presets": ["north"]})
+        write_label_head(small, camera, patrol={"presets": ["north"]})
         mount = load_site(small.path).camera("tower").mount
         assert mount is not None
         model = mount.model(small.dem, small.site.frame)
@@ -350,9 +350,9 @@ def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: Fa
 
 def test_snapshot_tells_why_there_is_no_picture(tmp_path: Path, camera: HttpCamera, head: FakeHead) -> None:
     small = write_small_site(tmp_path, recording=False)
-    write_head(small, camera)
+    write_label_head(small, camera)
     head.slew(20.0)
-    with pytest.raises(SourceError, match="tower gave no picture that can be used: moved: the head moves"):
+    with pytest.raises(SourceError, match="tower gave no picture that can be used: moved: the PTZ head moves"):
         run("snapshot", small.path, "tower", "--out", tmp_path / "out", "--tries", 2)
     assert not (tmp_path / "out").exists()
     with pytest.raises(ConfigError, match="mast of site hollow has no section `source`"):

@@ -1,4 +1,4 @@
-"""`ltm pose --site --camera`: a head is calibrated from files, and the site file has it afterwards."""
+"""`ltm pose --site --camera`: a PTZ head is calibrated from files, and the site file has it afterwards."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import pixel_rays
 from ltm_core.vision.labels import Label
 from ltm_ros.cli.main import cli
-from ltm_ros.cli.pose_mount import head_of
+from ltm_ros.cli.pose_mount import ptz_mount_of
 
 ORIGIN = (380_000.0, 3_800_000.0)
 TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
@@ -162,7 +162,7 @@ def test_a_lens_that_does_not_zoom_keeps_its_pixels_shape(tmp_path: Path) -> Non
     path.write_text(yaml.safe_dump(content))
     calibration = load_site(path).camera("north").calibration
     assert calibration is not None
-    lens, given = head_of(path, "north").lens.camera(0.0), calibration.camera()
+    lens, given = ptz_mount_of(path, "north").lens.camera(0.0), calibration.camera()
     assert (lens.width, lens.height, lens.cx, lens.cy) == (480, 300, 236.0, 151.5)
     assert (lens.fx, lens.fy) == pytest.approx((500.0, 470.0))
     assert lens.distortion == given.distortion
@@ -201,7 +201,7 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
         ),
         (
             ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--free", "k1"],
-            r"of a head, focal .* and position",
+            r"of a PTZ head, focal .* and position",
         ),
     ],
 )

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from ltm_ros.cli.doctor import doctor as command
 from ltm_ros.launching import shared_memory
 from ltm_ros.tower import doctor
-from ltm_ros.tower.doctor_finding import Condition, Finding
+from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
 
@@ -33,7 +33,7 @@ def answer(monkeypatch: pytest.MonkeyPatch, status: int, output: str, error: str
     monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: done)
 
 
-def found(findings: list[Finding], name: str) -> Finding:
+def found(findings: list[DoctorFinding], name: str) -> DoctorFinding:
     (finding,) = [finding for finding in findings if finding.name == name]
     return finding
 
@@ -55,12 +55,12 @@ def test_package_absent_or_too_old(monkeypatch: pytest.MonkeyPatch) -> None:
     findings = list(doctor.check_packages())
     numpy, rich, rerun = findings
     assert (numpy.state, numpy.detail, numpy.remedy) == (
-        Condition.MISSING,
+        DoctorState.MISSING,
         "1.20.0, needed >=1.26",
         "pip install 'numpy>=1.26'",
     )
-    assert (rich.state, rich.remedy) == (Condition.OK, "")
-    assert (rerun.area, rerun.state) == ("packages [view]", Condition.OPTIONAL)
+    assert (rich.state, rich.remedy) == (DoctorState.OK, "")
+    assert (rerun.area, rerun.state) == ("packages [view]", DoctorState.OPTIONAL)
     assert rerun.remedy == "pip install 'rerun-sdk>=0.28'"
     assert not doctor.healthy(findings)
     assert doctor.healthy([rich, rerun])
@@ -90,7 +90,7 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
 def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     (rclpy,) = doctor.check_ros()
-    assert rclpy.state is Condition.MISSING
+    assert rclpy.state is DoctorState.MISSING
     assert "pip install 'ltm[ros]'" in rclpy.remedy
     assert "apt install ros-jazzy-ros-base" in rclpy.remedy
     assert list(doctor.check_transport()) == []
@@ -98,27 +98,27 @@ def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_transport_in_use() -> None:
     findings = list(doctor.check_transport())
-    assert {finding.state for finding in findings} == {Condition.OK}
+    assert {finding.state for finding in findings} == {DoctorState.OK}
     assert found(findings, "participant").detail == "rmw_fastrtps_cpp, shared memory of 70 MB and UDP"
 
 
 def test_profile_that_is_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/such.xml")
     profile = found(list(doctor.check_transport()), "profile")
-    assert (profile.state, profile.remedy) == (Condition.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
+    assert (profile.state, profile.remedy) == (DoctorState.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
 def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
     participant = found(list(doctor.check_transport()), "participant")
-    assert participant.state is Condition.WARNING
+    assert participant.state is DoctorState.WARNING
     assert "0.5 MB: too small for images" in participant.detail
 
 
 def test_participant_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 1, "", "Traceback\nRuntimeError: no rmw_zenoh_cpp")
     participant = found(list(doctor.check_transport()), "participant")
-    assert participant.state is Condition.MISSING
+    assert participant.state is DoctorState.MISSING
     assert participant.detail.endswith("RuntimeError: no rmw_zenoh_cpp")
 
 
@@ -126,10 +126,10 @@ def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(shared_memory, "free_bytes", lambda: 64 << 20)
     monkeypatch.setattr(shared_memory, "survey", lambda: shared_memory.SharedMemory(("a",), ("b", "c"), (), 140 << 20))
     room, segments = doctor.check_shared_memory()
-    assert (room.state, room.detail) == (Condition.WARNING, "64 MB free, enough for 0 nodes")
+    assert (room.state, room.detail) == (DoctorState.WARNING, "64 MB free, enough for 0 nodes")
     assert "--shm-size" in room.remedy
     assert segments.detail == "1 in use, 2 objects of dead processes (140 MB)"
-    assert segments.state is Condition.WARNING
+    assert segments.state is DoctorState.WARNING
 
 
 def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -150,8 +150,8 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(onnx_model, "OnnxModel", damaged)
     default, *others = doctor.check_models()
-    assert (default.name, default.state) == (DEFAULT_MODEL, Condition.MISSING)
-    assert all(other.state is Condition.OPTIONAL for other in others)
+    assert (default.name, default.state) == (DEFAULT_MODEL, DoctorState.MISSING)
+    assert all(other.state is DoctorState.OPTIONAL for other in others)
 
 
 def test_the_installed_tower_is_looked_at_where_there_is_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -164,11 +164,13 @@ def test_the_installed_tower_is_looked_at_where_there_is_one(monkeypatch: pytest
     assert [one.remedy for one in doctor.check_tower(other)] == [f"ltm check {other}"]
 
 
-@pytest.mark.parametrize(("state", "status"), [(Condition.MISSING, 1), (Condition.WARNING, 0), (Condition.OPTIONAL, 0)])
-def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: Condition, status: int) -> None:
+@pytest.mark.parametrize(
+    ("state", "status"), [(DoctorState.MISSING, 1), (DoctorState.WARNING, 0), (DoctorState.OPTIONAL, 0)]
+)
+def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: DoctorState, status: int) -> None:
     findings = [
-        Finding("machine", "cores", Condition.OK, "2"),
-        Finding("ros", "rclpy", state, "[x] not found", "mend it"),
+        DoctorFinding("machine", "cores", DoctorState.OK, "2"),
+        DoctorFinding("ros", "rclpy", state, "[x] not found", "mend it"),
     ]
     monkeypatch.setattr(doctor, "examine", lambda _: findings)
     app = typer.Typer()
@@ -186,10 +188,10 @@ def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: Condition, s
 
 def test_sound_packages_share_a_line() -> None:
     given = [
-        Finding("packages", "numpy", Condition.OK, "2.4"),
-        Finding("packages", "scipy", Condition.OK, "1.17"),
-        Finding("packages", "mcap", Condition.MISSING, "not installed", "pip install mcap"),
-        Finding("packages [view]", "rerun-sdk", Condition.OK, "0.41"),
+        DoctorFinding("packages", "numpy", DoctorState.OK, "2.4"),
+        DoctorFinding("packages", "scipy", DoctorState.OK, "1.17"),
+        DoctorFinding("packages", "mcap", DoctorState.MISSING, "not installed", "pip install mcap"),
+        DoctorFinding("packages [view]", "rerun-sdk", DoctorState.OK, "0.41"),
     ]
     assert [line.detail for line in doctor.summed_up(given)] == [
         "numpy 2.4, scipy 1.17",

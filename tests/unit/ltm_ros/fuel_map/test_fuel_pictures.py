@@ -28,7 +28,7 @@ from typer.testing import CliRunner
 import ltm_ros.fuel_map.export
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.fuel.cell_counts import CoverageMap
-from ltm_core.fuel.codes import FuelRegion, fuel_models
+from ltm_core.fuel.codes import FuelClimate, fuel_models
 from ltm_core.fuel.colors import code_color, code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
@@ -55,7 +55,7 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.fuel_map.pictures import places_of, seen_window, when
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime.health import Health
 
 PALETTE = life_form_labels(LABELS)
@@ -69,7 +69,7 @@ def flat() -> Dem:
 
 
 def layers(classes: np.ndarray) -> FuelLayers:
-    return layers_of_classes(classes, None, FuelRegion.named("dry"))
+    return layers_of_classes(classes, None, FuelClimate.named("dry"))
 
 
 def bare(canvas: FuelCanvas, picture: np.ndarray) -> np.ndarray:
@@ -225,10 +225,10 @@ def export(*arguments: Any) -> str:
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> tuple[Path, Path, FuelMap]:
+def kept(tmp_path: Path) -> tuple[Path, Path, FuelMapHandler]:
     """Site file and store of a map whose covers change over the years, and its node, which has ended."""
     site = write_grass_site(tmp_path)
-    node = FuelMap(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
+    node = FuelMapHandler(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
     node.start()
     for number in range(60):
         stamp = stamp_of_frame(number) + (number // 30) * 400 * 86400 * 10**9
@@ -238,7 +238,7 @@ def kept(tmp_path: Path) -> tuple[Path, Path, FuelMap]:
     return site, tmp_path / "kept" / "fuel_map.ltm", node
 
 
-def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMap], tmp_path: Path) -> None:
+def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMapHandler], tmp_path: Path) -> None:
     site, store, node = kept
     now = node.persistence.map.layers()
     for name, arguments in {
@@ -272,7 +272,7 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
 
 
 def test_change_is_drawn_of_the_part_that_cameras_have_seen(
-    kept: tuple[Path, Path, FuelMap], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: tuple[Path, Path, FuelMapHandler], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site, store, node = kept
     grid, layers = grid_of(site), node.persistence.map.layers()

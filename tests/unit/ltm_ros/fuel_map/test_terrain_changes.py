@@ -29,7 +29,7 @@ from ltm_msgs_py.grid import changed_to_msg, classes_to_msg, msg_to_classes
 from ltm_msgs_py.pointcloud import msg_to_fuel_cells
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE, TERRAIN_CHANGE, TERRAIN_UPDATE
@@ -54,7 +54,7 @@ class Node:
         self.outlet.now = now
         kept = "" if folder is None else str(folder)
         config = FuelMapConfig(site=str(site), folder=kept, allow_clear_and_burn=True)
-        self.handler = FuelMap(config, self.outlet, self.health)
+        self.handler = FuelMapHandler(config, self.outlet, self.health)
         self.handler.start()
         self.fuel = grid_of(site)
         self.terrain = terrain_grid(load_site(site).open_dem().geometry, CELL)
@@ -266,7 +266,7 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
 
 
 def test_a_site_without_terrain_does_not_listen(tmp_path: Path) -> None:
-    handler = FuelMap(FuelMapConfig(site=str(write_site(tmp_path))), Kept(), Health())
+    handler = FuelMapHandler(FuelMapConfig(site=str(write_site(tmp_path))), Kept(), Health())
     assert not [topic for topic in handler.subscriptions if "terrain" in topic.name]
 
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from scenes.small_site import write_small_site
 
-from ltm_core.base.finding import Finding, Verdict
+from ltm_core.base.finding import SiteFinding, SiteVerdict
 from ltm_core.raster import prepared_heights_io
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_ros.launching import site_check
@@ -21,35 +21,37 @@ from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine
 from ltm_ros.recordings.replay import run as replay_run
 
 
-def finding(area: str, verdict: Verdict) -> Finding:
-    return Finding(area, "x", verdict, "")
+def finding(area: str, verdict: SiteVerdict) -> SiteFinding:
+    return SiteFinding(area, "x", verdict, "")
 
 
 @pytest.mark.parametrize(
     ("findings", "status"),
     [
         ([], 0),
-        ([finding("terrain", Verdict.OK), finding("cameras", Verdict.DOUBTFUL)], 0),
-        ([finding(MACHINE, Verdict.WRONG), finding("terrain", Verdict.OK)], 1),
-        ([finding(MACHINE, Verdict.WRONG), finding("fuel", Verdict.WRONG)], 78),
+        ([finding("terrain", SiteVerdict.OK), finding("cameras", SiteVerdict.DOUBTFUL)], 0),
+        ([finding(MACHINE, SiteVerdict.WRONG), finding("terrain", SiteVerdict.OK)], 1),
+        ([finding(MACHINE, SiteVerdict.WRONG), finding("fuel", SiteVerdict.WRONG)], 78),
     ],
 )
-def test_exit_status(findings: list[Finding], status: int) -> None:
+def test_exit_status(findings: list[SiteFinding], status: int) -> None:
     """78 only for what the site file must be mended for: a disk that is full today may have room tomorrow."""
     assert exit_status(findings) == status
 
 
 @pytest.mark.parametrize(
-    ("free", "verdict"), [(50 << 20, Verdict.WRONG), (1 << 30, Verdict.DOUBTFUL), (9 << 30, Verdict.OK)]
+    ("free", "verdict"), [(50 << 20, SiteVerdict.WRONG), (1 << 30, SiteVerdict.DOUBTFUL), (9 << 30, SiteVerdict.OK)]
 )
-def test_room_for_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, verdict: Verdict) -> None:
+def test_room_for_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, verdict: SiteVerdict
+) -> None:
     monkeypatch.setattr(site_check, "free_bytes", lambda folder: free)
     site = write_small_site(tmp_path, recording=False).path
     found = examine(site, Wanted(folders={"state": tmp_path / "map"})).findings
     (room,) = [one for one in found if one.name == "state"]
     assert room.verdict is verdict
     assert f"{free / 1e9:.1f} GB free" in room.said
-    assert ("make room" in room.said) is (verdict is not Verdict.OK)
+    assert ("make room" in room.said) is (verdict is not SiteVerdict.OK)
 
 
 def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: Path) -> None:
@@ -59,7 +61,7 @@ def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: P
         site.write_text(site.read_text() + yaml.safe_dump({"health": {"port": port}}))
         found = examine(site, Wanted(health={})).findings
     (of_port,) = [one for one in found if one.name == "health"]
-    assert of_port.verdict is Verdict.DOUBTFUL
+    assert of_port.verdict is SiteVerdict.DOUBTFUL
     assert f"127.0.0.1:{port} cannot be listened on (Address already in use): end what uses it" in of_port.said
     assert "the tower runs, and tries again" in of_port.said
     assert exit_status(found) == 0
@@ -70,10 +72,10 @@ def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     site = write_small_site(tmp_path, recording=False).path
     wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
     (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
-    assert (found.verdict, found.said) == (Verdict.OK, "11 nodes in 4 processes, parameters as they take them")
+    assert (found.verdict, found.said) == (SiteVerdict.OK, "11 nodes in 4 processes, parameters as they take them")
     wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
     (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
-    assert found.verdict is Verdict.WRONG
+    assert found.verdict is SiteVerdict.WRONG
     assert "nodes.recorder" in found.said
     assert "max_bytes" in found.said
 
@@ -85,7 +87,7 @@ def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(site_check, "ProcessPoolExecutor", Killed)
     (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
-    assert (found.area, found.verdict) == (MACHINE, Verdict.WRONG)
+    assert (found.area, found.verdict) == (MACHINE, SiteVerdict.WRONG)
     assert "larger than the memory" in found.said
 
 
@@ -116,7 +118,7 @@ def test_what_a_source_lacks_is_doubted_and_keeps_nothing_from_starting(
     def doubts() -> list[str]:
         found = [one for one in examine(small.path, Wanted()).findings if one.name.startswith("source of")]
         assert exit_status(found) == 0
-        return [one.said for one in found if one.verdict is Verdict.DOUBTFUL]
+        return [one.said for one in found if one.verdict is SiteVerdict.DOUBTFUL]
 
     first = doubts()
     assert len(first) == 3
@@ -136,7 +138,7 @@ def test_the_dem_of_a_graph_that_starts_is_prepared(tmp_path: Path, monkeypatch:
 
     def said() -> list[str]:
         found = [one for one in examined_apart(small.path, Wanted()) if (one.area, one.name) == (MACHINE, "dem")]
-        assert {one.verdict for one in found} <= {Verdict.OK}
+        assert {one.verdict for one in found} <= {SiteVerdict.OK}
         return [one.said for one in found]
 
     examine(small.path, Wanted())

@@ -10,28 +10,28 @@ from pathlib import Path
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_ros.launching.supervisor import Backoff, NodeProcess, ProcessState, RestartPolicy, describe_exit
+from ltm_ros.launching.supervisor import NodeProcess, ProcessState, RestartDelay, RestartPolicy, describe_exit
 from ltm_ros.runtime.handler import EX_CONFIG
 
 QUICK = RestartPolicy(initial_s=0.01, maximum_s=0.02, config_tries=2)
 
 
 def test_waits_longer_after_each_death_up_to_a_limit() -> None:
-    backoff = Backoff(RestartPolicy(initial_s=0.5, factor=3.0, maximum_s=10.0, healthy_s=20.0))
-    assert [backoff.after(1, 0.1) for _ in range(5)] == [0.5, 1.5, 4.5, 10.0, 10.0]
-    assert backoff.after(-9, 20.0) == 0.5, "a healthy run starts anew"
-    assert backoff.after(0, 19.9) == 1.5
+    delay = RestartDelay(RestartPolicy(initial_s=0.5, maximum_s=10.0, healthy_s=20.0))
+    assert [delay.after(1, 0.1) for _ in range(5)] == [0.5, 1.0, 2.0, 4.0, 8.0]
+    assert delay.after(-9, 20.0) == 0.5, "a healthy run starts anew"
+    assert delay.after(0, 19.9) == 1.0
     for _ in range(2000):
-        assert backoff.after(1, 0.0) is not None
-    assert backoff.after(1, 0.0) == 10.0
+        assert delay.after(1, 0.0) is not None
+    assert delay.after(1, 0.0) == 10.0
 
 
 def test_gives_up_only_after_configuration_errors_in_a_row() -> None:
-    backoff = Backoff(RestartPolicy(initial_s=0.5, config_tries=2))
-    assert backoff.after(EX_CONFIG, 0.0) is not None
-    assert backoff.after(1, 0.0) is not None
-    assert backoff.after(EX_CONFIG, 0.0) is not None
-    assert backoff.after(EX_CONFIG, 0.0) is None
+    delay = RestartDelay(RestartPolicy(initial_s=0.5, config_tries=2))
+    assert delay.after(EX_CONFIG, 0.0) is not None
+    assert delay.after(1, 0.0) is not None
+    assert delay.after(EX_CONFIG, 0.0) is not None
+    assert delay.after(EX_CONFIG, 0.0) is None
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
-from ltm_ros.nodes.capture import Capture, CaptureConfig
+from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -85,17 +85,17 @@ def site(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def capture_of(site: Callable[..., Path]) -> Callable[..., tuple[Capture, Kept, Health]]:
-    def make(camera: dict[str, Any] | None = None, **parameters: Any) -> tuple[Capture, Kept, Health]:
+def capture_of(site: Callable[..., Path]) -> Callable[..., tuple[CaptureHandler, Kept, Health]]:
+    def make(camera: dict[str, Any] | None = None, **parameters: Any) -> tuple[CaptureHandler, Kept, Health]:
         outlet, health = Kept(), Health()
         outlet.now = 200 * S  # as a simulation's clock, which begins at zero
         config = CaptureConfig(site=str(site(**(camera or {}))), camera="eye", **parameters)
-        return Capture(config, outlet, health), outlet, health
+        return CaptureHandler(config, outlet, health), outlet, health
 
     return make
 
 
-CaptureOf = Callable[..., tuple[Capture, Kept, Health]]
+CaptureOf = Callable[..., tuple[CaptureHandler, Kept, Health]]
 
 
 @pytest.mark.parametrize("order", ["ipc", "icp", "pic", "pci", "cip", "cpi"])
@@ -290,13 +290,13 @@ def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
 
 def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
     with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
-        Capture(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
+        CaptureHandler(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
 
 
 FUSE = "/ridge/eye/topodepth"
 
 
-def offered(capture: Capture, *stamps: int) -> None:
+def offered(capture: CaptureHandler, *stamps: int) -> None:
     capture.on_camera_info(info(0))
     for stamp in stamps:
         capture.subscriptions[POSE](pose(stamp))
@@ -343,7 +343,7 @@ def test_what_is_no_image_of_the_camera_takes_no_place_at_the_door(capture_of: C
 HUGE = np.finfo(np.float64).max
 
 
-def posed_covariances(capture: Capture, outlet: Kept, *matrices: Any) -> list[Any]:
+def posed_covariances(capture: CaptureHandler, outlet: Kept, *matrices: Any) -> list[Any]:
     """What leaves for frames whose poses come with these covariances."""
     capture.on_camera_info(info(0))
     for number, matrix in enumerate(matrices, start=1):

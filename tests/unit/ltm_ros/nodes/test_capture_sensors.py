@@ -26,7 +26,7 @@ from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import make_header
-from ltm_ros.nodes.capture import Capture, CaptureConfig
+from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FIX, IMU, POSE, POSED_IMAGE, POSED_POSE
 
@@ -66,17 +66,21 @@ def info(portrait: bool = False) -> Any:
     return camera_to_msg(Camera(*size, 48.0, 48.0, (size[0] - 1) / 2, (size[1] - 1) / 2), STAMP, "phone")
 
 
-def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[Capture, Kept, Health]:
+def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[CaptureHandler, Kept, Health]:
     phone_site(tmp_path)
     document = yaml.safe_load((tmp_path / "site.yaml").read_text())
     document["cameras"] = {"phone": {"sensors": sensors, **camera}}
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
     outlet, health = Kept(), Health()
     outlet.now = STAMP + S
-    return Capture(CaptureConfig(site=str(tmp_path / "site.yaml"), camera="phone"), outlet, health), outlet, health
+    return (
+        CaptureHandler(CaptureConfig(site=str(tmp_path / "site.yaml"), camera="phone"), outlet, health),
+        outlet,
+        health,
+    )
 
 
-def feed(node: Capture, attitude: Any) -> None:
+def feed(node: CaptureHandler, attitude: Any) -> None:
     node.on_camera_info(info())
     node.subscriptions[FIX](fix())
     node.subscriptions[IMU](attitude)

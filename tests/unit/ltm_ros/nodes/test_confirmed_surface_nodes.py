@@ -23,8 +23,8 @@ from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.launching.graph import describe
-from ltm_ros.nodes.depth import Depth, DepthConfig
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
+from ltm_ros.nodes.depth import DepthConfig, DepthHandler
+from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -67,9 +67,9 @@ class Chain:
         self.graph = describe(self.small.site, self.small.path, parameters=parameters)
         self.told, self.traced = Kept(), Kept()
         self.health, self.depth_health = Health(), Health()
-        self.terrain = Terrain(TerrainNodeConfig.model_validate(self._given("terrain")), self.told, self.health)
+        self.terrain = TerrainHandler(TerrainNodeConfig.model_validate(self._given("terrain")), self.told, self.health)
         self.terrain.start()
-        self.depth = Depth(DepthConfig.model_validate(self._given("mast/depth")), self.traced, self.depth_health)
+        self.depth = DepthHandler(DepthConfig.model_validate(self._given("mast/depth")), self.traced, self.depth_health)
         self.hand_over()
 
     def look(self, surface: Dem, hours: float) -> None:

@@ -17,7 +17,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.nodes.depth import Depth, DepthConfig
+from ltm_ros.nodes.depth import DepthConfig, DepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FINISHED, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
 
@@ -50,7 +50,7 @@ def write_site(folder: Path, with_surface: bool) -> Path:
 def traced(folder: Path, with_surface: bool, *listened: object, **config: object) -> Kept:
     kept = Kept(*listened)
     site = str(write_site(folder, with_surface))
-    node = Depth(DepthConfig(site=site, camera="mast", **config), kept, Health())
+    node = DepthHandler(DepthConfig(site=site, camera="mast", **config), kept, Health())
     node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
     node.subscriptions[POSED_POSE](pose_to_msg(depth_scene().traced.pose, STAMP))
     return kept
@@ -85,7 +85,7 @@ def test_nothing_is_traced_twice_while_nobody_listens(tmp_path: Path) -> None:
 def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """12,000 x 9,000 from a stranger on the inner topic: tracing it took 4.75 GB."""
     kept, health = Kept(), Health()
-    node = Depth(DepthConfig(site=str(write_site(tmp_path, False)), camera="mast"), kept, health)
+    node = DepthHandler(DepthConfig(site=str(write_site(tmp_path, False)), camera="mast"), kept, health)
 
     def trace(*_: object) -> None:
         raise AssertionError("traced")

@@ -15,7 +15,7 @@ from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.nodes.fuel_votes import FuelVotes
+from ltm_ros.nodes.fuel_votes import FuelVotesHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
 from ltm_ros.runtime.topics import (
@@ -44,7 +44,7 @@ def frames_counted(
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content | {"fuel": {"growth": growth}}))
     outlet, health = Kept(), Health()
-    handler = FuelVotes(JoinConfig(site=str(path), camera="mast"), outlet, health)
+    handler = FuelVotesHandler(JoinConfig(site=str(path), camera="mast"), outlet, health)
     pose = next(frame.pose for frame in small.frames(1) if frame.camera_name == "mast")
     depth = small.tracer.trace(MAST, pose).depth()
     labels = np.full(depth.shape, label, np.uint8)

@@ -29,7 +29,7 @@ from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import describe
-from ltm_ros.nodes.locate import Locate, LocateConfig
+from ltm_ros.nodes.locate import LocateConfig, LocateHandler
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
@@ -75,7 +75,7 @@ class Running:
     def __init__(self, folder: Path, **content: Any) -> None:
         self.kept, self.health = Kept(), Health()
         site = str(write_site(folder, locating={"dem_sigma": 0.5}, **content))
-        self.node = Locate(LocateConfig(site=site), self.kept, self.health)
+        self.node = LocateHandler(LocateConfig(site=site), self.kept, self.health)
         self.kept.now = STAMP + 60 * SECOND
 
     def of(self, camera: str, topic: Topic) -> Topic:
@@ -383,7 +383,7 @@ def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
     path = write_site(tmp_path)
     assert "locate" not in [node.label for node in describe(load_site(path), path)]
     with pytest.raises(ConfigError, match="no section `locating`"):
-        Locate(LocateConfig(site=str(path)), Kept(), Health())
+        LocateHandler(LocateConfig(site=str(path)), Kept(), Health())
     path = write_site(tmp_path, locating={})
     graph = describe(load_site(path), path)
     assert graph.node("locate").namespace == "/hollow"

@@ -31,8 +31,8 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
 from ltm_msgs_py.skyline_turns import msg_to_turns
 from ltm_ros.launching.graph import describe
-from ltm_ros.nodes.capture import Capture, CaptureConfig
-from ltm_ros.nodes.pose import PoseKeeping, PoseKeepingConfig
+from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
+from ltm_ros.nodes.pose import PoseHandler, PoseKeepingConfig
 from ltm_ros.recordings.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
@@ -76,7 +76,7 @@ def write_site(folder: Path, **refine: Any) -> str:
     return str(path)
 
 
-def show(node: PoseKeeping, stamp: int) -> None:
+def show(node: PoseHandler, stamp: int) -> None:
     """A picture from TRUE, said to be from STATED."""
     photo, labels = view(TRUE)
     noise = np.random.default_rng(stamp % 1000).normal(scale=3.0, size=photo.shape)
@@ -89,7 +89,7 @@ def show(node: PoseKeeping, stamp: int) -> None:
 
 def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
     site, kept, health = write_site(tmp_path, every=10.0, gather=2), Kept(), Health()
-    node = PoseKeeping(PoseKeepingConfig(site=site, camera="mast"), kept, health)
+    node = PoseHandler(PoseKeepingConfig(site=site, camera="mast"), kept, health)
     show(node, STAMP)
     show(node, STAMP + 3 * SECOND)  # too soon to be looked at
     assert not kept.on(POSE_CORRECTION)
@@ -108,7 +108,7 @@ def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.degrees(told.rotation), rotation_deg, atol=1e-3)
 
     sent = Kept()
-    capture = Capture(CaptureConfig(site=site, camera="mast"), sent, Health())
+    capture = CaptureHandler(CaptureConfig(site=site, camera="mast"), sent, Health())
     for stamp in (STAMP, STAMP + SECOND):
         if stamp > STAMP:
             capture.subscriptions[POSE_CORRECTION](correction)
@@ -134,12 +134,12 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     folder = tmp_path / "state"
     calibration = {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
 
-    def started(**camera: Any) -> tuple[PoseKeeping, Kept, Health]:
+    def started(**camera: Any) -> tuple[PoseHandler, Kept, Health]:
         content = yaml.safe_load(site.read_text())
         content["cameras"]["mast"] = {"image": "raw"} | camera
         site.write_text(yaml.safe_dump(content))
         kept, health = Kept(), Health()
-        node = PoseKeeping(PoseKeepingConfig(site=str(site), camera="mast", folder=str(folder)), kept, health)
+        node = PoseHandler(PoseKeepingConfig(site=str(site), camera="mast", folder=str(folder)), kept, health)
         node.start()
         return node, kept, health
 
@@ -195,7 +195,7 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
         content = yaml.safe_load(Path(write_site(tmp_path, every=10.0, gather=2)).read_text())
         content["cameras"]["mast"]["mask"] = mask
         (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-        node = PoseKeeping(PoseKeepingConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
+        node = PoseHandler(PoseKeepingConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
         node.subscriptions[STATED_POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
         node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
         node.subscriptions[POSED_IMAGE](image_to_msg(photo, "rgb8", STAMP, "mast_optical"))
@@ -215,7 +215,7 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
 
 def test_a_picture_by_night_is_not_looked_at_and_the_next_one_is(tmp_path: Path) -> None:
     health = Health()
-    node = PoseKeeping(
+    node = PoseHandler(
         PoseKeepingConfig(site=write_site(tmp_path, every=10.0, gather=2), camera="mast"), Kept(), health
     )
     photo, labels = view(TRUE)
@@ -245,9 +245,9 @@ def test_a_correction_travels(angles: Any) -> None:
 def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
     site = write_site(tmp_path)
     with pytest.raises(ConfigError, match="refine_poses"):
-        PoseKeeping(PoseKeepingConfig(site=site, camera="mast"), Kept(), Health())
+        PoseHandler(PoseKeepingConfig(site=site, camera="mast"), Kept(), Health())
     sent = Kept()
-    capture = Capture(CaptureConfig(site=site, camera="mast"), sent, Health())
+    capture = CaptureHandler(CaptureConfig(site=site, camera="mast"), sent, Health())
     assert POSE_CORRECTION not in capture.subscriptions
     capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
     capture.subscriptions[POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))

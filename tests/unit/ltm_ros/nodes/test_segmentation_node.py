@@ -1,4 +1,5 @@
-"""segmentation with `head: auto`: labels are the chosen head's, and labels/info and diagnostics say which it is."""
+"""segmentation with `label_head: auto`: labels are the chosen head's, and labels/info and diagnostics say which it
+is."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import image_to_msg, msg_to_array
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_ros.archive.content_digest import votes_digest
-from ltm_ros.nodes.segmentation import Segmentation, SegmentationConfig
+from ltm_ros.nodes.segmentation import SegmentationConfig, SegmentationHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
 
@@ -40,20 +41,20 @@ def site(tmp_path: Path) -> Path:
     domain = {"axes": space.checksum, "centre": [2.0, -2.0, 0.0], "spread": 0.5, "sites": 2}
     write_swapping_head(small.folder / "heads" / "swap.yaml", network, domain=domain)
     content = yaml.safe_load(small.path.read_text())
-    content["heads"], content["cameras"]["mast"] = "heads", {**content["cameras"]["mast"], "head": "auto"}
+    content["label_heads"], content["cameras"]["mast"] = "heads", {**content["cameras"]["mast"], "label_head": "auto"}
     content["cameras"]["mast"]["judge_pictures"] = False
     small.path.write_text(yaml.safe_dump(content))
     return SmallSite(small.folder).path
 
 
-def _node(site: Path) -> tuple[Segmentation, Kept, Health]:
+def _node(site: Path) -> tuple[SegmentationHandler, Kept, Health]:
     kept, health = Kept(), Health()
-    node = Segmentation(SegmentationConfig(site=str(site), camera="mast"), kept, health)
+    node = SegmentationHandler(SegmentationConfig(site=str(site), camera="mast"), kept, health)
     node.start()
     return node, kept, health
 
 
-def _send(node: Segmentation, photo: UInt8Array, stamp: int) -> None:
+def _send(node: SegmentationHandler, photo: UInt8Array, stamp: int) -> None:
     node.subscriptions[POSED_IMAGE](image_to_msg(photo, "rgb8", stamp, "mast_optical"))
 
 

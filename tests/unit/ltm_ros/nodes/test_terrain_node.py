@@ -23,7 +23,7 @@ from ltm_core.vision.labels import Label
 from ltm_msgs_py.grid import msg_to_changed, msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
 from ltm_ros.launching.graph import describe
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
+from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     FINISHED,
@@ -42,15 +42,15 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
     return write_terrain_site(tmp_path_factory.mktemp("site"))
 
 
-def node(small: SmallSite, **parameters: Any) -> tuple[Terrain, Kept, Health]:
+def node(small: SmallSite, **parameters: Any) -> tuple[TerrainHandler, Kept, Health]:
     outlet, health = Kept(), Health()
     config = TerrainNodeConfig(site=str(small.path), depth_from_elsewhere=True, **parameters)
-    terrain = Terrain(config, outlet, health)
+    terrain = TerrainHandler(config, outlet, health)
     terrain.start()
     return terrain, outlet, health
 
 
-def feed(terrain: Terrain, parts: dict[Any, Any]) -> None:
+def feed(terrain: TerrainHandler, parts: dict[Any, Any]) -> None:
     listens = {topic.name: callback for topic, callback in terrain.subscriptions.items()}
     for topic, message in parts.items():
         listens[camera_topic(NAME, "mast", topic)](message)
@@ -252,7 +252,7 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
 def test_a_site_without_measured_depth_is_refused(small: SmallSite) -> None:
     config = TerrainNodeConfig(site=str(small.path))
     with pytest.raises(ConfigError, match="traced depth agrees with the DEM by construction: give `depth_model`"):
-        Terrain(config, Kept(), Health())
+        TerrainHandler(config, Kept(), Health())
 
 
 def test_the_graph_runs_it_where_the_site_asks_for_it(small: SmallSite) -> None:

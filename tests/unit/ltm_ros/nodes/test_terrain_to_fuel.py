@@ -14,8 +14,8 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.surface.change import ChangeKind
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.nodes.fuel_map import FuelMap
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
+from ltm_ros.nodes.fuel_map import FuelMapHandler
+from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import TERRAIN_CHANGE, camera_topic
 
@@ -28,7 +28,7 @@ def test_ground_that_has_moved_is_bare_in_the_fuel_map_and_nothing_else_is(tmp_p
     content.setdefault("fuel", {})["prior"] = "wood.tif"
     small.path.write_text(yaml.safe_dump(content))
     sent = Kept()
-    terrain = Terrain(TerrainNodeConfig(site=str(small.path), depth_from_elsewhere=True), sent, Health())
+    terrain = TerrainHandler(TerrainNodeConfig(site=str(small.path), depth_from_elsewhere=True), sent, Health())
     terrain.start()
     listens = {topic.name: callback for topic, callback in terrain.subscriptions.items()}
     for hours in (0, 2):
@@ -38,7 +38,7 @@ def test_ground_that_has_moved_is_bare_in_the_fuel_map_and_nothing_else_is(tmp_p
     terrain.finish()
 
     health = Health()
-    fuel = FuelMap(FuelMapConfig(site=str(small.path)), Kept(), health)
+    fuel = FuelMapHandler(FuelMapConfig(site=str(small.path)), Kept(), health)
     fuel.start()
     taken = dict(fuel.subscriptions)
     for topic, message in sent.sent:

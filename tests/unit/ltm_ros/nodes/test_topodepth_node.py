@@ -16,13 +16,13 @@ from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.depth.monocular import DepthNetwork
-from ltm_core.depth.topodepth import Source
+from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
+from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -75,7 +75,9 @@ class Node:
         write_depth_network(folder)
         path = site_file(folder)
         self.kept, self.health = Kept(NETWORK_DEPTH), Health()
-        self.handler = TopoDepth(TopoDepthConfig(site=str(path), camera="mast", **config), self.kept, self.health)
+        self.handler = TopoDepthHandler(
+            TopoDepthConfig(site=str(path), camera="mast", **config), self.kept, self.health
+        )
         answer = depth_scene().network() if network is None else network
         monkeypatch.setattr(DepthNetwork, "predict", lambda self, rgb, camera: answer)
 
@@ -114,7 +116,7 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     traced = scene.traced.depth()
     stand = scene.stand
     assert np.abs(depth[stand] - scene.truth[stand]).mean() < 0.4 * np.abs(traced[stand] - scene.truth[stand]).mean()
-    assert (source[~np.isfinite(scene.truth)] == Source.SKY).mean() > 0.98
+    assert (source[~np.isfinite(scene.truth)] == DepthSource.SKY).mean() > 0.98
     measured, sigma = (msg_to_depth(node.kept.on(topic)[0]) for topic in (MEASURED_DEPTH, MEASURED_SIGMA))
     np.testing.assert_array_equal(np.isfinite(measured), sigma > 0)
     assert np.isfinite(measured[stand[2::4, 2::4]]).mean() > 0.5
@@ -199,4 +201,4 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
 def test_a_site_without_a_depth_network_cannot_run_the_node(tmp_path: Path) -> None:
     path = site_file(tmp_path, depth_model="")
     with pytest.raises(ConfigError, match="no depth network; give `depth_model`"):
-        TopoDepth(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())
+        TopoDepthHandler(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())

@@ -17,7 +17,7 @@ from ltm_core.uplink.config import BrokerConfig, UplinkConfig
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
-from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, Uplink, UplinkNodeConfig, sector
+from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, UplinkHandler, UplinkNodeConfig, sector
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
 
@@ -43,7 +43,7 @@ def scene(tmp_path: Path) -> RegionScene:
 
 
 def test_votes_are_in_the_outbox_at_the_end_of_the_node(scene: RegionScene) -> None:
-    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
+    node = UplinkHandler(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
     topics = {topic.name for topic in node.subscriptions}
     assert topics == {
         f"/kern_map/{camera}/{what}" for camera in scene.site.cameras for what in ("fuel/votes", "labels/info")
@@ -73,7 +73,7 @@ def test_frames_that_no_disk_took_are_lost_aloud(scene: RegionScene, monkeypatch
     monkeypatch.setattr("ltm_ros.region.tower_link.Outbox", dead)
     monkeypatch.setattr("ltm_ros.region.tower_link.LAST_TRIES_S", 0.0)
     health = Health()
-    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), health)
+    node = UplinkHandler(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), health)
     node.start()
     for number in range(3):
         node.on_votes("alta_mast", votes_to_msg(votes(number, scene.geometry), LABELS.names))
@@ -119,7 +119,7 @@ def test_a_tower_without_an_outbox_tells_what_waits_all_the_same(
 
 
 def test_votes_that_no_region_takes_are_refused_at_once(scene: RegionScene) -> None:
-    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
+    node = UplinkHandler(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
     message = votes_to_msg(votes(1, scene.geometry), LABELS.names)
     message.header.frame_id = "x" * (2 << 20)
     with pytest.raises(MessageError, match="64000 at most"):
@@ -144,7 +144,7 @@ def test_the_sector_is_that_of_the_mean_bearing(
 
 def test_what_it_lacks_is_said(scene: RegionScene) -> None:
     with pytest.raises(ConfigError, match="--state FOLDER"):
-        Uplink(UplinkNodeConfig(site=str(scene.config.site)), Kept(), Health())
+        UplinkHandler(UplinkNodeConfig(site=str(scene.config.site)), Kept(), Health())
     (scene.certs / "alta.key").unlink()
     with pytest.raises(ConfigError, match=r"alta\.key: the key cannot be read"):
-        Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
+        UplinkHandler(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())

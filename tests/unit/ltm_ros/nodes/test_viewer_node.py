@@ -14,7 +14,7 @@ from scenes.outlets import Kept
 from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import MessageError
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
@@ -40,14 +40,14 @@ pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from rerun.chunk import RrdReader
 
-from ltm_ros.nodes.viewer import Viewer, ViewerConfig
+from ltm_ros.nodes.viewer import ViewerConfig, ViewerHandler
 from ltm_ros.viewer import RerunView
 
 STAMP = 1_700_000_000_000_000_000
 
 
-def viewer(path: Path, save: Path) -> Viewer:
-    return Viewer(ViewerConfig(site=str(path), save=str(save)), Kept(), Health())
+def viewer(path: Path, save: Path) -> ViewerHandler:
+    return ViewerHandler(ViewerConfig(site=str(path), save=str(save)), Kept(), Health())
 
 
 def test_fused_depth_is_shown_beside_traced_and_the_networks_of_the_same_stamp(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_the_prior_is_shown_under_what_cameras_have_touched(tmp_path: Path, monk
     monkeypatch.setattr(RerunView, "log_fuel_layers", lambda view, stamp, rasters: drawn.append(rasters))
     node = viewer(small.path, tmp_path / "view.rrd")
     take = {topic.name: callback for topic, callback in node.subscriptions.items()}
-    layers = layers_of_classes(np.full(grid.shape, LifeForm.SHRUB, np.uint8), None, FuelRegion.named("dry"))
+    layers = layers_of_classes(np.full(grid.shape, LifeForm.SHRUB, np.uint8), None, FuelClimate.named("dry"))
     touched = np.zeros(grid.shape, np.bool_)
     touched[1:3, 2:5] = True
     seen = replace(layers, last_seen=np.where(touched, STAMP, 0), changed=touched, seen_by=touched.astype(np.uint8))
@@ -164,7 +164,7 @@ def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) 
     grid = small.site.fuel_geometry(small.dem)
     classes = np.full(grid.shape, LifeForm.GRASS, np.uint8)
     classes[2:4, 3:5] = LifeForm.BURNED
-    layers = layers_of_classes(classes, None, FuelRegion.named("dry"))
+    layers = layers_of_classes(classes, None, FuelClimate.named("dry"))
     seen = replace(layers, last_seen=np.where(classes == LifeForm.BURNED, STAMP, 0))
     cells = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP)
     take[site_topic(small.site.name, FUEL_MAP_CELLS)](cells)

@@ -14,10 +14,10 @@ from scenes.waiting import wait_for
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower.patient_server import PatientServer
-from ltm_ros.tower.web_server import Answer
 
-ROUTES = {"/healthz": lambda: Answer(b"alive\n")}
+ROUTES = {"GET /healthz": lambda _: WebResponse(b"alive\n")}
 
 
 def answers(port: int) -> bool:
@@ -30,7 +30,7 @@ def answers(port: int) -> bool:
 def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     health, told, warned = Health(), list[str](), list[str]()
     with socket.create_server(("127.0.0.1", port := free_port())):
-        server = PatientServer(HealthConfig(port=port), ROUTES, {}, health, told.append, warned.append, retry_s=0.01)
+        server = PatientServer(HealthConfig(port=port), ROUTES, health, told.append, warned.append, retry_s=0.01)
         assert server.url is None
         assert health.troubled
         assert f"port: 127.0.0.1:{port} cannot be listened on (Address already in use)" in health.last_error
@@ -54,7 +54,7 @@ def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
     health = Health()
     (tmp_path / "token").write_text("0123456789abcdef")
     config = HealthConfig(port=free_port(), token=tmp_path / "token").model_copy(update={"address": "192.0.2.1"})
-    server = PatientServer(config, ROUTES, {}, health, pytest.fail, lambda _: None)
+    server = PatientServer(config, ROUTES, health, pytest.fail, lambda _: None)
     assert server.url is None
     assert "this machine has no such address now: is that network up?" in health.last_error
     server.close()
@@ -63,4 +63,4 @@ def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
 def test_what_time_does_not_mend_is_an_error(tmp_path: Path) -> None:
     config = HealthConfig(port=0, token=tmp_path / "none")
     with pytest.raises(ConfigError, match="cannot be read"):
-        PatientServer(config, ROUTES, {}, Health(), pytest.fail, pytest.fail)
+        PatientServer(config, ROUTES, Health(), pytest.fail, pytest.fail)

@@ -12,9 +12,10 @@ from scenes.free_port import free_port
 from scenes.small_site import NAME, write_small_site
 
 from ltm_core.site.sections import HealthConfig
+from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower import health_client as port_check
-from ltm_ros.tower.doctor_finding import Condition
-from ltm_ros.tower.web_server import Answer, WebServer
+from ltm_ros.tower.doctor_finding import DoctorState
+from ltm_ros.tower.patient_server import open_health_server
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def port_site(tmp_path: Path) -> tuple[Path, HealthConfig]:
 
 def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> None:
     (port,) = port_check.check_health_port(port_site[0])
-    assert (port.state, port.detail) == (Condition.OK, f"127.0.0.1:{port_site[1].port} is free: no tower runs")
+    assert (port.state, port.detail) == (DoctorState.OK, f"127.0.0.1:{port_site[1].port} is free: no tower runs")
 
 
 @pytest.mark.parametrize(
@@ -42,14 +43,14 @@ def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> 
 )
 def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer: Any, said: str) -> None:
     site, config = port_site
-    page = Answer(b"<html>") if answer is None else Answer.json(answer)
-    with closing(WebServer(config, {"/status.json": lambda: page})):
+    page = WebResponse(b"<html>") if answer is None else WebResponse.json(answer)
+    with closing(open_health_server(config, {"GET /status.json": lambda _: page})):
         (port,) = port_check.check_health_port(site)
     assert said in port.detail
     if not said:
-        assert (port.state, port.remedy) == (Condition.OK, "")
+        assert (port.state, port.remedy) == (DoctorState.OK, "")
         return
-    assert port.state is Condition.WARNING
+    assert port.state is DoctorState.WARNING
     assert f"127.0.0.1:{config.port} cannot be listened on (Address already in use): end what uses it" in port.remedy
     assert f"of {site}; the tower runs without, and tries again" in port.remedy
 
@@ -58,4 +59,4 @@ def test_a_site_without_a_port_and_one_that_cannot_be_read(tmp_path: Path) -> No
     assert list(port_check.check_health_port(write_small_site(tmp_path, recording=False).path)) == []
     (tmp_path / "broken.yaml").write_text("nonsense: 1")
     (broken,) = port_check.check_health_port(tmp_path / "broken.yaml")
-    assert (broken.state, broken.remedy) == (Condition.WARNING, f"ltm check {tmp_path / 'broken.yaml'}")
+    assert (broken.state, broken.remedy) == (DoctorState.WARNING, f"ltm check {tmp_path / 'broken.yaml'}")

@@ -19,13 +19,16 @@ from pydantic import ValidationError
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
-from ltm_ros.tower import web_server
+from ltm_ros.runtime.web_server import CONNECTIONS, WebResponse, WebServer
 from ltm_ros.tower.health_client import ask
-from ltm_ros.tower.web_server import CONNECTIONS, Answer, WebServer
+from ltm_ros.tower.patient_server import open_health_server
 
 TOKEN = "0123456789abcdef-token"
-ROUTES = {"/healthz": lambda: Answer(b"alive\n"), "/status.json": lambda: Answer.json({"ready": True})}
-TAKING = {"/mark": lambda body: Answer(b"taken: " + body)}
+ROUTES = {
+    "GET /healthz": lambda _: WebResponse(b"alive\n"),
+    "GET /status.json": lambda _: WebResponse.json({"ready": True}),
+    "POST /mark": lambda body: WebResponse(b"taken: " + body),
+}
 Start = Callable[..., WebServer]
 
 
@@ -34,7 +37,7 @@ def start() -> Iterator[Start]:
     servers: list[WebServer] = []
 
     def start(**keys: object) -> WebServer:
-        servers.append(WebServer(HealthConfig.model_validate({"port": 0} | keys), ROUTES, TAKING))
+        servers.append(open_health_server(HealthConfig.model_validate({"port": 0} | keys), ROUTES))
         return servers[-1]
 
     yield start
@@ -57,7 +60,7 @@ def get(
 
 
 def port_of(server: WebServer) -> int:
-    return int(server.url.rpartition(":")[2])
+    return server.port
 
 
 def config_for(server: WebServer, **keys: object) -> HealthConfig:
@@ -91,7 +94,7 @@ def test_answers_on_loopback(start: Start) -> None:
     assert get(server, "/healthz?verbose") == (200, b"alive\n")
     assert get(server, "/healthz", method="HEAD") == (200, b"")
     assert get(server, "/../../etc/passwd")[0] == 404
-    assert get(server, "/healthz", method="PUT")[0] == 501
+    assert get(server, "/healthz", method="DELETE")[0] == 501
     assert ask(config_for(server), "/status.json") == {"ready": True}
 
 
@@ -178,7 +181,7 @@ def get_again(server: WebServer) -> tuple[int, bytes]:
 def test_who_drips_is_let_go_of_though_something_always_comes(
     start: Start, certificate: tuple[Path, Path], token: Path, monkeypatch: pytest.MonkeyPatch, secured: bool
 ) -> None:
-    monkeypatch.setattr(web_server, "WHOLE_S", 1.0)
+    monkeypatch.setitem(WebServer.__init__.__kwdefaults__, "request_s", 1.0)
     keys = {"certificate": str(certificate[0]), "key": str(certificate[1]), "token": str(token)} if secured else {}
     server = start(**keys)
     with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as plain:
@@ -203,14 +206,19 @@ def test_who_drips_is_let_go_of_though_something_always_comes(
 def test_an_answer_that_a_bug_or_the_machine_prevents_says_so_and_is_in_the_log(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def no_descriptors() -> Answer:
+    def no_descriptors(_: bytes) -> WebResponse:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    def crash(body: bytes) -> Answer:
+    def crash(body: bytes) -> WebResponse:
         raise KeyError(f"{len(body)} bytes")
 
-    routes = {"/status.json": lambda: Answer.json({"age": float("nan")}), "/metrics": no_descriptors}
-    server = WebServer(HealthConfig(port=0), routes, {"/mark": crash})
+    server = WebServer(
+        {
+            "GET /status.json": lambda _: WebResponse.json({"age": float("nan")}),
+            "GET /metrics": no_descriptors,
+            "POST /mark": crash,
+        }
+    )
     said = (500, b"it failed: see the log\n")
     try:
         assert get(server, "/status.json") == get(server, "/metrics") == said
@@ -279,9 +287,12 @@ def test_what_is_sent_is_taken_where_it_may_be(start: Start) -> None:
         ({"Content-Type": "text/plain"}, b"{}", 415),
         ({"Content-Type": "application/x-www-form-urlencoded"}, b"camera=north", 415),
         (JSON, b"x" * 4097, 413),
-        (JSON | {"Content-Length": "-1"}, None, 413),
-        (JSON | {"Content-Length": "many"}, None, 413),
+        (JSON | {"Content-Length": "-1"}, None, 411),
+        (JSON | {"Content-Length": "many"}, None, 411),
+        (JSON | {"Transfer-Encoding": "chunked", "Content-Length": "2"}, b"{}", 411),
         (JSON | {"Host": "evil.example"}, b"{}", 421),
+        (JSON | {"Origin": "http://evil.example"}, b"{}", 403),
+        (JSON | {"Origin": "null"}, b"{}", 403),
     ],
 )
 def test_pages_of_others_and_too_much_are_not_taken(

@@ -1,4 +1,4 @@
-"""Heads on mounts: what holds for every head, reading and landmark."""
+"""PTZ heads on mounts: what holds for every PTZ head, reading and landmark."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.pose_estimation.mount.mount_resection import resect_mount
-from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.visibility.point_visibility import pixel_rays
 
 angle = st.floats(-180, 180)
@@ -98,7 +98,7 @@ def test_the_mount_is_found_whatever_it_is(head: MountModel, count: int, seed: i
         pixels.append(pixel)
         readings.append((*reading, 1.0))
     names = tuple(f"p{k}" for k in range(count))
-    points = HeadPoints(names, np.array(places), np.array(pixels), np.array(readings))
+    points = PtzPoints(names, np.array(places), np.array(pixels), np.array(readings))
     start = MountModel(Pose.from_angles(PLACE, 0.0), 0.0, np.zeros((7, 7)), head.pan_sign, head.tilt_sign)
     found = resect_mount(points, start, lens, free_focal=False)
     for pan in (0.0, 100.0, 200.0, 300.0):

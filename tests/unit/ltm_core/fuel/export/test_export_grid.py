@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape import Landscape, terrain_bands
@@ -26,10 +26,10 @@ def made(spare: Float32Array | None = None) -> Landscape:
     rows, cols = np.indices(TERRAIN.shape)
     heights = (500 + 2.0 * cols - 4.0 * rows).astype(np.float32)
     prior = FuelPrior(np.full(GRID.shape, 102, np.int16), GRID)
-    region = FuelRegion.named("dry")
-    layers = layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, region)
+    climate = FuelClimate.named("dry")
+    layers = layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, climate)
     return make_landscape(
-        layers, prior, Dem(heights, TERRAIN), FRAME, GRID, region, FuelSystem.FBFM40, spare=spare
+        layers, prior, Dem(heights, TERRAIN), FRAME, GRID, climate, FuelSystem.FBFM40, spare=spare
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.companion_files_io import style_path, write_item
 from ltm_core.fuel.export.kmz_io import write_kmz
@@ -130,7 +130,7 @@ def test_every_file_of_an_elmfire_folder(tmp_path: Path) -> None:
 
 def test_every_cloud_optimized_layer(tmp_path: Path) -> None:
     classes = np.random.default_rng(3).choice([1, 2, 3, 255], GRID.shape).astype(np.uint8)
-    layers = layers_of_classes(classes, None, FuelRegion.named("dry"))
+    layers = layers_of_classes(classes, None, FuelClimate.named("dry"))
     palette = life_form_labels(LabelSet.load())
     write_layers(tmp_path / "layers", layers, GRID, MADE.tags(), palette)
     for path in (tmp_path / "layers").glob("*.tif"):
@@ -189,7 +189,7 @@ def test_a_stac_item(tmp_path: Path, as_of: str) -> None:
 def test_of_a_map(tmp_path: Path) -> None:
     site = Site.model_validate(
         {"name": "ridge", "crs": "EPSG:32610", "origin": [531_783.0, 4_280_398.0], "dem": {"path": "d.tif"},
-         "cameras": {"north": {}}, "fuel": {"prior": {"path": "p/LC22_F40_230.tif"}, "region": "humid"}}
+         "cameras": {"north": {}}, "fuel": {"prior": {"path": "p/LC22_F40_230.tif"}, "climate": "humid"}}
     )  # fmt: skip
     codes = np.full(GRID.shape, 102, np.int16)
     codes[0] = NODATA
@@ -197,28 +197,28 @@ def test_of_a_map(tmp_path: Path) -> None:
     classes = np.full(GRID.shape, 255, np.uint8)
     classes[3:5, 5:12] = 3
     classes[7, 5:12] = 1
-    layers = layers_of_classes(classes, prior, FuelRegion.named("humid"))
+    layers = layers_of_classes(classes, prior, FuelClimate.named("humid"))
     undated = provenance_of(site, layers, FuelSystem.FBFM13)
     assert (undated.as_of, undated.seen, undated.moment()) == (WITHOUT_DATES, None, None)
     stamps = np.where(layers.evidence > 0, np.int64(1_780_000_000_123_456_789), 0)
     layers = replace(layers, last_seen=stamps)
     made = provenance_of(site, layers, FuelSystem.FBFM13)
     cells = 28 * 37
-    assert (made.site, made.cells, made.region, made.system) == ("ridge", cells, "humid", FuelSystem.FBFM13)
+    assert (made.site, made.cells, made.climate, made.system) == ("ridge", cells, "humid", FuelSystem.FBFM13)
     assert made.seen == pytest.approx(21 / cells)
     assert made.changed == pytest.approx(14 / cells)
     assert made.as_of == "2026-05-28T20:26:40+00:00"
     assert made.prior == "LC22_F40_230.tif"
     assert made.prior_version.startswith("LANDFIRE 2022, version 2.3.0, sha256 ")
     other = provenance_of(
-        site, layers_of_classes(classes, FuelPrior(codes + 1, GRID), FuelRegion.named("dry")), made.system
+        site, layers_of_classes(classes, FuelPrior(codes + 1, GRID), FuelClimate.named("dry")), made.system
     )
     assert other.prior_version != made.prior_version
     then = provenance_of(site, layers, FuelSystem.FBFM40, moment_ns=1_780_000_000_123_456_789)
     assert (then.as_of, then.seen) == ("2026-05-28T20:26:40+00:00", None)
     assert then.tags()["seen_share"] == "unknown"
     nothing = provenance_of(
-        site, layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, FuelRegion.named("dry")), FuelSystem.FBFM40
+        site, layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, FuelClimate.named("dry")), FuelSystem.FBFM40
     )
     beside = FuelPrior(codes, GRID, fbfm13=np.ones(GRID.shape, np.int16))
     kept = provenance_of(site, layers, FuelSystem.FBFM13, prior=beside).tags()

@@ -1,4 +1,4 @@
-"""A leaning head's poses, worked out by hand and by moving one parameter at a time."""
+"""A leaning PTZ head's poses, worked out by hand and by moving one parameter at a time."""
 
 from __future__ import annotations
 

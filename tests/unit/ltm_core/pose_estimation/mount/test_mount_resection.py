@@ -1,4 +1,4 @@
-"""A head's mount from landmarks of made pictures whose directions are known."""
+"""A PTZ head's mount from landmarks of made pictures whose directions are known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.pose_estimation.mount.mount_resection import resect_mount
-from ltm_core.pose_estimation.points.control_points import HeadPoints
+from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.visibility.point_visibility import pixel_rays
 
 PLACE = np.array([120.0, -340.0, 812.0])
@@ -49,7 +49,7 @@ def marked(
     each: int = 1,
     zooms: tuple[float, ...] = (1.0,),
     lens: ZoomLens = LENS,
-) -> HeadPoints:
+) -> PtzPoints:
     """`each` landmarks in a picture at each pan; the encoders are off by `encoder` degrees."""
     names, places, pixels, readings = [], [], [], []
     for k, pan in enumerate(pans):
@@ -64,7 +64,7 @@ def marked(
             places.append(PLACE + way)
             pixels.append(pixel + noise_px * rng.normal(size=2))
             readings.append((pan, tilt, zoom))
-    return HeadPoints(tuple(names), np.array(places), np.array(pixels), np.array(readings))
+    return PtzPoints(tuple(names), np.array(places), np.array(pixels), np.array(readings))
 
 
 def spread(count: int, rng: np.random.Generator) -> Float64Array:

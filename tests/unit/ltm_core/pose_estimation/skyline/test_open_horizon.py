@@ -14,7 +14,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_sigmas
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
@@ -24,7 +24,7 @@ from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
-OPEN = Terrain(mountains(), BEND, PossibleGround())
+OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
 CONFIG = PicturePoseConfig()
 
 

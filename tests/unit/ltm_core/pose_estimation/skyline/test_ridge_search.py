@@ -9,7 +9,7 @@ from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
@@ -20,7 +20,7 @@ from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
-OPEN = Terrain(mountains(), BEND, PossibleGround())
+OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
 CONFIG = PicturePoseConfig()
 
 

@@ -12,7 +12,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import pose_refinement as ridge_settling
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.find_pose import Terrain
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import RidgeObservations
@@ -31,7 +31,7 @@ from ltm_core.tracing.holes import PossibleGround
 CONFIG = PicturePoseConfig()
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
-OPEN = Terrain(mountains(), BEND, PossibleGround())
+OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
 
 
 def places(ground: Float64Array, error: Float64Array, shared: float = 3.0, own: float = 2.0) -> RidgeObservations:

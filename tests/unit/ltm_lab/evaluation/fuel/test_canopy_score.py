@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelClimate
 from ltm_lab.evaluation.fuel.canopy_score import confirmed_of, score_canopy
 from ltm_lab.evaluation.terrain.hillside_scenes import SceneConditions, trial
 
@@ -15,7 +15,7 @@ def test_what_is_seen_is_nearer_to_the_truth_than_what_was_known(scene: str) -> 
     found = trial(scene, 23)
     conditions = SceneConditions(looks=4, seed=23)
     confirmed = confirmed_of(found, conditions)
-    scores = {s.source: s for s in score_canopy(found, confirmed, FuelRegion.named("dry").canopy, conditions)}
+    scores = {s.source: s for s in score_canopy(found, confirmed, FuelClimate.named("dry").canopy, conditions)}
     seen = scores["seen"]
     assert seen.cells > 5
     assert seen.cover <= 15.0
@@ -29,7 +29,7 @@ def test_what_is_seen_is_nearer_to_the_truth_than_what_was_known(scene: str) -> 
 def test_labels_say_what_is_left_of_a_burnt_stand() -> None:
     found, conditions = trial("burn", 24), SceneConditions(looks=4, seed=24)
     confirmed = confirmed_of(found, conditions)
-    scores = {s.source: s for s in score_canopy(found, confirmed, FuelRegion.named("dry").canopy, conditions)}
+    scores = {s.source: s for s in score_canopy(found, confirmed, FuelClimate.named("dry").canopy, conditions)}
     seen = scores["seen"]
     assert seen.cells > 5
     assert seen.cover <= 15.0

@@ -13,7 +13,7 @@ from scenes.source_under_test import Sourced, settings
 
 from ltm_ros.cameras.protocols.camera_list import CameraListReader, entry_of, time_of
 from ltm_ros.cameras.protocols.errors import SourceError
-from ltm_ros.cameras.protocols.picture import Nothing, Picture
+from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 from ltm_ros.runtime.clocks import SystemClock
 
 
@@ -45,7 +45,7 @@ def test_time_and_direction_come_from_the_list(listed: tuple[HttpCamera, dict[st
     camera, entry = listed
     reader = CameraListReader(sourced_from(camera).config, 1 << 20)
     picture = reader.read()
-    assert isinstance(picture, Picture)
+    assert isinstance(picture, CameraImage)
     assert picture.direction is not None
     assert (picture.direction.pan_deg, picture.direction.tilt_deg, picture.direction.moving) == (350.5, -2.0, None)
     assert picture.timing.taken is not None

@@ -13,7 +13,7 @@ import pytest
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.errors import SourceError
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
-from ltm_ros.cameras.protocols.picture import PictureReader
+from ltm_ros.cameras.protocols.picture import CameraReader
 
 LETTERS = 150
 """That drip, one each tenth of a second: far longer than the limit, and not for ever where there is none."""
@@ -48,11 +48,11 @@ def dripping(*answers: bytes) -> Iterator[str]:
         listener.close()
 
 
-def snapshot(url: str) -> PictureReader:
+def snapshot(url: str) -> CameraReader:
     return SnapshotReader(SnapshotConfig(kind="snapshot", url=url, timeout=0.3), 1 << 20)
 
 
-def stream(url: str) -> PictureReader:
+def stream(url: str) -> CameraReader:
     return MjpegReader(MjpegConfig(kind="mjpeg", url=url, timeout=0.3), 1 << 20)
 
 

@@ -19,7 +19,7 @@ from scenes.timed_picture import jpeg, scene, time_in, with_time
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.cameras.camera_source import Gaze
-from ltm_ros.cameras.protocols.direction import Reading
+from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.runtime.clocks import SystemClock
 
@@ -48,7 +48,7 @@ class SkippingClock(SystemClock):
 
 @dataclass
 class Head:
-    """A pan-tilt head; `speed`: degrees between two readings; `turn`: from one picture to the next."""
+    """A PTZ head; `speed`: degrees between two readings; `turn`: from one picture to the next."""
 
     pan: float = 10.0
     speed: float = 0.0
@@ -56,12 +56,12 @@ class Head:
     readings: int = 0
     error: SourceError | None = None
 
-    def read(self) -> Reading:
+    def read(self) -> PtzReading:
         if self.error is not None:
             raise self.error
         self.pan += self.speed + (self.turn if self.readings % 2 == 0 else 0.0)
         self.readings += 1
-        return Reading(self.pan, -2.0, 1.0, None, 0.0)
+        return PtzReading(self.pan, -2.0, 1.0, None, 0.0)
 
     def close(self) -> None:
         pass
@@ -214,7 +214,7 @@ def set_head(**changes: Any) -> Callable[[Bench], None]:
 
 
 def turning_frozen(bench: Bench) -> None:
-    """The head turns from picture to picture; what it shows does not, but for its noise."""
+    """The PTZ head turns from picture to picture; what it shows does not, but for its noise."""
     bench.render(lambda _: jpeg(scene()))
     set_head(turn=30.0)(bench)
 
@@ -258,10 +258,10 @@ FAULTS = (
     Fault("other size", lambda b: b.render(lambda t: jpeg(scene(640, 360))), "stalled", 50, "640 x 360 pixels"),
     Fault("4K", lambda b: b.render(lambda t: LARGE), "stalled", 50, "for 320 x 180"),
     Fault("too large", lambda b: b.render(lambda t: b"\xff\xd8\xff" * 2_000_000), "stalled", 50, "image_bytes"),
-    Fault("head slews", set_head(speed=1.0), "moved", 15, "moves"),
-    Fault("head silent", set_head(error=SourceError("no answer")), "stalled", 15, "no answer"),
-    Fault("head refuses", set_head(error=UnauthorisedError("no entry")), "unauthorised", 15, "no entry"),
-    Fault("head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),
+    Fault("PTZ head slews", set_head(speed=1.0), "moved", 15, "moves"),
+    Fault("PTZ head silent", set_head(error=SourceError("no answer")), "stalled", 15, "no answer"),
+    Fault("PTZ head refuses", set_head(error=UnauthorisedError("no entry")), "unauthorised", 15, "no entry"),
+    Fault("PTZ head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),
     Fault("own clock not set", unsynchronised, "alive", 15, ""),
     Fault("camera's clock set by an hour", lambda b: b.behave(clock_ahead=3600.0), "alive", 15, "", frames=1000),
     Fault("camera's clock in 1970", lambda b: b.behave(clock_ahead=-1.7e9), "alive", 15, "", frames=1000),
@@ -301,6 +301,6 @@ def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
     for frame in published + sourced.frames[before:]:
         shown = decode_rgb(frame.jpeg or b"")
         assert shown.shape == (CALIBRATION.height, CALIBRATION.width, 3)
-        if frame not in published or fault.name != "head turns, picture stays":
+        if frame not in published or fault.name != "PTZ head turns, picture stays":
             late = frame.stamp_ns / 1e9 - time_in(shown)
             assert abs(late) <= frame.uncertainty + 0.05, (frame.told_by, frame.uncertainty)

@@ -12,7 +12,7 @@ from scenes.timed_picture import exif_of, jpeg, scene
 
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError
 from ltm_ros.cameras.protocols.folder import MOST_FILES, FolderReader
-from ltm_ros.cameras.protocols.picture import Nothing, Picture
+from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 
 NOW = 1_790_000_000.0
 
@@ -30,7 +30,7 @@ def reader(folder: Path, **given: object) -> FolderReader:
 
 def given_by(asking: FolderReader, looks: int = 8) -> list[bytes | None]:
     found = (asking.read() for _ in range(looks))
-    return [item.jpeg for item in found if isinstance(item, Picture)]
+    return [item.jpeg for item in found if isinstance(item, CameraImage)]
 
 
 def test_files_come_once_in_the_order_in_which_they_were_written(tmp_path: Path) -> None:

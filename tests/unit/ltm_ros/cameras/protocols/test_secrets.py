@@ -24,7 +24,7 @@ from ltm_core.base.redaction import redacted
 from ltm_core.site.site_io import load_site
 from ltm_ros.cameras.protocols.credentials import Login, Secret, read_secret
 from ltm_ros.cameras.protocols.errors import UnauthorisedError
-from ltm_ros.nodes.source import Source, SourceNodeConfig
+from ltm_ros.nodes.source import SourceHandler, SourceNodeConfig
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import Health
 
@@ -149,7 +149,7 @@ def test_nor_what_the_node_publishes_and_prints_after_a_bug(tmp_path: Path, monk
         }  # fmt: skip
         small.path.write_text(yaml.safe_dump(site))
         outlet, health, printed = Kept(), Health(), io.StringIO()
-        node = Source(SourceNodeConfig(site=str(small.path), camera="mast"), outlet, health)
+        node = SourceHandler(SourceNodeConfig(site=str(small.path), camera="mast"), outlet, health)
         with redirect_stderr(printed):
             node.start()
             wait_for(lambda: len(outlet.sent) > 8, "frames", health.summary)

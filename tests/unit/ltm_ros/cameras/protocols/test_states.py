@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import random
 import time
 
 import cv2
@@ -14,13 +13,12 @@ from scenes.source_under_test import Sourced, TurnedClock, settings
 from scenes.timed_picture import jpeg, scene
 
 from ltm_core.vision.dirty_lens import AGREEING, APART_S, LEAST_HISTORY
-from ltm_ros.cameras.backoff import Backoff
 from ltm_ros.cameras.lens_watch import LensWatch
-from ltm_ros.cameras.protocols.direction import Reading, Tolerance, at_rest
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.picture import (
+    CameraImage,
     CameraTime,
     Nothing,
-    Picture,
     StuckPicture,
     Timing,
     difference_hash,
@@ -78,7 +76,7 @@ def test_fog_that_stays_the_same_is_not_stuck() -> None:
 
 def test_a_turn_that_the_picture_does_not_show() -> None:
     def look(stuck: StuckPicture, pan: float, seed: int) -> str:
-        stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360, seed))), Reading(pan, 0.0, 1.0, None, 0.0), pan)
+        stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360, seed))), PtzReading(pan, 0.0, 1.0, None, 0.0), pan)
         return stuck.said(pan)
 
     frozen, turning, still = StuckPicture(1e9), StuckPicture(1e9), StuckPicture(1e9)
@@ -88,7 +86,7 @@ def test_a_turn_that_the_picture_does_not_show() -> None:
 
 
 def test_rest_is_two_equal_readings_of_a_head_that_does_not_say_that_it_moves() -> None:
-    base = Reading(359.99, -3.0, 100.0, None, 0.0)
+    base = PtzReading(359.99, -3.0, 100.0, None, 0.0)
     for pan, tilt, zoom, moving, rests in (
         (0.01, -3.0, 100.0, None, True),
         (359.99, -3.02, 100.5, False, True),
@@ -97,18 +95,7 @@ def test_rest_is_two_equal_readings_of_a_head_that_does_not_say_that_it_moves() 
         (359.99, -3.0, 102.0, None, False),
         (359.99, -3.0, 100.0, True, False),
     ):
-        assert at_rest(base, Reading(pan, tilt, zoom, moving, 1.0), Tolerance()) is rests, (pan, tilt, zoom, moving)
-
-
-def test_backoff_doubles_to_a_minute_and_begins_anew() -> None:
-    backoff = Backoff(random.Random(1))
-    waits = [backoff.failed() for _ in range(12)]
-    assert all(1.0 <= wait <= min(60.0, 2.0**i) for i, wait in enumerate(waits) if i)
-    assert all(30.0 <= wait <= 60.0 for wait in waits[6:])
-    assert len(set(waits[6:])) == 6
-    backoff.succeeded()
-    assert backoff.failed() == 1.0
-    assert 600.0 <= backoff.unauthorised() <= 630.0
+        assert at_rest(base, PtzReading(pan, tilt, zoom, moving, 1.0), Tolerance()) is rests, (pan, tilt, zoom, moving)
 
 
 def test_the_kernels_word_on_the_clock() -> None:
@@ -127,9 +114,9 @@ class Pictures:
     pause = 10.0
 
     def __init__(self) -> None:
-        self.next: Picture | Nothing = Nothing.YET
+        self.next: CameraImage | Nothing = Nothing.YET
 
-    def read(self) -> Picture | Nothing:
+    def read(self) -> CameraImage | Nothing:
         return self.next
 
     def close(self) -> None: ...
@@ -143,12 +130,12 @@ def test_frames_of_a_clock_that_is_not_synchronised(policy: str, frames: int, to
     clock.known_synchronised = False
     config = settings(kind="snapshot", url="http://127.0.0.1/", unsynchronised=policy)
     sourced = Sourced(config, clock, reader=lambda: reader)
-    reader.next = Picture(Timing(clock.monotonic()), jpeg=jpeg(scene()))
+    reader.next = CameraImage(Timing(clock.monotonic()), jpeg=jpeg(scene()))
     sourced.steps(1)
     assert [frame.synchronised for frame in sourced.frames] == [told] * frames
     assert sourced.health.dropped == ({"unsynchronised": 1} if policy == "hold" else {})
     clock.known_synchronised = True
-    reader.next = Picture(Timing(clock.monotonic()), jpeg=jpeg(scene()))
+    reader.next = CameraImage(Timing(clock.monotonic()), jpeg=jpeg(scene()))
     sourced.steps(1)
     assert sourced.frames[-1].synchronised is (None if policy == "ignore" else True)
 
@@ -158,7 +145,7 @@ def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is
     sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
     for step in (0.0, 0.0, 3600.0, -1.0, -7200.0, 0.0):
         clock.set(step)
-        reader.next = Picture(Timing(clock.monotonic(), oldest=0.0), jpeg=jpeg(scene()))
+        reader.next = CameraImage(Timing(clock.monotonic(), oldest=0.0), jpeg=jpeg(scene()))
         sourced.steps(1)
     first, second, third, fourth, fifth, sixth = (frame.stamp_ns for frame in sourced.frames)
     assert second == first + 1
@@ -179,7 +166,7 @@ def test_a_stamp_that_keeps_its_order_says_what_that_costs() -> None:
         now, wall = clock.monotonic(), clock.wall()
         taken.append(wall - 20.0)
         stated, answered = CameraTime(taken[-1], 0.0, "list"), CameraTime(math.floor(wall), 1.0, "date")
-        reader.next = Picture(Timing(now, now, 30.0, stated, answered), jpeg=jpeg(scene()))
+        reader.next = CameraImage(Timing(now, now, 30.0, stated, answered), jpeg=jpeg(scene()))
         sourced.steps(1)
     stamps = np.array([frame.stamp_ns for frame in sourced.frames])
     late = stamps / 1e9 - taken
@@ -206,7 +193,7 @@ def test_a_wet_lens_is_told_and_its_pictures_go_on_being_published() -> None:
     def take(count: int, wet: bool) -> list[str]:
         states = []
         for _ in range(count):
-            reader.next = Picture(Timing(clock.monotonic()), jpeg=detailed(wet))
+            reader.next = CameraImage(Timing(clock.monotonic()), jpeg=detailed(wet))
             sourced.steps(1)
             states.append(sourced.state)
             clock.turn(APART_S)
@@ -233,8 +220,8 @@ def test_each_preset_of_a_head_is_compared_with_itself() -> None:
         nonlocal now
         for turn in range(turns):
             for seed, pan in ((1, 30.0), (2, 120.0)):
-                reading = Reading(pan + 0.02 * (-1) ** turn, 0.0, 1.0, None, now)
-                watch.look(Picture(Timing(now), jpeg=detailed(seed in wet, seed)), 320, reading, now)
+                reading = PtzReading(pan + 0.02 * (-1) ** turn, 0.0, 1.0, None, now)
+                watch.look(CameraImage(Timing(now), jpeg=detailed(seed in wet, seed)), 320, reading, now)
             now += APART_S
 
     patrol(2 * LEAST_HISTORY + AGREEING, wet=(2,))

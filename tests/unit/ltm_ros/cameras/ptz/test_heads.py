@@ -1,4 +1,4 @@
-"""Each maker's head asked and driven over HTTP, against a camera that knows where it looks."""
+"""Each maker's PTZ head asked and driven over HTTP, against a camera that knows where it looks."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ltm_core.site.ptz_config import PtzConfig
 from ltm_core.site.source_config import RtspConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
-from ltm_ros.cameras.ptz.head import Head, tolerance_of
-from ltm_ros.cameras.ptz.isapi_vapix import VapixHead
-from ltm_ros.cameras.ptz.onvif import OnvifHead
-from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.cameras.ptz.head import PtzHead, tolerance_of
+from ltm_ros.cameras.ptz.isapi_vapix import VapixPtzHead
+from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.opening import open_ptz
 
 KINDS: dict[str, dict[str, Any]] = {
     "vapix": {"kind": "vapix"},
@@ -36,8 +36,8 @@ def config(**given: Any) -> Any:
     return adapter.validate_python(given)
 
 
-def opened(camera: HttpCamera, kind: str, **given: Any) -> Head:
-    return open_head(config(**KINDS[kind], url=camera.url(""), **given), None)
+def opened(camera: HttpCamera, kind: str, **given: Any) -> PtzHead:
+    return open_ptz(config(**KINDS[kind], url=camera.url(""), **given), None)
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def test_onvif_s_move_status_is_believed_only_where_it_says_moving(
 def test_a_camera_whose_clock_is_wrong_is_signed_to_by_its_own_time(turning: Turning, ahead: float) -> None:
     fake, camera = turning
     fake.clock_ahead, fake.user, fake.password = ahead, "viewer", PASSWORD
-    head = OnvifHead(config(kind="onvif", url=camera.url(""), **_login()), None)
+    head = OnvifPtzHead(config(kind="onvif", url=camera.url(""), **_login()), None)
     assert head.read().pan_deg == pytest.approx(123.4, abs=0.01)
     assert head.soap.clock_ahead() == pytest.approx(ahead, abs=1.0)
 
@@ -232,7 +232,7 @@ def test_address_and_login_are_those_of_the_source_unless_given() -> None:
 def test_spacing_tells_one_degree_a_second_from_rest() -> None:
     for given in KINDS.values():
         tolerance = tolerance_of(config(**given))
-        head = open_head(config(**given, url="http://127.0.0.1"), None)
+        head = open_ptz(config(**given, url="http://127.0.0.1"), None)
         assert head.spacing * 1.0 > 1.5 * tolerance.angle_deg
         assert head.spacing <= 0.5
-    assert VapixHead(config(kind="vapix", url="http://127.0.0.1", tolerance_deg=0.01), None).spacing == 0.02
+    assert VapixPtzHead(config(kind="vapix", url="http://127.0.0.1", tolerance_deg=0.01), None).spacing == 0.02

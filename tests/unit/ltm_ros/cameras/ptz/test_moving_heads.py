@@ -1,4 +1,4 @@
-"""Pictures of heads that move, are stuck, or patrol: what is published is what was seen, and the rest is told."""
+"""Pictures of PTZ heads that move, are stuck, or patrol: what is published is what was seen, and the rest is told."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ltm_core.site.ptz_config import OnvifConfig, PatrolConfig, VapixConfig
 from ltm_core.site.source_config import SecretConfig
 from ltm_ros.cameras.camera_source import Frame, Gaze
 from ltm_ros.cameras.gaze import MountPoses
-from ltm_ros.cameras.protocols.direction import Reading, Tolerance
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
 from ltm_ros.cameras.protocols.errors import SourceError
-from ltm_ros.cameras.protocols.picture import Picture, Timing
-from ltm_ros.cameras.ptz.head import HeadDirection, HeadPatrol, tolerance_of
-from ltm_ros.cameras.ptz.opening import open_head
+from ltm_ros.cameras.protocols.picture import CameraImage, Timing
+from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
+from ltm_ros.cameras.ptz.opening import open_ptz
 from ltm_ros.runtime.clocks import SystemClock
 
 MODEL = MountModel(Pose.from_angles((10.0, 20.0, 900.0), 30.0, 0.8, -0.5), math.radians(0.3), np.zeros((7, 7)))
@@ -39,14 +39,14 @@ def sourced(camera: HttpCamera, patrol: tuple[str, ...] = (), lens: bool = False
     source = settings(kind="snapshot", url=camera.url(), every=0.01, **given)
     config = VapixConfig(kind="vapix")
     tolerance = tolerance_of(config)
-    direction = HeadDirection(lambda: open_head(config, source))
+    direction = PtzDirection(lambda: open_ptz(config, source))
     driven = PatrolConfig(presets=patrol, arrive_within=3.0, settle=0.1) if patrol else None
     gaze = Gaze(
         direction=direction,
         model=MountPoses(MODEL, tolerance),
         tolerance=tolerance,
         lens=LENS if lens else None,
-        patrol=HeadPatrol(direction, driven, tolerance) if driven is not None else None,
+        patrol=PtzPatrol(direction, driven, tolerance) if driven is not None else None,
     )
     return Sourced(source, SystemClock(), gaze=gaze)
 
@@ -239,7 +239,7 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
         head.user, head.password = "viewer", "the-one"
         source = settings(kind="snapshot", url=camera.url(), every=0.01)
         config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
-        direction = HeadDirection(lambda: open_head(config, source))
+        direction = PtzDirection(lambda: open_ptz(config, source))
         gaze = Gaze(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
         tested = Sourced(source, SystemClock(), gaze=gaze)
         (pause,) = tested.steps(1)
@@ -251,15 +251,15 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
 
 
 def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
-    reading = Reading(123.4, -7.2, 4000.0, None, 0.0)
+    reading = PtzReading(123.4, -7.2, 4000.0, None, 0.0)
     pictures = [jpeg(scene(seed=k)) for k in range(3)]
 
     class Listed:
         pause = 1.0
 
-        def read(self) -> Picture:
+        def read(self) -> CameraImage:
             now = time.monotonic()
-            return Picture(Timing(arrived=now, asked=now), jpeg=pictures.pop(), direction=reading)
+            return CameraImage(Timing(arrived=now, asked=now), jpeg=pictures.pop(), direction=reading)
 
         def close(self) -> None:
             """It has no connection."""
@@ -293,7 +293,7 @@ def test_a_preset_that_is_not_there_is_told_with_those_that_are(camera: HttpCame
 
 def test_a_direction_connects_again_after_it_was_closed(camera: HttpCamera) -> None:
     source = settings(kind="snapshot", url=camera.url())
-    direction = HeadDirection(lambda: open_head(VapixConfig(kind="vapix"), source))
+    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
     first = direction.read()
     direction.close()
     assert direction.read().pan_deg == first.pan_deg
@@ -303,8 +303,8 @@ def test_a_direction_connects_again_after_it_was_closed(camera: HttpCamera) -> N
 
 def test_two_readings_are_never_too_near_to_show_motion(camera: HttpCamera) -> None:
     source = settings(kind="snapshot", url=camera.url())
-    direction = HeadDirection(lambda: open_head(VapixConfig(kind="vapix"), source))
+    direction = PtzDirection(lambda: open_ptz(VapixConfig(kind="vapix"), source))
     at = [direction.read().at for _ in range(4)]
     assert min(np.diff(at)) >= 0.09
     with pytest.raises(SourceError, match="no preset"):
-        direction.head().go_to("elsewhere")
+        direction.ptz().go_to("elsewhere")
