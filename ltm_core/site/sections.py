@@ -50,7 +50,7 @@ class FuelConfig(StrictModel):
 class MessageLimits(StrictModel):
     """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
 
-    So that each node stays below a gigabyte at the bound (`ltm-lab bench bounds`).
+    So that each node stays below a gigabyte at the bound (`test_memory_at_limits.py`).
     """
 
     image_bytes: int = Field(32 << 20, ge=1)

@@ -1,1 +1,1 @@
-"""Study wing: benchmarks of the tracer against other ray tracers, and of the cost of each step a frame."""
+"""Benchmarks: the tracer beside other ray tracers, and the cost of the site graph, of archives and of commands."""

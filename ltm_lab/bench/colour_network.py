@@ -1,7 +1,7 @@
-"""A network that reads the colours of drawn pictures: one linear step, so that a month of them costs little.
+"""A network that classifies the colours of drawn images in one linear step, so that a month of them costs little.
 
-Its score of a class is how near a pixel's colour, averaged over two by two, is to the class's. It errs where light and
-haze change colours, and alike in all pictures of such weather, as a real one does.
+The score of a class depends on the distance of a pixel's colour, averaged over two by two, from the colour of the
+class. As with a real network, its errors follow light and haze.
 """
 
 from __future__ import annotations
@@ -15,14 +15,19 @@ import yaml
 
 NETWORK = "colours.yaml"
 _GAIN = 60.0
-"""Of squared distances of colours, from 0 to 1 a channel, to logits."""
+"""Factor from squared distances of colours, with channels from 0 to 1, to logits."""
 
 
 def write_colour_network(
     folder: Path, colours: Mapping[str, tuple[int, int, int]], mapping: Mapping[str, str], size: tuple[int, int]
 ) -> None:
-    """Network and manifest (`NETWORK`) into a folder. `colours`: of each class, 8-bit; `mapping`: to our labels;
-    `size`: width and height of its pictures."""
+    """Write the network and its manifest (`NETWORK`) into a folder.
+
+    Args:
+        colours: 8-bit colour of each class.
+        mapping: our label of each class.
+        size: width and height of the images.
+    """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 

@@ -1,4 +1,4 @@
-"""Measures the cost of a call: processor time over all threads, wall time and memory, and describes the machine."""
+"""Measure processor time, wall time and memory of a call, and describe the machine that ran it."""
 
 from __future__ import annotations
 
@@ -8,33 +8,38 @@ import resource
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Milliseconds of one call. Processor time is what is compared: wall time on a shared machine moves severalfold."""
+    """Milliseconds of one call. Compare processor time: wall time varies with the load of the machine."""
 
     cpu_ms: float
     wall_ms: float
 
     def scaled(self, factor: float) -> Cost:
-        """The cost of `factor` times the work."""
+        """Return the cost of `factor` times the work."""
         return Cost(self.cpu_ms * factor, self.wall_ms * factor)
 
 
 def cost_of(call: Callable[[], Any]) -> Cost:
-    """One call, timed once."""
+    """Return the cost of a single call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call()
     return Cost((time.process_time() - cpu) * 1e3, (time.perf_counter() - wall) * 1e3)
 
 
 def least_cost(call: Callable[[], Any], repeats: int, at_most_s: float = 20.0) -> Cost:
-    """The least processor and the least wall time of several calls, which end early once they took `at_most_s`."""
+    """Return the least processor time and the least wall time of several calls; stop after `at_most_s` seconds."""
     costs: list[Cost] = []
     end = time.perf_counter() + at_most_s
     while len(costs) < repeats and (not costs or time.perf_counter() < end):
@@ -42,10 +47,26 @@ def least_cost(call: Callable[[], Any], repeats: int, at_most_s: float = 20.0) -
     return Cost(min(c.cpu_ms for c in costs), min(c.wall_ms for c in costs))
 
 
+def own_process() -> ProcessPoolExecutor:
+    """Return an executor with one fresh process, whose memory and processor time are those of its own work."""
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+
+
+def in_own_process(
+    function: Callable[_Parameters, _Result], *args: _Parameters.args, **kwargs: _Parameters.kwargs
+) -> _Result:
+    """Call a module-level function in a fresh process and return its result.
+
+    Raises what the function raises, and BrokenProcessPool if the process dies.
+    """
+    with own_process() as process:
+        return process.submit(function, *args, **kwargs).result()
+
+
 def peak_mb() -> float:
-    """Most memory that this process ever held, MB."""
+    """Return the peak memory of this process, MB."""
     try:
-        # Linux counts what the parent held before exec into ru_maxrss; the high-water mark is this process's own.
+        # Linux adds the parent's memory before exec to ru_maxrss; the high-water mark belongs to this process alone.
         lines = Path("/proc/self/status").read_text().splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) * 1024 / 1e6
     except (OSError, StopIteration):
@@ -55,7 +76,7 @@ def peak_mb() -> float:
 
 
 def resident_mb() -> float:
-    """Memory that this process holds now, MB; its peak where the system does not say."""
+    """Return the memory of this process, MB, or its peak on systems without /proc."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
@@ -64,7 +85,7 @@ def resident_mb() -> float:
 
 
 def available_mb() -> float | None:
-    """Memory that is free for use on this machine, MB; None where the system does not say."""
+    """Return the available memory of this machine, MB, or None on systems without /proc."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -74,7 +95,7 @@ def available_mb() -> float | None:
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine and the versions behind a set of figures."""
+    """The machine, its load and the package versions behind a set of figures."""
 
     cpu: str
     cores: int
@@ -83,12 +104,12 @@ class Machine:
     versions: dict[str, str]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all fields, for JSON."""
         return asdict(self)
 
 
 def conditions(packages: tuple[str, ...]) -> Machine:
-    """Those of now; packages that are not installed are left out."""
+    """Describe this machine now; packages that are not installed are left out."""
     found = {}
     for package in packages:
         try:

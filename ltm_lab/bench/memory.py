@@ -1,69 +1,45 @@
-"""Measures the memory of whole commands on a large DEM, each in a process of its own."""
+"""Measure the peak memory of whole commands on a large DEM, each in a process of its own."""
 
 from __future__ import annotations
 
-import os
-import subprocess  # nosec B404 # argument lists, no shell
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
+from runpy import run_module
 
 import cv2
 import numpy as np
 import yaml
 
 from ltm_core.base.errors import LtmError
+from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL
+from ltm_lab.bench.measure import in_own_process, peak_mb
 from ltm_lab.bench.mountains import ridged_terrain
 
 CORNER = (300_000.0, 3_800_000.0)
-"""Lower left of the terrain, in CRS."""
+"""Lower left corner of the terrain in `CRS`, metres."""
 CRS = "EPSG:32611"
 CAMERA = Camera.from_fov(1920, 1080, 60.0)
 AZIMUTHS_DEG = {"west": 300.0, "east": 60.0}
 PITCH_DEG = -5.0
-MAST = 25.0
-LONGEST_S = 1800.0
-
-_CHILD = """
-import sys
-from ltm_lab.bench.measure import peak_mb
-from ltm_ros.cli.main import app
-sys.argv[0] = "ltm"
-try:
-    app()
-finally:
-    print("peak", peak_mb(), file=sys.stderr)
-"""
-
-
-class BenchError(LtmError):
-    """A command that did not end well."""
-
-
-@dataclass(frozen=True)
-class MemoryUse:
-    """Most memory that a process held while it ran `command`, MB."""
-
-    name: str
-    command: tuple[str, ...]
-    peak_mb: float
+MAST_M = 25.0
 
 
 def commands(folder: Path) -> dict[str, tuple[str, ...]]:
-    """Name -> arguments of `ltm`, in an order in which each finds what it needs; `folder` as of `make_site`."""
+    """Return the arguments of `ltm` by name, in an order in which each finds its input, for the site in `folder`."""
     site, bag = str(folder / "site.yaml"), str(folder / "bag")
     one = ("--dem", str(folder / "dem.tif"), "--pose", str(folder / "pose.yaml"))
     photos = ("--images", str(folder / "photos"), "--poses", str(folder / "poses.csv"))
     points = ("--gcps", str(folder / "points.csv"), "--pose-guess", str(folder / "pose.yaml"))
     store = str(folder / "state/fuel_map.ltm")
     return {
-        "check, with a picture": ("check", site, "--out", str(folder / "check.png")),
+        "check, with an image": ("check", site, "--out", str(folder / "check.png")),
         "trace": ("trace", *one, "--out", str(folder / "trace")),
         "trace, over a photo": (
             "trace",
@@ -78,20 +54,36 @@ def commands(folder: Path) -> dict[str, tuple[str, ...]]:
         "import": ("import", *photos, "--site", site, "--out", bag),
         "replay --offline": ("replay", bag, "--site", site, "--offline", "--out", str(folder / "replay")),
         "export of a landscape": ("export", store, "--site", site, "--out", str(folder / "landscape.tif")),
-        "export of a picture": ("export", store, "--site", site, "--out", str(folder / "map.png")),
+        "export of an image": ("export", store, "--site", site, "--out", str(folder / "map.png")),
     }
 
 
+def run_command(arguments: tuple[str, ...]) -> float:
+    """Return the peak memory of `ltm` with these arguments, MB. Raises LtmError if the command fails."""
+    return in_own_process(_peak_of, arguments)
+
+
+def _peak_of(arguments: tuple[str, ...]) -> float:
+    sys.argv = ["ltm", *arguments]
+    output = StringIO()
+    try:
+        with redirect_stdout(output), redirect_stderr(output):
+            run_module("ltm_ros.cli.main", run_name="__main__")  # as `python -m` does
+    except SystemExit as ended:
+        if ended.code:
+            raise LtmError(f"ltm {' '.join(arguments)} failed: {output.getvalue().strip()[-1000:]}") from ended
+    return peak_mb()
+
+
 def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
-    """Write a DEM of `size` x `size` cells of 1 m, a site with two cameras on its middle, a photo of each, and control
-    points, into `folder`.
-    """
+    """Write a DEM of `size` x `size` cells of 1 m, a site with two cameras in its middle, their photos, and control
+    points into `folder`."""
     dem = ridged_terrain(size)
     named = Dem(dem.elevation, GridGeometry(CORNER[0], CORNER[1] + size, 1.0, size, size, CRS))
     named.save(folder / "dem.tif")
     x, y = CORNER[0] + size / 2, CORNER[1] + size / 2
     ground = float(named.elevation_at(x, y))
-    place = {"x": x, "y": y, "height_above_ground": MAST}
+    place = {"x": x, "y": y, "height_above_ground": MAST_M}
     calibration = {"width": camera.width, "height": camera.height, "fx": camera.fx}
     cameras = {
         name: {"calibration": calibration, "pose": {**place, "azimuth_deg": azimuth, "pitch_deg": PITCH_DEG}}
@@ -114,7 +106,7 @@ def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
         folder / "pose.yaml",
         {
             "position": [x, y],
-            "height_above_ground": MAST,
+            "height_above_ground": MAST_M,
             "azimuth_deg": east,
             "pitch_deg": PITCH_DEG,
             "camera": calibration,
@@ -125,35 +117,14 @@ def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
     for number, (name, azimuth) in enumerate(AZIMUTHS_DEG.items()):
         cv2.imwrite(str(folder / f"photos/{name}.jpg"), _photo(camera, number))
         rows.append(
-            f"{name}.jpg,{name},{x},{y},{MAST},{azimuth},{PITCH_DEG},{camera.fx},2026-07-01T12:00:{number:02d}Z"
+            f"{name}.jpg,{name},{x},{y},{MAST_M},{azimuth},{PITCH_DEG},{camera.fx},2026-07-01T12:00:{number:02d}Z"
         )
     (folder / "poses.csv").write_text("\n".join(rows) + "\n")
-    _write_points(folder / "points.csv", named, camera, Pose.from_angles((x, y, ground + MAST), east, PITCH_DEG))
+    _write_points(folder / "points.csv", named, camera, Pose.from_angles((x, y, ground + MAST_M), east, PITCH_DEG))
 
 
-def measure(folder: Path, begin: Callable[[str], None] = lambda name: None) -> Iterator[MemoryUse]:
-    """Run the commands one after another on the site in `folder`. Raises BenchError with the last words of one that
-    fails.
-    """
-    for name, arguments in commands(folder).items():
-        begin(name)
-        yield MemoryUse(name, arguments, run_command(arguments))
-
-
-def run_command(arguments: tuple[str, ...]) -> float:
-    """Most MB that `ltm` with these arguments held. Raises BenchError with its last words where it fails."""
-    ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
-        [sys.executable, "-c", _CHILD, *arguments], capture_output=True, text=True, timeout=LONGEST_S, env=os.environ
-    )
-    *_, last = ran.stderr.strip().splitlines() or [""]
-    word, _, peak = last.partition(" ")
-    if ran.returncode or word != "peak":
-        raise BenchError(f"ltm {' '.join(arguments)} ended with {ran.returncode}: {ran.stderr.strip()[-1000:]}")
-    return float(peak)
-
-
-def _photo(camera: Camera, seed: int) -> np.ndarray:
-    """Something that a network takes for a landscape: sky above mottled green."""
+def _photo(camera: Camera, seed: int) -> UInt8Array:
+    """Return sky above mottled green, which a network classifies as a landscape."""
     rng = np.random.default_rng(seed)
     photo = np.full((camera.height, camera.width, 3), (235, 206, 165), np.uint8)
     half = camera.height // 2
@@ -163,7 +134,7 @@ def _photo(camera: Camera, seed: int) -> np.ndarray:
 
 
 def _write_points(path: Path, dem: Dem, camera: Camera, pose: Pose) -> None:
-    """Points of the ground that lie in the picture, hidden or not, where a camera over it would have them."""
+    """Write points of the ground with their pixels in the east camera, hidden or not."""
     rng = np.random.default_rng(0)
     distance = rng.uniform(200.0, 0.4 * dem.geometry.width * dem.geometry.resolution, 1000)
     turn = np.deg2rad(AZIMUTHS_DEG["east"] + rng.uniform(-25.0, 25.0, 1000))

@@ -1,8 +1,7 @@
-"""Synthetic mountains of any size at 1 m resolution, made in seconds: the terrain of the benchmarks.
+"""Synthetic mountains of any size at 1 m resolution: the terrain of the benchmarks.
 
-Ridged multifractal of gradient noise (Musgrave, in Ebert et al., Texturing & Modeling, 3rd ed., ch. 16). It is one
-endless field: a larger raster holds more of the same mountains, not larger mountains, so that growth with area is
-growth with what a camera can see.
+Ridged multifractal of gradient noise (Musgrave, in Ebert et al., Texturing & Modeling, 3rd ed., ch. 16). The field is
+endless: a larger raster holds more mountains of the same size, so cost grows only with what a camera can see.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _HEIGHT = 400.0  # metres
 
 
 def ridged_terrain(size: int) -> Dem:
-    """`size` x `size` cells of 1 m with its lower-left corner at (0, 0)."""
+    """Return a DEM of `size` x `size` cells of 1 m with its lower-left corner at (0, 0)."""
     elevation = np.empty((size, size), np.float32)
     _fill(elevation)
     return Dem(elevation, GridGeometry(0.0, float(size), 1.0, size, size))
@@ -31,7 +30,7 @@ def ridged_terrain(size: int) -> Dem:
 
 @njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
 def _gradient(i: int, j: int, octave: int) -> tuple[float, float]:
-    """A unit vector that belongs to lattice point (i, j)."""
+    """Return the unit vector of lattice point (i, j)."""
     h = (i * 73856093) ^ (j * 19349663) ^ (octave * 83492791)
     h = ((h ^ (h >> 13)) * 1274126177) & 0x7FFFFFFF
     angle = (h & 0xFFFF) * (2 * math.pi / 65536)
@@ -40,7 +39,7 @@ def _gradient(i: int, j: int, octave: int) -> tuple[float, float]:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _noise(x: float, y: float, octave: int) -> float:
-    """Gradient noise in about [-0.7, 0.7]."""
+    """Return gradient noise in about [-0.7, 0.7]."""
     i, j = math.floor(x), math.floor(y)
     u, v = x - i, y - j
     corners = np.empty(4)

@@ -1,7 +1,7 @@
-"""Adapters for the ray tracers that `ltm-lab bench trace` compares: each is set up over a DEM and traces a view.
+"""The ray tracers that `ltm-lab bench trace` compares with ours: each is set up over a DEM and traces a view.
 
-The peers get their rays made and rotated beforehand, which is not counted; ours starts from a camera and a pose. The
-mesh peers see two triangles a cell and a flat earth.
+The rays of the peers are made and rotated beforehand, which is not counted; ours starts from a camera and a pose. The
+mesh peers trace two triangles per cell and a flat earth.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from ltm_core.base.types import Float32Array, Float64Array, Int32Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
+from ltm_lab.tracers.march import march
 
 
 @dataclass(frozen=True)
 class TracedView:
-    """What is traced: a camera at a pose."""
+    """A camera at a pose."""
 
     camera: Camera
     pose: Pose
 
     def rays(self) -> Float64Array:
-        """(N, 3) unit vectors in the map frame, row after row."""
+        """Return (N, 3) unit vectors in the map frame, row by row."""
         return np.ascontiguousarray((self.camera.rays() @ self.pose.rotation.T).reshape(-1, 3))
 
 
@@ -35,12 +36,12 @@ class Peer(Protocol):
     """A tracer set up over a DEM."""
 
     def prepare(self, view: TracedView) -> Callable[[], Any]:
-        """The tracing of one view as a call without arguments; what it needs made beforehand is made here."""
+        """Make the rays of a view and return a call that traces them."""
         ...
 
 
 class Embreex:
-    """Embree 4 by way of embreex, single-threaded as it is shipped."""
+    """Embree 4 through embreex, single-threaded as it is shipped."""
 
     def __init__(self, dem: Dem) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -54,24 +55,6 @@ class Embreex:
         rays = view.rays().astype(np.float32)
         origins = np.broadcast_to(view.pose.position.astype(np.float32), rays.shape).copy()
         return lambda: self._scene.run(origins, rays, query="DISTANCE")
-
-
-class Open3D:
-    """Open3D's RaycastingScene (Embree 4, all cores)."""
-
-    def __init__(self, dem: Dem) -> None:
-        import open3d as o3d
-
-        vertices, faces = triangles(dem)
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces.astype(np.uint32)))
-        self._tensor = o3d.core.Tensor
-
-    def prepare(self, view: TracedView) -> Callable[[], Any]:
-        rays = view.rays()
-        origins = np.broadcast_to(view.pose.position, rays.shape)
-        both = self._tensor(np.concatenate([origins, rays], axis=1).astype(np.float32))
-        return lambda: self._scene.cast_rays(both)["t_hit"].numpy()
 
 
 class Mitsuba:
@@ -106,34 +89,19 @@ class Mitsuba:
 
 
 class March:
-    """The paper's march, steps of 1 m, compiled, all cores; on some of the rays, since it takes minutes on all."""
+    """The paper's march in steps of 1 m, compiled, all cores; it traces only some rays, because all take minutes."""
 
     def __init__(self, dem: Dem) -> None:
         self._dem = dem
 
     def prepare(self, view: TracedView) -> Callable[[], Any]:
-        from ltm_lab.tracers.march import march
-
         rays = view.rays()
         march(self._dem, view.pose.position, rays[:8])  # compiles
         return lambda: march(self._dem, view.pose.position, rays, step=1.0)
 
 
-class NumpyMarch:
-    """The paper's march as array operations over all rays at once, in NumPy."""
-
-    def __init__(self, dem: Dem) -> None:
-        self._dem = dem
-
-    def prepare(self, view: TracedView) -> Callable[[], Any]:
-        from ltm_lab.tracers.march import march_arrays
-
-        rays = view.rays()
-        return lambda: march_arrays(self._dem, view.pose.position, rays, step=1.0)
-
-
 def triangles(dem: Dem) -> tuple[Float32Array, Int32Array]:
-    """Vertices (H * W, 3) at the cell centres, and two triangles between every four of them."""
+    """Return vertices (H * W, 3) at the cell centres, and faces (M, 3), two between every four vertices."""
     height, width = dem.elevation.shape
     x = np.asarray(dem.geometry.to_map(0, np.arange(width))[0], np.float32)
     y = np.asarray(dem.geometry.to_map(np.arange(height), 0)[1], np.float32)
@@ -152,8 +120,8 @@ def triangles(dem: Dem) -> tuple[Float32Array, Int32Array]:
 class PeerKind:
     """A peer before it is set up.
 
-    `bytes_per_cell`: what its set-up was seen to need, to leave alone what would not fit; `every`: it traces every
-    n-th pixel of every n-th row, and its cost is scaled up.
+    `bytes_per_cell` is the memory that its set-up needs; it is skipped if less is free. It traces every `every`-th
+    pixel of every `every`-th row, and its cost is scaled up.
     """
 
     name: str
@@ -164,14 +132,12 @@ class PeerKind:
 
     @property
     def installed(self) -> bool:
-        """Whether its package can be imported."""
+        """Return whether its package can be imported."""
         return importlib.util.find_spec(self.module) is not None
 
 
 PEERS = (
     PeerKind("embreex", "embreex", Embreex, 340),
-    PeerKind("open3d", "open3d", Open3D, 340),
     PeerKind("mitsuba", "mitsuba", Mitsuba, 340),
     PeerKind("march", "numba", March, 4, every=8),
-    PeerKind("march_numpy", "numpy", NumpyMarch, 4, every=48),
 )

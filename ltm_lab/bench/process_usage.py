@@ -1,4 +1,4 @@
-"""What processes take, from /proc: memory, processor time, descriptors, threads; and what lies in /dev/shm."""
+"""Read what processes use from /proc: memory, processor time, descriptors and threads."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ltm_ros.launching import shared_memory
 from ltm_ros.launching.watchdog import process_use
 
 
 @dataclass(frozen=True)
 class Usage:
-    """Of one process. Memory in kB: `pss` counts a page that n processes share as 1/n; `private` is its alone."""
+    """What one process uses. Memory is in kB."""
 
     pss: int
+    """Memory of the process; a page that n processes share counts as 1/n."""
     private: int
-    """Pages of files that it has mapped among them (libraries, kernels), as long as no other process has mapped the
-    same: they change by megabytes when processes of any other program come and go."""
+    """Pages that no other process has mapped. Pages of mapped files (libraries, kernels) are included as long as the
+    process alone maps them, so this changes by megabytes when other programs start and end."""
     own: int
-    """What it has asked for: anonymous memory, and its part of shared memory. Nobody else's doing changes it."""
+    """Memory that the process allocated: anonymous memory, and its part of shared memory."""
     descriptors: int
     threads: int
     cpu_s: float
 
 
 def usage(pid: int) -> Usage | None:
-    """None where the process is gone."""
+    """Return what a process uses, or None if it has ended."""
     try:
         rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
         status = Path(f"/proc/{pid}/status").read_text()
@@ -37,19 +37,13 @@ def usage(pid: int) -> Usage | None:
     sizes = {name: int(kb) for name, kb in re.findall(r"^(\w+): +(\d+) kB$", rollup, re.MULTILINE)}
     threads = re.search(r"^Threads:\s+(\d+)$", status, re.MULTILINE)
     if "Pss" not in sizes or threads is None:
-        return None  # ends just now
+        return None  # it is ending
     private = sizes["Private_Clean"] + sizes["Private_Dirty"]
     own = sizes["Pss_Anon"] + sizes["SwapPss"] + sizes["Pss_Shmem"]
     return Usage(sizes["Pss"], private, own, descriptors, int(threads[1]), process_use(pid).cpu_s)
 
 
 def usage_of(processes: Mapping[str, int]) -> dict[str, Usage]:
-    """By label; without those that are gone."""
+    """Return what processes use by label, without those that have ended."""
     found = {label: usage(pid) for label, pid in processes.items()}
     return {label: one for label, one in found.items() if one is not None}
-
-
-def shared_memory_objects() -> int:
-    """Segments and ports of Fast DDS on the whole machine."""
-    seen = shared_memory.survey(min_age_s=0.0)
-    return len(seen.in_use) + len(seen.stale) + len(seen.young)

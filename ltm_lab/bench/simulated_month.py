@@ -1,7 +1,7 @@
-"""A month of two towers' pictures, drawn: weather, nights, a felled stand, a burn, and a camera that stands still.
+"""Draw a month of two towers' images: weather, nights, a felled stand, a burn, and a camera that is stuck for a week.
 
-Pictures are drawn and not rendered, as those of the trials of the fuel map: ground coloured by its plants, lit by the
-sun of the hour, and hazier the farther it is. Terrain, plants and a prior that is wrong in part are the trials' too.
+The images are drawn, not rendered: the ground has the colour of its plants, lit by the sun of the hour and hazier with
+distance. Terrain, plants and a prior map that is partly wrong are those of the fuel map's trials.
 """
 
 from __future__ import annotations
@@ -34,18 +34,17 @@ from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
 
 NAME, CRS, ORIGIN = "month", "EPSG:32611", (480_000.0, 4_150_020.0)
 CAMERA = Camera.from_fov(320, 180, 62.0)
-DAYS, A_DAY = 30, 24
-DRAW = 5
-"""Of the month that is drawn where none is asked for."""
+A_DAY = 24
+"""Images of a camera per day."""
 BEGIN_NS = int(np.datetime64("2026-08-01T00:20", "ns").astype(np.int64))
 HOUR_NS = 3600 * 10**9
 FELLED_DAY, BURNED_DAY, STUCK_DAYS = 8, 18, range(20, 27)
 _BURNED_HOUR = 21
-"""UTC: early afternoon at the site."""
+"""Hour of the burn, UTC: early afternoon at the site."""
 _RADIUS = 9
-"""Of what was felled and what burned, in fuel cells."""
+"""Radius of the felled and of the burnt area, fuel cells."""
 _BURNED = 0
-"""Of the plants: what stood there is black."""
+"""Plant code of burnt ground."""
 _COLOURS = {
     LifeForm.GRASS: (170, 155, 80),
     LifeForm.SHRUB: (110, 125, 70),
@@ -67,7 +66,7 @@ _SKY, _HAZE, _GRAIN = (195, 212, 235), (165, 180, 198), 3.0
 
 @dataclass(frozen=True, eq=False)
 class Month:
-    """`bags`: of ten days each. `felled`, `burned`: (H, W) cells of `grid`, in the map frame."""
+    """A simulated month. Each of `bags` has ten days; `felled` are (H, W) cells of `grid`, in the map frame."""
 
     site: Path
     bags: tuple[Path, ...]
@@ -75,11 +74,10 @@ class Month:
     frames: int
     grid: GridGeometry
     felled: BoolArray
-    burned: BoolArray
 
 
 class _View:
-    """What one camera sees, traced once: it does not move."""
+    """The view of a fixed camera, traced once."""
 
     def __init__(self, world: World, pose: Pose, fine: GridGeometry) -> None:
         shown = TerrainTracer(world.dem, possible=NOTHING_BEYOND).trace(CAMERA, pose)
@@ -94,14 +92,11 @@ class _View:
             world.dem.geometry.cell_of(x, y), world.dem.elevation.shape, strict=True
         ))  # fmt: skip
         self.slope = np.stack([-right[row, col], down[row, col]], axis=-1)
-        """(h, w, 2): of the ground's normal, to the east and to the north."""
+        """Components of the ground's normal to the east and to the north, (h, w, 2)."""
 
 
-def write_month(
-    folder: Path, said: Callable[[str], None], days: int = DAYS, seed: int = DRAW, repeats_dropped: bool = True
-) -> Month:
-    """Into an existing empty folder; `said`: what is being made. `repeats_dropped`: the site leaves out pictures that
-    repeat the camera's last one (`drop_repeated`)."""
+def write_month(folder: Path, say: Callable[[str], None], days: int, seed: int) -> Month:
+    """Write the month of a seed into an existing empty folder; `say` reports the progress."""
     world = make_world(seed, 0.1)
     fine = GridGeometry(
         world.geometry.x_min,
@@ -118,16 +113,14 @@ def write_month(
     forms = majority_of(world.fine)
     felled = _disc(np.minimum(seen, 6) * (forms == LifeForm.TREE)) & (forms == LifeForm.TREE)
     burned = _disc(np.minimum(seen, 6) * np.isin(forms, (LifeForm.GRASS, LifeForm.SHRUB)) * ~_near(felled))
-    _write_site(folder, world, names, repeats_dropped)
+    _write_site(folder, world, names)
     _write_burn(folder / "burns.geojson", burned, world.geometry, days)
     bags = []
     for first in range(0, days, 10):
-        said(f"drawing day {first + 1} of {days}")
+        say(f"drawing day {first + 1} of {days}")
         last = min(first + 10, days)
         bags.append(_write_bag(folder / f"days_{first + 1}", world, views, (felled, burned), range(first, last), seed))
-    return Month(
-        folder / "site.yaml", tuple(bags), folder / "burns.geojson", 2 * days * A_DAY, world.geometry, felled, burned
-    )
+    return Month(folder / "site.yaml", tuple(bags), folder / "burns.geojson", 2 * days * A_DAY, world.geometry, felled)
 
 
 def _write_bag(
@@ -151,7 +144,7 @@ def _write_bag(
 def _drawn(
     world: World, view: _View, changed: tuple[BoolArray, BoolArray], stamp_ns: int, hour: int, seed: list[int]
 ) -> UInt8Array:
-    """(180, 320, 3) of an hour since the begin; `seed`: of its grain."""
+    """Return the image (180, 320, 3) of an hour since the beginning; `seed` draws its noise."""
     rng, weather = np.random.default_rng(seed), np.random.default_rng([seed[0], 77, hour // A_DAY])
     clouds, far = weather.uniform(0.0, 0.5), weather.choice([25_000.0, 12_000.0, 6_000.0])
     foggy = weather.random() < 0.25 and hour % A_DAY in range(12, 19)
@@ -177,12 +170,14 @@ def _drawn(
         photo = np.where(view.sky[..., None], np.array(_HAZE) * day, photo)
     axis = view.pose.rotation[:, 2]
     if 0 < height < np.radians(14) and np.sin(toward) * axis[0] + np.cos(toward) * axis[1] > 0.6:
-        photo = photo + 250 * np.exp(-((np.indices(view.sky.shape)[0][..., None] - 50) ** 2) / 12_000)  # into the lens
+        photo = photo + 250 * np.exp(
+            -((np.indices(view.sky.shape)[0][..., None] - 50) ** 2) / 12_000
+        )  # sun in the lens
     photo = cv2.GaussianBlur(photo, (0, 0), 0.6) + _GRAIN * rng.standard_normal(photo.shape)
     return np.asarray(np.clip(photo, 0, 255), np.uint8)
 
 
-def _write_site(folder: Path, world: World, poses: dict[str, Pose], repeats_dropped: bool) -> None:
+def _write_site(folder: Path, world: World, poses: dict[str, Pose]) -> None:
     def in_crs(grid: GridGeometry) -> GridGeometry:
         x, y = grid.x_min + ORIGIN[0], grid.y_max + ORIGIN[1]
         return GridGeometry(x, y, grid.resolution, grid.width, grid.height, CRS)
@@ -196,7 +191,7 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose], repeats_drop
         (x, y, z), (azimuth, pitch, _) = pose.position, pose.angles_deg
         place = {"x": float(x + ORIGIN[0]), "y": float(y + ORIGIN[1]), "z": float(z)}
         angles = {"azimuth_deg": float(azimuth), "pitch_deg": float(pitch)}
-        # Smoke is told by earlier pictures, which tasks of an archive do not have.
+        # Smoke is detected with earlier images, which an archive's tasks do not have.
         cameras[name] = {"calibration": calibration, "pose": place | angles, "judge_smoke": False}
     site = {
         "name": NAME,
@@ -206,14 +201,14 @@ def _write_site(folder: Path, world: World, poses: dict[str, Pose], repeats_drop
         "possible_ground": {"highest": 0.0},
         "model": NETWORK,
         "fuel": {"prior": {"path": "prior.tif"}, "max_range": 3000.0},
-        "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}, "capture": {"drop_repeated": repeats_dropped}},
+        "nodes": {"fuel_map": {"max_behind": 1e9, "max_ahead": 1e9}, "capture": {"drop_repeated": True}},
         "cameras": cameras,
     }
     (folder / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
 
 
 def _write_burn(path: Path, burned: BoolArray, grid: GridGeometry, days: int) -> None:
-    """As one square a cell: the corners of cells are the burn's edge."""
+    """Write the burn as one square per cell."""
     moment = np.datetime64(BEGIN_NS + (BURNED_DAY * A_DAY + _BURNED_HOUR) * HOUR_NS + 1800 * 10**9, "ns")
     frame, squares = SiteFrame(CRS, *ORIGIN), []
     for row, col in np.argwhere(burned) if days > BURNED_DAY else ():
@@ -234,12 +229,12 @@ def _write_burn(path: Path, burned: BoolArray, grid: GridGeometry, days: int) ->
 
 
 def _to_middle(tower: tuple[float, float, float]) -> float:
-    """Azimuth to the middle of the land, degrees."""
+    """Return the azimuth from a tower to the middle of the terrain, degrees."""
     return float(np.degrees(np.arctan2(-tower[0], -tower[1])) % 360)
 
 
 def _disc(worth: Float64Array) -> BoolArray:
-    """(H, W): the cells about the place where most is worth seeing."""
+    """Return the cells (H, W) around the place with the largest sum of `worth`."""
     total = ndimage.uniform_filter(worth.astype(np.float64), 2 * _RADIUS, mode="constant")
     row, col = np.unravel_index(total.argmax(), total.shape)
     rows, cols = np.indices(worth.shape)

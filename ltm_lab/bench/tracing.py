@@ -1,33 +1,33 @@
-"""`ltm-lab bench trace`: times our tracer and its peers on the same views of the same mountains, one process for each.
+"""Time our tracer and its peers on the same views of the same mountains, each in a process of its own.
 
-Ours is timed in three states: *cold*, from a position where no camera stood before; *warm*, another view from the
-same position; and *still*, the same camera and pose again.
+Ours is timed in three states: `cold`, from a position that no camera had before; `warm`, another view from the same
+position; and `still`, the same camera and pose again.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import multiprocessing
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_lab.bench.measure import Cost, available_mb, cost_of, least_cost, peak_mb, resident_mb
+from ltm_lab.bench.measure import Cost, available_mb, cost_of, in_own_process, least_cost, peak_mb, resident_mb
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.bench.peers import PEERS, PeerKind, TracedView
 
 OURS = "ours"
-_MAST = 10.0  # metres
+TRACERS = (OURS, *(peer.name for peer in PEERS))
+_MAST_M = 10.0
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,9 @@ class Scene:
     hfov_deg: float
 
     def camera(self, every: int = 1) -> Camera:
-        """A lens with some distortion; of every `every`-th pixel."""
-        camera = replace(
-            Camera.from_fov(self.width, self.height, self.hfov_deg), distortion=(-0.06, 0.01, 0.0, 0.0, 0.0)
-        )
-        return camera.scaled(every)
+        """Return a camera with some distortion that has every `every`-th pixel."""
+        camera = Camera.from_fov(self.width, self.height, self.hfov_deg)
+        return replace(camera, distortion=(-0.06, 0.01, 0.0, 0.0, 0.0)).scaled(every)
 
 
 SCENES = tuple(
@@ -55,8 +53,12 @@ SCENES = tuple(
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One tracer on one DEM: costs by scene (and, for ours, state), set-up, memory beyond the DEM at its peak."""
+class TracerCost:
+    """Costs of one tracer on a DEM of `size` x `size` cells.
+
+    `frames` holds the cost of a frame by scene and state; a peer has the single state "". `memory_mb` is the peak
+    beyond the DEM.
+    """
 
     tracer: str
     size: int
@@ -67,7 +69,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A tracer that was not run, and why."""
+    """A tracer that was not run, and the reason."""
 
     tracer: str
     size: int
@@ -75,7 +77,7 @@ class Skipped:
 
 
 def bench_pose(dem: Dem) -> Pose:
-    """On the highest summit of the raster's inner half, 10 m above the ground, towards the farthest corner."""
+    """Return a pose 10 m above the highest summit of the raster's inner half, towards the farthest corner."""
     height, width = dem.elevation.shape
     inner = dem.elevation[height // 4 : height - height // 4, width // 4 : width - width // 4]
     row, col = np.unravel_index(int(np.argmax(inner)), inner.shape)
@@ -84,26 +86,26 @@ def bench_pose(dem: Dem) -> Pose:
     corner_x = x_min if x - x_min > x_max - x else x_max
     corner_y = y_min if y - y_min > y_max - y else y_max
     azimuth = math.degrees(math.atan2(corner_x - x, corner_y - y))
-    return Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + _MAST), azimuth, -5.0, 2.0)
+    return Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + _MAST_M), azimuth, -5.0, 2.0)
 
 
 def run(
-    sizes: list[int], scenes: list[Scene], repeats: int, only: set[str] | None = None
-) -> Iterator[Measured | Skipped]:
-    """Measure everything, one tracer after the other; yields each result as soon as it is there.
-
-    Closing the iterator (or Ctrl-C) ends the measuring process.
-    """
+    sizes: list[int], scenes: list[Scene], repeats: int, tracers: tuple[str, ...] = TRACERS
+) -> Iterator[TracerCost | Skipped]:
+    """Measure one tracer after the other and yield each result when it is ready."""
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as folder:
         for size in sizes:
             raster = Path(folder) / f"{size}.npy"
             np.save(raster, ridged_terrain(size).elevation)
-            for kind in (None, *PEERS):
-                name = OURS if kind is None else kind.name
-                if only is not None and name not in only:
+            for name in tracers:
+                peer = next((kind for kind in PEERS if kind.name == name), None)
+                if peer is not None and (reason := _reason_to_skip(peer, size)):
+                    yield Skipped(name, size, reason)
                     continue
-                reason = None if kind is None else _reason_to_skip(kind, size)
-                yield Skipped(name, size, reason) if reason else _in_own_process(name, size, raster, scenes, repeats)
+                try:
+                    yield in_own_process(measure, name, raster, scenes, repeats)
+                except Exception as error:  # whatever a peer raises, or a process that ran out of memory
+                    yield Skipped(name, size, f"{type(error).__name__}: {error}".splitlines()[0])
             raster.unlink()
 
 
@@ -116,35 +118,9 @@ def _reason_to_skip(kind: PeerKind, size: int) -> str | None:
     return None
 
 
-def _in_own_process(name: str, size: int, raster: Path, scenes: list[Scene], repeats: int) -> Measured | Skipped:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_measure_in_child, args=(there, name, raster, scenes, repeats), daemon=True)
-    process.start()
-    there.close()
-    try:
-        answer: Measured | str = here.recv()
-    except EOFError:
-        answer = "its process died (out of memory?)"
-    finally:
-        process.terminate()
-        process.join()
-    return Skipped(name, size, answer) if isinstance(answer, str) else answer
-
-
-def _measure_in_child(connection: Connection, name: str, raster: Path, scenes: list[Scene], repeats: int) -> None:
-    try:
-        connection.send(measure(name, np.load(raster), scenes, repeats))
-    except KeyboardInterrupt:
-        pass
-    except Exception as error:
-        connection.send(f"{type(error).__name__}: {error}".splitlines()[0])
-
-
-def measure(name: str, elevation: np.ndarray[Any, np.dtype[np.float32]], scenes: list[Scene], repeats: int) -> Measured:
-    """Cost of tracer `name` in this process; call it in a fresh one, or its memory is not its own."""
-    from ltm_core.geometry.grid import GridGeometry
-
+def measure(name: str, raster: Path, scenes: list[Scene], repeats: int) -> TracerCost:
+    """Return the cost of tracer `name` on the heights in `raster`. Call it in a fresh process: it reads the peak."""
+    elevation = np.load(raster)
     size = elevation.shape[0]
     dem = Dem(elevation, GridGeometry(0.0, float(size), 1.0, size, size))
     pose = bench_pose(dem)
@@ -165,11 +141,11 @@ def measure(name: str, elevation: np.ndarray[Any, np.dtype[np.float32]], scenes:
             if kind.every == 1:
                 call()
             frames[scene.name] = {"": least_cost(call, repeats).scaled(kind.every**2)}
-    return Measured(name, size, setup, peak_mb() - before, frames)
+    return TracerCost(name, size, setup, peak_mb() - before, frames)
 
 
 def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int, steps: Iterator[int]) -> dict[str, Cost]:
-    """`steps`: numbers that no scene has had before, so that no position and no direction comes again."""
+    """Return our cost by state. `steps` yields new numbers, so that no position and no direction comes twice."""
     camera = scene.camera()
     tracer.trace(camera, pose)
 
@@ -186,3 +162,29 @@ def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int, steps: 
     tracer.trace(camera, pose)
     still = least_cost(lambda: tracer.trace(camera, pose), repeats)
     return {"warm": warm, "cold": cold, "still": still}
+
+
+@dataclass(frozen=True)
+class FrameCost:
+    """The cost of a frame by one tracer in one state; `over_warm` and `over_cold` compare processor time with ours."""
+
+    size: int
+    scene: str
+    tracer: str
+    state: str
+    cost: Cost
+    over_warm: float | None
+    over_cold: float | None
+
+
+def frame_costs(results: list[TracerCost]) -> list[FrameCost]:
+    """Return the cost of each frame, by scene and size, with the ratios of peers over ours."""
+    ours = {result.size: result.frames for result in results if result.tracer == OURS}
+    found = []
+    for scene in dict.fromkeys(name for result in results for name in result.frames):
+        for result in sorted(results, key=lambda result: result.size):
+            for state, cost in result.frames[scene].items():
+                own = ours.get(result.size, {}).get(scene) if result.tracer != OURS else None
+                warm, cold = (None if own is None else cost.cpu_ms / own[one].cpu_ms for one in ("warm", "cold"))
+                found.append(FrameCost(result.size, scene, result.tracer, state, cost, warm, cold))
+    return found

@@ -1,117 +1,125 @@
-"""Whether depth follows what the terrain confirms: a felled or burnt stand through the graph's own nodes.
+"""Test whether traced depth follows the surface that the terrain confirms, in an exact hillside scene.
 
-Offline the handlers are fed one message at a time; live they are processes on DDS, which may be killed meanwhile.
+A scene is written as a site, the messages of its two towers are fed to the graph's own handlers, and the traced depth
+before and after the confirmation is scored and drawn.
 """
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 
-from ltm_core.base.errors import LtmError
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array
+from ltm_core.pictures.legend import RangeScale
+from ltm_core.raster.dem import Dem
+from ltm_core.site.site_io import load_site
 from ltm_core.surface.observation import DepthFrame
-from ltm_lab.evaluation.update_site import NAME, PARTS, UpdateSite, messages_of
+from ltm_core.tracing import TerrainTracer
+from ltm_lab.evaluation.pictures.depth_sheet import depth_bar, error_bar, frame_figure, show_depth, show_error
+from ltm_lab.evaluation.terrain.hillside_ground import TOWERS
+from ltm_lab.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
-from ltm_msgs_py.image import msg_to_depth
+from ltm_msgs_py.image import depth_to_msg, msg_to_depth
+from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.launching.runner import Runner
-from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.recordings.replay.offline import OfflineGraph
-from ltm_ros.runtime.outlet_node import stream_qos
-from ltm_ros.runtime.ros_environment import apply_to_process
-from ltm_ros.runtime.spinning_node import SpinningNode
-from ltm_ros.runtime.topics import DEPTH_IMAGE, DEPTH_INFO, TERRAIN_SURFACE, camera_topic, site_topic
+from ltm_ros.runtime.handler import Topic
+from ltm_ros.runtime.topics import (
+    DEPTH_IMAGE,
+    DEPTH_INFO,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+    TERRAIN_SURFACE,
+    camera_topic,
+    site_topic,
+)
 
-READY_S = 300.0
-LONGEST_S = 120.0
-"""For which anything is waited for, on a busy machine."""
-AGAIN_S = 5.0
-"""After which what has come to nothing is sent again."""
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAME = "hillside"
 SURFACE = site_topic(NAME, TERRAIN_SURFACE)
+_ORIGIN = (480_000.0, 4_150_000.0)
+_CRS = "EPSG:26911"
+_MAX_BEHIND_S = 1e10
+"""The frames of a scene are years old."""
+_CHANGED_M = 1.5
+"""Change of a cell's true surface that counts, metres: the map's own threshold."""
 
 Depths = dict[tuple[str, int], tuple[str, Float32Array]]
-"""By camera and stamp: the version of the surface that was traced to, and the depth (H, W)."""
+"""By camera and stamp: the version of the surface that was traced, and the depth (H, W)."""
 
 
-def offline_depths(site: UpdateSite) -> tuple[Depths, str]:
-    """Traced depth of the site's frames, and a digest of it and of the versions: the same in each run."""
-    with tempfile.TemporaryDirectory(prefix="ltm-update-") as name:
-        bag = Path(name) / "bag"
-        writer = BagWriter(bag)
-        graph = OfflineGraph(site.graph, writer)
-        for frame in site.frames:
-            for topic, message in messages_of(frame):
-                graph.feed(camera_topic(NAME, frame.source, topic), message, frame.stamp_ns)
-        graph.finish()
-        writer.close()
-        found = _Heard({frame.source for frame in site.frames})
-        reader = BagReader(bag)
-        for recorded in reader.messages(list(found.takes)):
-            found.takes[recorded.topic](reader.decode(recorded))
-    digest = hashlib.sha256("".join(found.versions).encode())
-    for (camera, stamp), (version, depth) in sorted(found.depths().items()):
-        digest.update(f"{camera} {stamp} {version}".encode() + np.ascontiguousarray(depth).tobytes())
-    return found.depths(), digest.hexdigest()
+@dataclass(frozen=True, eq=False)
+class UpdateSite:
+    """A site file, the frames of its towers in order, and the nodes that make and follow the confirmed surface."""
+
+    path: Path
+    scene: HillsideScene
+    frames: tuple[DepthFrame, ...]
+    graph: Graph
 
 
-def live_depths(site: UpdateSite, logs: Path, kills: bool, domain_id: int | None) -> Depths:
-    """Traced depth of the site's frames through living processes; the last half is sent once a surface is confirmed.
-
-    `kills`: kill -9 the terrain as it confirms, and each process that traces as it hears of that. What comes to nothing
-    is sent again. Raises LtmError where nothing comes of it.
-    """
-    apply_to_process(domain_id)
-    runner = Runner(
-        site.graph,
-        domain_id=domain_id,
-        log_folder=logs,
-        console=lambda line: None,
-        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
-    )
-    half = len(site.frames) // 2
-    with runner, _Beside({frame.source for frame in site.frames}) as beside:
-        runner.wait_until_ready(READY_S)
-        beside.wait_for_listeners()
-        for frame in site.frames[: half - 1]:
-            beside.send_until_traced(frame)
-        before = beside.heard.depths()
-        beside.send(site.frames[half - 1])
-        if kills:
-            _kill(runner, ["terrain"])
-        beside.send_until(lambda: bool(beside.version), site.frames[:half], "a confirmed surface")
-        if kills:
-            _kill(runner, [label for label in runner.processes if label != "terrain"])
-        for frame in site.frames[half:]:
-            beside.send_until_traced(frame)
-        after = {key: traced for key, traced in beside.heard.depths().items() if key not in before}
-        wanted = {(frame.source, frame.stamp_ns) for frame in site.frames}
-        return {key: traced for key, traced in (before | after).items() if key in wanted}
+def write_update_site(folder: Path, scene: HillsideScene, looks: int, seed: int, processes: str = "site") -> UpdateSite:
+    """Write the site file and rasters of a scene into an empty folder; `processes` is the layout, `site` or `node`."""
+    conditions = SceneConditions(looks=looks, seed=seed)
+    for name, dem in (("dem", scene.bare), ("surface", scene.given)):
+        Dem(dem.elevation, dem.geometry.translated(*_ORIGIN, crs=_CRS)).save(folder / f"{name}.tif")
+    content = {
+        "name": NAME,
+        "crs": _CRS,
+        "origin": list(_ORIGIN),
+        "dem": {"path": "dem.tif"},
+        "surface": {"path": "surface.tif"},
+        "processes": processes,
+        # The noise is normal, and mostly new in each frame: see `hillside_scenes.Noise`.
+        "terrain": {"trace_confirmed": True, "repeated_error_share": conditions.noise.repeats, "alone": 3.0},
+        "nodes": {"terrain": {"folder": "kept", "depth_from_elsewhere": True, "max_behind": _MAX_BEHIND_S}},
+        "cameras": {name: {} for name in TOWERS},
+    }
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    nodes = tuple(node for node in describe(load_site(path), path) if node.name in ("terrain", "depth"))
+    return UpdateSite(path, scene, tuple(frames(scene, conditions)), Graph(NAME, nodes))
 
 
-class _Heard:
-    """What came of the cameras' depth, and the versions in the order in which they were told of."""
+def messages_of(frame: DepthFrame) -> Iterator[tuple[Topic, Any]]:
+    """Yield the messages that a capture node and a range finder send of a frame, by topic of its camera."""
+    stamp, optical = frame.stamp_ns, f"{frame.source}_optical"
+    yield POSED_CAMERA_INFO, camera_to_msg(frame.camera, stamp, optical)
+    yield POSED_POSE, pose_to_msg(frame.pose, stamp, covariance=frame.covariance)
+    yield MEASURED_SIGMA, depth_to_msg(frame.sigma, stamp, optical)
+    yield MEASURED_DEPTH, depth_to_msg(frame.depth, stamp, optical)
 
-    def __init__(self, cameras: set[str]) -> None:
+
+class TracedDepths:
+    """Collects traced depth and the versions of the surface; `takes` are the callbacks by topic."""
+
+    def __init__(self) -> None:
         self.versions: list[str] = []
         self._depth: dict[tuple[str, int], Float32Array] = {}
         self._traced: dict[tuple[str, int], str] = {}
         self.takes: dict[str, Callable[[Any], None]] = {SURFACE: lambda m: self.versions.append(msg_to_version(m))}
-        for camera in cameras:
+        for camera in TOWERS:
             self.takes[camera_topic(NAME, camera, DEPTH_IMAGE)] = partial(self._on_depth, camera)
             self.takes[camera_topic(NAME, camera, DEPTH_INFO)] = partial(self._on_info, camera)
 
     def depths(self) -> Depths:
-        """Of the frames of which all has come."""
+        """Return the depth of the frames that are complete."""
         return {key: (self._traced[key], depth) for key, depth in self._depth.items() if key in self._traced}
 
     def _on_depth(self, camera: str, message: Any) -> None:
@@ -122,72 +130,89 @@ class _Heard:
         self._traced[camera, stamp] = version
 
 
-class _Beside(SpinningNode):
-    """Sends the towers' frames and hears what comes of them."""
+def offline_depths(site: UpdateSite) -> tuple[Depths, str]:
+    """Return the traced depth of the site's frames, and a digest of depth and versions that is the same in each run."""
+    found = TracedDepths()
+    with tempfile.TemporaryDirectory(prefix="ltm-update-") as name:
+        bag = Path(name) / "bag"
+        writer = BagWriter(bag)
+        graph = OfflineGraph(site.graph, writer)
+        for frame in site.frames:
+            for topic, message in messages_of(frame):
+                graph.feed(camera_topic(NAME, frame.source, topic), message, frame.stamp_ns)
+        graph.finish()
+        writer.close()
+        reader = BagReader(bag)
+        for recorded in reader.messages(list(found.takes)):
+            found.takes[recorded.topic](reader.decode(recorded))
+    digest = hashlib.sha256("".join(found.versions).encode())
+    for (camera, stamp), (version, depth) in sorted(found.depths().items()):
+        digest.update(f"{camera} {stamp} {version}".encode() + np.ascontiguousarray(depth).tobytes())
+    return found.depths(), digest.hexdigest()
 
-    def __init__(self, cameras: set[str]) -> None:
-        super().__init__("update_trial")
-        self.heard = _Heard(cameras)
-        for topic, take in self.heard.takes.items():
-            kind = TERRAIN_SURFACE if topic == SURFACE else DEPTH_IMAGE if topic.endswith("image") else DEPTH_INFO
-            self.node.create_subscription(kind.type, topic, take, stream_qos(kind.latched, kind.depth))
-        self._senders = {
-            (camera, topic): self.node.create_publisher(topic.type, camera_topic(NAME, camera, topic), stream_qos())
-            for camera in cameras
-            for topic in PARTS
-        }
 
-    def wait_for_listeners(self) -> None:
-        """Each part goes to the terrain, and pose and calibration to the tracing node too."""
+@dataclass(frozen=True)
+class UpdateScore:
+    """Median error of traced depth, metres, over the pixels whose cell has changed, as given or in truth.
 
-        def wanted(topic: Any) -> int:
-            return 1 if topic.name.startswith("measured") else 2
+    `before` is that of the frames before any surface was confirmed, `after` that of the later half of all frames, of
+    which `followed` were traced to a confirmed surface.
+    """
 
-        _until(
-            lambda: all(s.get_subscription_count() == wanted(topic) for (_, topic), s in self._senders.items()),
-            "listeners",
-        )
-
-    def send(self, frame: DepthFrame) -> None:
-        for topic, message in messages_of(frame):
-            self._senders[frame.source, topic].publish(message)
-
-    def send_until_traced(self, frame: DepthFrame) -> None:
-        key = (frame.source, frame.stamp_ns)
-        self.send_until(lambda: key in self.heard.depths(), [frame], f"depth of {key}")
-
-    def send_until(self, condition: Callable[[], bool], frames: Sequence[DepthFrame], what: str) -> None:
-        """Send frames, and again every few seconds, as to a process that is away. Raises LtmError."""
-        end = time.monotonic() + LONGEST_S
-        while not condition():
-            if time.monotonic() > end:
-                raise LtmError(f"no {what} within {LONGEST_S:.0f} s; see the nodes' logs")
-            for frame in frames:
-                self.send(frame)
-            again = time.monotonic() + AGAIN_S
-            while not condition() and time.monotonic() < again:
-                time.sleep(0.05)
+    frames_before: int
+    frames_after: int
+    followed: int
+    before: float
+    after: float
 
     @property
-    def version(self) -> str:
-        """That counts, as told last."""
-        return self.heard.versions[-1] if self.heard.versions else ""
+    def ratio(self) -> float:
+        """The error after the confirmation over that before."""
+        return self.after / self.before
 
 
-def _kill(runner: Runner, labels: list[str]) -> None:
-    starts = {label: runner.processes[label].starts for label in labels}
-    for label in labels:
-        runner.kill(label)
-    _until(
-        lambda: all(runner.processes[one].starts > starts[one] and runner.processes[one].running for one in labels),
-        "processes that are started again",
-    )
+def score_update(
+    scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
+) -> UpdateScore:
+    """Score the traced depth of a scene; frames without depth, as of a killed process, are left out."""
+    moved = np.abs(scene.true_now.elevation - scene.given.elevation) >= _CHANGED_M
+    given, true = (TerrainTracer(dem) for dem in (scene.given, scene.true_now))
+    before: list[Float32Array] = []
+    after: list[Float32Array] = []
+    followed = 0
+    for number, frame in enumerate(frames):
+        version, depth = depths.get((frame.source, frame.stamp_ns), ("", None))
+        later = number >= len(frames) // 2
+        if depth is None or (version and not later):
+            continue
+        was, now = (tracer.trace(frame.camera, frame.pose) for tracer in (given, true))
+        truth = now.depth()
+        known = np.isfinite(truth) & np.isfinite(depth) & (_on(moved, was.cells()) | _on(moved, now.cells()))
+        (after if later else before).append(np.abs(depth[known] - truth[known]))
+        followed += later and bool(version)
+    medians = (float(np.median(np.concatenate(errors))) if errors else float("nan") for errors in (before, after))
+    return UpdateScore(len(before), len(after), followed, *medians)
 
 
-def _until(condition: Callable[[], bool], what: str) -> None:
-    """Raises LtmError where it does not come true."""
-    end = time.monotonic() + LONGEST_S
-    while not condition():
-        if time.monotonic() > end:
-            raise LtmError(f"no {what} within {LONGEST_S:.0f} s; see the nodes' logs")
-        time.sleep(0.05)
+def update_figure(
+    scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
+) -> Figure:
+    """Draw the true depth of the first camera's last frame, and the errors of its depth as given and as traced."""
+    frame = next(one for one in reversed(frames) if one.source == frames[0].source)
+    true, given = (TerrainTracer(dem).trace(frame.camera, frame.pose).depth() for dem in (scene.true_now, scene.given))
+    version, traced = depths[frame.source, frame.stamp_ns]
+    figure, rows = frame_figure(1, true.shape)
+    scale = RangeScale.of(true)
+    show_depth(rows[0][0], true, scale, f"{scene.name}, a synthetic scene: true depth")
+    show_error(rows[0][1], given, true, "error of depth traced to the terrain as given")
+    show_error(rows[0][2], traced, true, f"error of depth traced to surface {version or 'as given'}")
+    depth_bar(figure, rows[0][:1], scale)
+    error_bar(figure, rows[0][1:])
+    return figure
+
+
+def _on(cells: BoolArray, places: Int32Array) -> BoolArray:
+    """Return whether the (row, col) of each pixel, (H, W, 2), is one of `cells`; (H, W)."""
+    rows, cols = places[..., 0], places[..., 1]
+    inside = (rows >= 0) & (cols >= 0) & (rows < cells.shape[0]) & (cols < cells.shape[1])
+    return np.asarray(inside & cells[np.where(inside, rows, 0), np.where(inside, cols, 0)], np.bool_)

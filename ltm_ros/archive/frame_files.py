@@ -89,11 +89,6 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
     return {name: made[name](about) for name in wanted}
 
 
-def votes_file(task: Task, settings: TaskSettings) -> bytes:
-    """The file of a task's votes. Raises ArchiveError as `frame_files`."""
-    return frame_files(task, settings, [VOTES])[VOTES]
-
-
 class _Lost:
     """Frames of which a file has nothing, and why."""
 

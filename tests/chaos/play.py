@@ -185,7 +185,7 @@ def play_soak(folder: Path, domain: int, period_s: float, processes: str, minute
     """No faults."""
     found, soak = Found(), Soak()
     with on_stage(folder, domain, period_s, processes, False, found) as stage:
-        soak.watch(stage.site, stage.heartbeats, stage.state, minutes, lambda text: print(text, flush=True))
+        soak.watch(stage.site, stage.heartbeats, minutes, lambda text: print(text, flush=True))
     growth, in_use = soak.growth(), soak.growth_in_use()
     print(*report.growth(growth, in_use), sep="\n")
     found.missed += soak.missed()

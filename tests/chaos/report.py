@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping
 from chaos.bounded_caches import STATED, caches_of
 from chaos.cameras import CAMERAS
 from chaos.chaos_run import Outcome
-from chaos.soak import InUseGrowth
+from chaos.soak import Growth, InUseGrowth
 from chaos.verdict import Verdict
-from ltm_lab.bench.growth import Growth
 
 
 def heading() -> str:

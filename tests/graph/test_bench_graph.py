@@ -20,7 +20,7 @@ def test_all_frames_are_finished_or_counted(
     (run,) = json.loads(report.read_text())["runs"]
     assert (run["cameras"], run["offered"], run["lost"], run["unlabelled"]) == (1, 4, 0, 0)
     assert run["finished"] == run["admitted"] == run["voted"] == run["stored"] >= 2
-    assert 0 < run["latency_p50_s"] <= run["latency_p95_s"] <= run["latency_p99_s"] <= run["latency_max_s"]
+    assert 0 < run["latency_p50_s"] <= run["latency_p95_s"] <= run["latency_p99_s"]
     assert run["cpu_ms_a_frame"]["all"] > run["cpu_ms_a_frame"]["segmentation"] > 0
     assert "topodepth" not in run["cpu_ms_a_frame"]
-    assert "the demo's frames, 1920 px wide, without fusion" in capsys.readouterr().out
+    assert "the demo's frames, without fusion" in capsys.readouterr().out

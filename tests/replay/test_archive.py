@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +17,7 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
+from scenes.waiting import wait_for
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ArchiveError, ConfigError, LtmError
@@ -31,6 +34,7 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.frame_files import read_votes
+from ltm_ros.archive.plan import EVIDENCE
 from ltm_ros.archive.publish import RUN
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
@@ -106,6 +110,20 @@ def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected:
     planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
     assert run(planned, on_workers(2), kill_a_worker).digest == expected
     assert len(killed) == 2
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_with_its_scheduler_goes_on(
+    options: ArchiveOptions, small_site: SmallSite, expected: str
+) -> None:
+    command = [sys.executable, "-m", "ltm_ros.cli.main", "reprocess", str(small_site.bag), "--out", options.out]
+    command += ["--site", str(small_site.path), "--frames-per-task", "1", "--workers", "2"]
+    with subprocess.Popen(command) as process:
+        wait_for(lambda: ResultFolder(options.out).names(EVIDENCE), "a result")
+        process.kill()
+    summary = reprocessed(replace(options, frames_per_task=1))
+    assert summary.digest == expected
+    assert summary.worked < 2 * FRAMES
 
 
 def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:

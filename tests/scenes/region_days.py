@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from threading import Event
 from typing import Any
 
+import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
@@ -21,7 +22,7 @@ from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.outbox_io import OutboxFrame
-from ltm_lab.bench.network_towers import stamped
+from ltm_lab.bench.graph_site import stamped
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.region.mqtt_link import Taker
 from ltm_ros.region.service import RegionService
@@ -32,6 +33,16 @@ from scenes.region_scene import CAMERA, REGION, TOWERS, RegionScene, stamp_of
 FAULTS = ("link", "link", "tower", "map", "broker", "lose", "twice", "alter", "outbox", "store")
 """What happens, as likely as it is named."""
 LONGEST_FAULT_S = 1800
+
+
+def same_map(one: LivingFuelMap, other: LivingFuelMap) -> bool:
+    """Return whether all cells of two maps, and the time of their newest frames, are the same to the bit."""
+    rows, cols = one.tiles
+    for key in [(row, col) for row in range(rows) for col in range(cols)]:
+        mine, theirs = one.tile_state(key), other.tile_state(key)
+        if any(not np.array_equal(mine[name], theirs[name]) for name in mine):
+            return False
+    return one.newest_ns == other.newest_ns
 
 
 class Broker:

@@ -1,14 +1,13 @@
-"""Scores the surface map on simulated frames: it starts from the surface of one date and sees frames of another.
+"""Score the surface map on simulated frames: it starts from the surface of one date and gets frames of another.
 
-The depth that it is given is the frames' true depth with noise, or what a depth network measures in their photos.
+Its depth is the frames' true depth with noise, or the depth that a network measures in their photos.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.metrics.change import ChangeScore, score_change
-from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_lab.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
 from ltm_lab.evaluation.terrain.hillside_scenes import Noise
 from ltm_lab.evaluation.truth_frames_io import TruthFrame
@@ -35,15 +33,16 @@ from ltm_lab.evaluation.truth_frames_io import TruthFrame
 HOUR_NS = 3_600_000_000_000
 _SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
 Measure = Callable[[TruthFrame], tuple[DepthFrame, str]]
-"""What a camera measures in a frame, and what fusion had to say of it."""
+"""Returns the depth that a camera measures in a frame, and the verdict of the fusion."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameScore:
-    """`frames`: that were looked at. `change`: of the cells that independent views have seen; truly changed is what
-    moved by the map's threshold.
-    `before`, `after`: heights of the truly changed ones as given and as updated. `tails`: of the others, the share
-    whose estimate is off by more than 3 and 5 of its sigmas. `verdicts`: of the fusion.
+    """The score of a map after `frames` frames.
+
+    `change` counts the cells that independent views have seen; a cell has changed if it moved by the map's threshold
+    (`truth`). `before` and `after` are the heights of the changed cells as given and as updated. `tails` are the shares
+    of the other cells whose estimate is off by more than 3 and 5 of its sigmas. `verdicts` are those of the fusion.
     """
 
     frames: int
@@ -67,11 +66,15 @@ def score_frames(
     gone: Float32Array | None = None,
     earlier: Iterable[TruthFrame] = (),
 ) -> FrameScore:
-    """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
+    """Add frames to a map, an hour apart whatever their stamps are, and compare it with the true surface `now`.
 
-    `ground`, `before`: what the map starts from, in the map frame. `looks`: how often each frame is looked at: photos
-    of a scene whose errors repeat. `gone`: what labels say, see `SurfaceMap`. `earlier`: frames that the map looks at
-    before, of the date it starts from. Raises RasterError, PoseError and ImageError.
+    Args:
+        ground, before: bare earth and surface from which the map starts, in the map frame.
+        looks: how often each frame is added; the errors of photos repeat.
+        gone: weights of labels, see `SurfaceMap`.
+        earlier: frames of the date of `before`, which are added first.
+
+    Raises RasterError, PoseError and ImageError.
     """
     reference = Reference.of(ground, before, config.resolution)
     truth = cell_means(now.elevation, now.geometry, reference.geometry)
@@ -104,36 +107,8 @@ def _tails(errors: Float32Array) -> tuple[float, float]:
     return float((np.abs(errors) > 3).mean()), float((np.abs(errors) > 5).mean())
 
 
-def alike(photos: Mapping[str, Sequence[TruthFrame]], measure: Measure) -> float:
-    """How much of a depth's error, as a share of its mean square, is the same in photos of one scene, by camera and
-    view: 1 for errors that repeat, 0 for errors that are new each time. NaN where no view has two photos.
-
-    In units of sigma, at most 5 of them, at the pixels that are measured in each pair of successive photos.
-    """
-    differences, squares, count = 0.0, 0.0, 0
-    for views in photos.values():
-        errors = [_errors(frame, measure(frame)[0]) for frame in views]
-        for one, other in pairwise(errors):
-            both = np.isfinite(one) & np.isfinite(other)
-            differences += float(((one - other)[both] ** 2).sum()) / 2
-            squares += float((one[both] ** 2 + other[both] ** 2).sum()) / 2
-            count += int(both.sum())
-    return 1 - differences / squares if count and squares > 0 else float("nan")
-
-
-def _errors(frame: TruthFrame, seen: DepthFrame) -> Float32Array:
-    """At the truth's pixels, in sigmas, NaN where nothing is measured."""
-    image = frame.camera.height, frame.camera.width
-    depth, sigma = (at_pixels_of(part, image, frame.surface.shape) for part in (seen.depth, seen.sigma))
-    measured = at_pixels_of(seen.measured, image, frame.surface.shape)
-    with np.errstate(invalid="ignore"):
-        error = np.clip((depth - frame.surface) / sigma, -5, 5)
-    known = measured & np.isfinite(depth) & np.isfinite(frame.surface) & (sigma > 0)
-    return np.where(known, error, np.nan).astype(np.float32)
-
-
 def true_depth(noise: Noise, seed: int = 1) -> Measure:
-    """The frame's true depth with sigma `constant` + `share` x range, independent by pixel; the pose is exact."""
+    """Return true depth with sigma `constant` + `share` x range, independent by pixel, and the exact pose."""
     rng = np.random.default_rng(seed)
 
     def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
@@ -149,8 +124,9 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
 
 
 def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter) -> Measure:
-    """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
-    the graph does it; where fusion suspects the pose, nothing.
+    """Return the depth of a network, fused with the terrain and surface of before as in the graph.
+
+    A frame whose pose the fusion suspects has no depth.
     """
     to_ground, to_surface = (TerrainTracer(dem, possible=NOTHING_BEYOND) for dem in (ground, before))
     settings = FusionSettings(label_columns=segmenter.manifest.label_columns)

@@ -11,11 +11,9 @@ from pathlib import Path
 import numpy as np
 from chaos import report
 from chaos.resources import waited_s
-from chaos.soak import Soak
-from scenes.waiting import wait_for
+from chaos.soak import SUM, Growth, Sample, Soak
 
 from ltm_core.base.resources import project_path
-from ltm_lab.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
 from ltm_lab.bench.process_usage import Usage, usage
 from ltm_ros.runtime.process_memory import MemoryInUse
 
@@ -45,13 +43,6 @@ def test_usage_of_this_process(tmp_path: Path) -> None:
     assert waited_s(2**22 + 1) == 0
 
 
-def test_bytes_of_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "a" / "b").mkdir(parents=True)
-    (tmp_path / "a" / "one").write_bytes(bytes(7))
-    (tmp_path / "a" / "b" / "two").write_bytes(bytes(30))
-    assert folder_bytes(tmp_path) == 37
-
-
 def _soak(minutes: float, *memory: Callable[[float], float]) -> Soak:
     """Samples each 5 s of processes whose own memory, kB, is a function of the minutes."""
     soak = Soak()
@@ -59,7 +50,7 @@ def _soak(minutes: float, *memory: Callable[[float], float]) -> Soak:
         own = {str(number): round(kb(minute)) for number, kb in enumerate(memory)}
         # What is private changes as programs come and go that have mapped the same files.
         usage = {label: Usage(0, kb + round(900 * minute) % 7000, kb, 9, 3, 0.0) for label, kb in own.items()}
-        soak.samples.append(Sample(60 * minute, usage, 3, 0))
+        soak.samples.append(Sample(60 * minute, usage))
     return soak
 
 
@@ -133,22 +124,3 @@ def test_pages_of_files_are_not_a_process_own() -> None:
     assert after is not None
     assert after.private - before.private > 0.9 * kb
     assert after.own - before.own < 0.1 * kb
-
-
-def test_what_is_held_more_at_the_end_than_in_the_middle(tmp_path: Path) -> None:
-    def sample(minute: float, kb: int, more: int) -> Sample:
-        return Sample(60 * minute, {"one": Usage(0, 0, kb, 5 + more, 2 + 2 * more, 0.0)}, 7 + 3 * more, 1000 * more)
-
-    filling = [sample(minute, 100 * minute, 9 - minute) for minute in range(10)]
-    held = HeldMore.of([*filling, *(sample(minute, 900, minute // 15) for minute in range(10, 21))])
-    assert held.memory[SUM] == Growth(0.0, 0.0, 0.0, 0.0, 0.0)
-    assert (held.descriptors, held.threads, held.shared_objects, held.kept_bytes) == (1, 2, 3, 1000)
-    assert HeldMore.of([sample(0, 50, 0), sample(3, 80, 0)]).memory["one"].slope == 10.0
-
-
-def test_a_watch_samples_until_it_is_left(tmp_path: Path) -> None:
-    with GrowthWatch(lambda: {"this": os.getpid(), "gone": 2**22 + 1}, tmp_path, 0.01) as watch:
-        (tmp_path / "kept").write_bytes(bytes(5))
-        wait_for(lambda: len(watch.samples) > 2, "a third sample")
-    assert [sample.usage.keys() for sample in watch.samples] == [{"this"}] * len(watch.samples)
-    assert (watch.samples[0].kept_bytes, watch.samples[-1].kept_bytes) == (0, 5)

@@ -1,4 +1,4 @@
-"""The benchmark: its peers trace what we trace, its figures add up, and the command says what it leaves out."""
+"""The tracing benchmark: its peers trace what ours traces, and its figures add up."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_lab.bench import tracing
 from ltm_lab.bench.measure import Cost, least_cost
 from ltm_lab.bench.mountains import ridged_terrain
 from ltm_lab.bench.peers import PEERS, PeerKind, TracedView
-from ltm_lab.bench.summary import growth, rows
-from ltm_lab.bench.tracing import SCENES, Measured, bench_pose
+from ltm_lab.bench.tracing import Skipped, TracerCost, bench_pose, frame_costs, run
 from ltm_lab.cli.main import cli
 
 
@@ -50,47 +50,54 @@ def test_least_cost_stops_in_time() -> None:
     assert cost.cpu_ms > 0
 
 
-def test_ratios_and_growth() -> None:
-    def result(tracer: str, size: int, **frames: float) -> Measured:
-        costs = {name: Cost(ms, ms / 2) for name, ms in frames.items()}
-        return Measured(tracer, size, Cost(1e-6 * size**3, 1.0), 5.0, {s.name: costs for s in SCENES})
+def test_ratios_are_over_ours_of_the_same_size_and_scene() -> None:
+    def result(tracer: str, size: int, **frames: float) -> TracerCost:
+        costs = {state: Cost(ms, ms / 2) for state, ms in frames.items()}
+        return TracerCost(tracer, size, Cost(1.0, 1.0), 5.0, {"1080p 60 deg": costs, "VGA 5 deg": costs})
 
-    results = [
-        *(result("ours", n, warm=n**0.5, cold=2 * n**0.5, still=1.0) for n in (1000, 4000)),
-        *(result("embreex", n, **{"": 10.0 * n}) for n in (1000, 4000)),
-    ]
-    table = rows(results, list(SCENES))
-    assert len(table) == 2 * len(SCENES)
-    row = next(r for r in table if r["size"] == 4000 and r["scene"] == "1080p 60 deg")
-    assert row["ratio_embreex_warm"] == pytest.approx(40_000 / 4000**0.5)
-    assert row["ratio_embreex_cold"] == pytest.approx(20_000 / 4000**0.5)
-    assert row["mitsuba_cpu_ms"] is None
-    slopes = growth(table)
-    assert slopes["ours"]["frame"] == pytest.approx(0.25)
-    assert slopes["embreex"]["frame"] == pytest.approx(0.5)
-    assert slopes["embreex"]["setup"] == pytest.approx(1.5)
-    assert slopes["embreex"]["pixels"] == pytest.approx(0.0)
-    assert "mitsuba" not in slopes
+    results = [result("embreex", size, **{"": 10.0 * size}) for size in (4000, 1000, 2000)]
+    results += [result("ours", size, warm=size**0.5, cold=2 * size**0.5, still=1.0) for size in (1000, 4000)]
+    found = {(one.scene, one.size, one.tracer, one.state): one for one in frame_costs(results)}
+    assert len(found) == 2 * (3 + 2 * 3)
+    one = found["1080p 60 deg", 4000, "embreex", ""]
+    assert one.over_warm == pytest.approx(40_000 / 4000**0.5)
+    assert one.over_cold == pytest.approx(20_000 / 4000**0.5)
+    assert found["VGA 5 deg", 2000, "embreex", ""].over_warm is None
+    assert found["VGA 5 deg", 1000, "ours", "cold"].over_warm is None
+
+
+def test_a_peer_that_is_missing_or_too_large_is_skipped_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = PeerKind("embreex", "no_such_package", PEERS[0].make, 340)
+    large = PeerKind("mitsuba", "numpy", PEERS[1].make, 10**12)
+    monkeypatch.setattr(tracing, "PEERS", (absent, large))
+    first, second = run([100], [], 1, ("embreex", "mitsuba"))
+    assert isinstance(first, Skipped)
+    assert first.reason == "not installed"
+    assert isinstance(second, Skipped)
+    assert "GB of memory" in second.reason
 
 
 def test_the_command_writes_its_figures(tmp_path: Path) -> None:
     out = tmp_path / "new" / "bench.json"
     ran = CliRunner().invoke(
-        cli,
-        f"bench trace --sizes 300 --scenes VGA --tracers ours,march,open3d --repeats 1 --json {out}".split(),
+        cli, f"bench trace --sizes 300 --scenes VGA --tracers ours,march --repeats 1 --json {out}".split()
     )
     assert ran.exit_code == 0, ran.output
     report: dict[str, Any] = json.loads(out.read_text())
     assert report["conditions"]["cores"] >= 1
-    assert {r["scene"] for r in report["rows"]} == {"VGA 60 deg", "VGA 5 deg"}
-    for row in report["rows"]:
-        assert row["ratio_march_warm"] == pytest.approx(row["march_cpu_ms"] / row["ours_warm_cpu_ms"])
-        assert row["ours_cold_cpu_ms"] > 0
-    done = {"open3d"} if any(r["open3d_cpu_ms"] for r in report["rows"]) else {s["tracer"] for s in report["skipped"]}
-    assert "open3d" in done
+    frames = {(one["scene"], one["tracer"], one["state"]): one for one in report["frames"]}
+    assert {scene for scene, _, _ in frames} == {"VGA 60 deg", "VGA 5 deg"}
+    for scene in ("VGA 60 deg", "VGA 5 deg"):
+        march, warm = frames[scene, "march", ""], frames[scene, "ours", "warm"]
+        assert march["over_warm"] == pytest.approx(march["cost"]["cpu_ms"] / warm["cost"]["cpu_ms"])
+        assert frames[scene, "ours", "cold"]["cost"]["cpu_ms"] > 0
+    assert {one["tracer"] for one in report["setup"]} == {"ours", "march"}
+    assert report["skipped"] == []
 
 
-@pytest.mark.parametrize(("option", "value"), [("--sizes", "2000,x"), ("--sizes", "20"), ("--scenes", "8K")])
+@pytest.mark.parametrize(
+    ("option", "value"), [("--sizes", "2000,x"), ("--sizes", "20"), ("--scenes", "8K"), ("--tracers", "open3d")]
+)
 def test_refuses_what_it_cannot_measure(option: str, value: str) -> None:
     ran = CliRunner().invoke(cli, ["bench", "trace", option, value])
     assert ran.exit_code == 2

@@ -11,7 +11,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_lab.evaluation.update_score import update_figure
+from ltm_lab.evaluation.update_trial import update_figure
 
 
 def test_errors_before_and_after() -> None:

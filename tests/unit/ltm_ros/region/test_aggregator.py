@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from rclpy.serialization import deserialize_message, serialize_message
 from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
+from scenes.region_days import same_map
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from sensor_msgs.msg import PointCloud2
 
@@ -32,7 +33,6 @@ from ltm_core.uplink.envelope import (
     outcomes_of,
     packed,
 )
-from ltm_lab.bench.region import same_map
 from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.certs import TrialAuthority

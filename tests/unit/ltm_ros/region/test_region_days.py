@@ -8,10 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-from scenes.region_days import FAULTS, RegionDays
+from scenes.region_days import FAULTS, RegionDays, same_map
 from scenes.region_scene import CAMERA, TOWERS, write_region_scene
-
-from ltm_lab.bench.region import same_map
 
 
 @pytest.mark.parametrize("hours", [0.25, pytest.param(48.0, marks=pytest.mark.slow)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ssl
+import subprocess
+import sys
 import threading
 import time
 import urllib.request
@@ -15,15 +17,22 @@ import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
+from rclpy.serialization import deserialize_message
 from scenes.free_port import free_port
+from scenes.fuel_frames import LABELS
 from scenes.mqtt_broker import Broker
+from scenes.region_days import same_map
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
+from sensor_msgs.msg import PointCloud2
 
 from ltm_core.base.errors import StoreError
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
+from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.mqtt_link import (
     LARGEST_PACKET,
@@ -118,6 +127,29 @@ def test_frames_reach_the_map_and_leave_the_outbox(scene: RegionScene, broker: B
             broker.start()
             wait_for(lambda: service.frames == 49 and waiting(said) == "0", "the rest")
             assert (service.health.dropped, said.dropped) == ({}, {})
+
+
+def test_after_kills_of_map_and_broker_the_map_is_that_of_all_frames(scene: RegionScene, broker: Broker) -> None:
+    """With SIGKILL, while the map counts. Kills of a tower are in `test_outbox.py`."""
+    frames, source = 200, f"alta_{CAMERA}"
+    command = [sys.executable, "-m", "ltm_ros.cli.main", "region", str(scene.folder / "region.yaml")]
+    with sending(scene, "alta") as (alta, said):
+        offer(alta, scene, range(frames))
+        wait_for(lambda: waiting(said) == str(frames), "the outbox")
+        for left in (frames - 1, frames // 2, 0):
+            with subprocess.Popen(command) as service:
+                wait_for(lambda left=left: int(waiting(said)) <= left, "answers of the map")  # type: ignore[misc]
+                service.kill()
+            broker.stop()
+            broker.start()
+        assert said.dropped == {}
+    found, expected = (site_evidence_map(scene.site, scene.geometry, LABELS) for _ in range(2))
+    for number in range(frames):
+        message = deserialize_message(scene.votes(number), PointCloud2)
+        expected.add(msg_to_votes(message, scene.geometry, LABELS.names, source))
+    with open_stored_map(scene.folder / "map" / STORE_FILE, scene.site, found) as opened:
+        assert opened.sources() == {source: frames}
+    assert same_map(found, expected)
 
 
 def test_a_frame_that_is_refused_stays_and_is_told_in_words(scene: RegionScene, broker: Broker) -> None:
