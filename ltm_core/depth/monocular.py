@@ -13,8 +13,7 @@ from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
-from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.tensors import input_tensor
+from ltm_core.vision.onnx_model import OnnxModel, input_tensor
 
 DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -164,17 +163,6 @@ class LabelErrors:
         about = f"label head {content.name}, on {calibration.measured_on}"
         errors = cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
         return errors._for_photographs(calibration)
-
-    @classmethod
-    def mean(cls, errors: Sequence[LabelErrors]) -> LabelErrors:
-        """Of labels that one of several gave, each as likely: the mean of their shares, correlations as assumed. A form
-        counts by those that know of it."""
-        shares = np.array([one.shares for one in errors])
-        known = np.isfinite(shares).all(axis=2, keepdims=True)
-        count = known.sum(axis=0)
-        total = np.where(known, shares, 0.0).sum(axis=0)
-        mixed = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        return cls(mixed, cls.assumed().correlation, f"one of: {'; '.join(one.source for one in errors)}")
 
     def _for_photographs(self, calibration: Calibration) -> LabelErrors:
         """With the step from renderings to photos, where no photo had a part in the calibration."""

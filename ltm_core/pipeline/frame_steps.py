@@ -182,11 +182,6 @@ class LabellingStep:
         return self._segmenter.described
 
     @property
-    def chosen(self) -> str:
-        """Of a camera whose head is `auto`: which the pictures up to now speak for; empty where its head is named."""
-        return "" if self._segmenter.choice is None else self._segmenter.choice.told
-
-    @property
     def manifest(self) -> NetworkManifest:
         """Of the network."""
         return self._segmenter.manifest
@@ -211,13 +206,13 @@ class LabellingStep:
         """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
 
         `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
-        nobody knows. `in_order`: pictures come as they were taken, so that smoke is told by those before, and a head
-        chosen by them: by itself alone a picture shows no smoke, and chooses its own head.
+        nobody knows. `in_order`: pictures come as they were taken, so that smoke is detected by comparison with
+        previous ones; a single image shows no smoke.
         """
         view = self._scene.look(photo, looking, stamp_ns)
         among_others_s = stamp_ns * 1e-9 if stamp_ns is not None and in_order else None
         if view.reason is None:
-            found = self._segmenter.segment(photo, self._zoom, among_others_s)
+            found = self._segmenter.segment(photo, self._zoom)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

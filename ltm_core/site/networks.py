@@ -9,8 +9,7 @@ import numpy as np
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.site.site import Site
-from ltm_core.vision.head_choice_io import heads_to_choose
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
 from ltm_core.vision.masks import ViewMasks
 from ltm_core.vision.scene_view import SceneFilter, mask_maker
 from ltm_core.vision.segmenter import Segmenter
@@ -25,20 +24,12 @@ def site_label_errors(site: Site) -> LabelErrors:
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     """Those of the cameras whose network has a label head of its own: a label head errs otherwise than what it corrects.
 
-    Which of several a camera's pictures have chosen is not known of its votes: they err as all of them do in the mean.
     Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
     """
     if site.fuel.label_errors is not None:
         return {}
-    known: dict[str, LabelErrors] = {}
-    for head in {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}:
-        if head != AUTO_HEAD:
-            known[head] = LabelErrors.of_label_head(site.model, head, site.label_heads)
-            continue
-        network = NetworkManifest.find(site.model)
-        if files := list(heads_to_choose(network.serving(head), site.label_heads)[0]):
-            every = [LabelErrors.of_label_head(site.model, str(file.absolute())) for file in files]
-            known[head] = LabelErrors.mean([LabelErrors.of_model(network.heads_of or site.model), *every])
+    heads = {camera.label_head for camera in site.cameras.values()} - {SHIPPED_LABEL_HEAD}
+    known = {head: LabelErrors.of_label_head(site.model, head, site.label_heads) for head in heads}
     return {name: known[camera.label_head] for name, camera in site.cameras.items() if camera.label_head in known}
 
 

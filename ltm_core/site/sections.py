@@ -94,8 +94,7 @@ class CameraConfig(StrictModel):
     any of them has `mask` alone."""
     label_head: str = SHIPPED_LABEL_HEAD
     """Label head of the segmentation network for what this camera sees: `landscape` is the network's own, others are
-    taught (`ltm train head`); a name, or a path from the site's folder of label heads. `auto`: chosen by the
-    picture."""
+    taught (`ltm train head`); a name, or a path from the site's folder of label heads."""
     mount: MountConfig | None = None
     """Of a PTZ head: what makes poses, and where it zooms calibrations, of what its encoders say."""
     ptz: PtzConfig | None = None

@@ -28,10 +28,9 @@ from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.viewshed import PosedCamera
-from ltm_core.vision.head_choice_io import heads_to_choose
 from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest
+from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
@@ -211,9 +210,6 @@ def _heads(site: Site) -> Iterator[SiteFinding]:
     for head, names in cameras.items():
         if head == SHIPPED_LABEL_HEAD:
             continue
-        if head == AUTO_HEAD:
-            yield _chosen_heads(site, names)
-            continue
         doubt = ""
         try:
             manifest = NetworkManifest.find(site.model).serving(head)
@@ -229,18 +225,3 @@ def _heads(site: Site) -> Iterator[SiteFinding]:
             said = f"of {', '.join(names)}: {file}"
             verdict = SiteVerdict.DOUBTFUL if doubt else SiteVerdict.OK
             yield SiteFinding("networks", f"label head {head}", verdict, f"{said}; {doubt}" if doubt else said)
-
-
-def _chosen_heads(site: Site, cameras: list[str]) -> SiteFinding:
-    """Among which heads pictures choose, and which are passed over."""
-    try:
-        heads, passed = heads_to_choose(NetworkManifest.find(site.model).serving(AUTO_HEAD), site.label_heads)
-    except LtmError as error:
-        return SiteFinding.of("networks", f"label head {AUTO_HEAD}", error)
-    among = ", ".join([SHIPPED_LABEL_HEAD, *(f"{h.name} ({h.doubt})" if h.doubt else h.name for h in heads.values())])
-    said = f"of {', '.join(cameras)}: chosen by the picture among {among}"
-    told = [said, *(f"passed over: {path}: {reason}" for path, reason in passed.items())]
-    doubtful = passed or not heads or any(head.doubt for head in heads.values())
-    return SiteFinding(
-        "networks", f"label head {AUTO_HEAD}", SiteVerdict.DOUBTFUL if doubtful else SiteVerdict.OK, "; ".join(told)
-    )

@@ -1,4 +1,9 @@
-"""Read, write and rasterise named areas of photos, and outline regions as polygons."""
+"""Read, write and rasterise named areas of photos, and outline regions as polygons.
+
+Turns areas that a person has drawn into label images, and regions of an image into polygons.
+
+Later areas lie over earlier ones. The hole of a region becomes part of its outline, by a cut that leads to it.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +46,7 @@ class NamedArea(StrictModel):
     image: str = Field(max_length=255)
     """File name of the photo."""
     kind: str = Field(alias="class", max_length=80)
-    """A class of the label set, `MASKED`, `ERASED`, or what a mask hides: lens, caption, structure."""
+    """A class of the label set, `MASKED`, `ERASED`, or what a mask hides: lens, caption."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels of the photo."""
     number: int | None = None
@@ -89,6 +94,46 @@ Outline = tuple[tuple[float, float], ...]
 MOST_HOLES = 200
 """Of one part; the smallest beyond them are filled, so that no outline needs more corners than it may have."""
 _Points = NDArray[np.int32]
+Points = Sequence[Sequence[float]]
+
+
+def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: LabelSet) -> UInt8Array:
+    """(H, W) class ids; 255 where nothing is named, and where the class is none of the label set."""
+    drawn = np.full((height, width), UNLABELLED, np.uint8)
+    for area in areas:
+        value = labels.names.index(area.kind) if area.kind in labels.names else int(UNLABELLED)
+        fill(drawn, area.polygon, value)
+    return drawn
+
+
+def stroke_areas(image: str, kind: str, points: Points, radius: float, height: int, width: int) -> list[NamedArea]:
+    """What a round brush of this radius (pixels) covers along `points` (u, v) of a photo, as areas."""
+    drawn = np.zeros((height, width), np.uint8)
+    path = np.rint(np.array(points, np.float64)).astype(np.int32)
+    thick = max(1, round(2 * radius))
+    cv2.polylines(drawn, [path.reshape(-1, 1, 2)], False, [1], thick)
+    for u, v in path.tolist():
+        cv2.circle(drawn, (u, v), max(0, round(radius)), [1], -1)
+    return [NamedArea(image=image, kind=kind, polygon=outline) for outline in polygons_of(drawn > 0, 0.5)]
+
+
+def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
+    """A label image (H, W) as areas, the largest first, so that what lies within another lies over it.
+
+    `least`: share of the picture; smaller regions are left out.
+    """
+    found: list[tuple[float, NamedArea]] = []
+    for index, name in enumerate(names):
+        region = (labels == index).astype(np.uint8)
+        if not region.any():
+            continue
+        smooth = cv2.medianBlur(region * np.uint8(255), 5) > 127
+        found += [
+            (cv2.contourArea(np.array(outline, np.float32)), NamedArea(image=image, kind=name, polygon=outline))
+            for outline in polygons_of(np.asarray(smooth, np.bool_), 1.5, filled=True)
+        ]
+    kept = [(size, area) for size, area in found if size >= least * labels.size]
+    return [area for _, area in sorted(kept, key=lambda one: -one[0])]
 
 
 def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False) -> list[Outline]:
@@ -165,45 +210,3 @@ def _simplified(points: _Points, fixed: NDArray[np.bool_], tolerance: float) -> 
         for c, d in pairwise(ends):
             parts.append(cv2.approxPolyDP(part[c : d + 1].reshape(-1, 1, 2), tolerance, closed=False)[:-1, 0])
     return np.asarray(np.concatenate(parts), np.int32)
-
-
-Points = Sequence[Sequence[float]]
-
-
-def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: LabelSet) -> UInt8Array:
-    """(H, W) class ids; 255 where nothing is named, and where the class is none of the label set."""
-    drawn = np.full((height, width), UNLABELLED, np.uint8)
-    for area in areas:
-        value = labels.names.index(area.kind) if area.kind in labels.names else int(UNLABELLED)
-        fill(drawn, area.polygon, value)
-    return drawn
-
-
-def stroke_areas(image: str, kind: str, points: Points, radius: float, height: int, width: int) -> list[NamedArea]:
-    """What a round brush of this radius (pixels) covers along `points` (u, v) of a photo, as areas."""
-    drawn = np.zeros((height, width), np.uint8)
-    path = np.rint(np.array(points, np.float64)).astype(np.int32)
-    thick = max(1, round(2 * radius))
-    cv2.polylines(drawn, [path.reshape(-1, 1, 2)], False, [1], thick)
-    for u, v in path.tolist():
-        cv2.circle(drawn, (u, v), max(0, round(radius)), [1], -1)
-    return [NamedArea(image=image, kind=kind, polygon=outline) for outline in polygons_of(drawn > 0, 0.5)]
-
-
-def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
-    """A label image (H, W) as areas, the largest first, so that what lies within another lies over it.
-
-    `least`: share of the picture; smaller regions are left out.
-    """
-    found: list[tuple[float, NamedArea]] = []
-    for index, name in enumerate(names):
-        region = (labels == index).astype(np.uint8)
-        if not region.any():
-            continue
-        smooth = cv2.medianBlur(region * np.uint8(255), 5) > 127
-        found += [
-            (cv2.contourArea(np.array(outline, np.float32)), NamedArea(image=image, kind=name, polygon=outline))
-            for outline in polygons_of(np.asarray(smooth, np.bool_), 1.5, filled=True)
-        ]
-    kept = [(size, area) for size, area in found if size >= least * labels.size]
-    return [area for _, area in sorted(kept, key=lambda one: -one[0])]

@@ -27,9 +27,14 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_confidence import Calibration, LabelAgreement, doubt_of_photographs
-from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal, added_folder
-from ltm_core.vision.picture_domain import HeadDomain
+from ltm_core.vision.label_confidence import Calibration, doubt_of_photographs
+from ltm_core.vision.label_rules import LabelAgreement
+from ltm_core.vision.manifest import (
+    SHIPPED_LABEL_HEAD,
+    NetworkManifest,
+    Withdrawal,
+    added_folder,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +42,7 @@ class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
     `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
-    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged. `domain`: where its photos
-    lie, for `label_head: auto`; None: nobody measured it.
+    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged.
     """
 
     name: str
@@ -49,7 +53,6 @@ class LabelHead:
     withdraw: Withdrawal = field(default_factory=Withdrawal)
     agreement: LabelAgreement = field(default_factory=LabelAgreement)
     doubt: str = ""
-    domain: HeadDomain | None = None
 
     @property
     def maps(self) -> tuple[str, ...]:
@@ -79,10 +82,9 @@ _DIGITS: Final = 4
 
 
 class LabelHeadFile(StrictModel):
-    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
-    each of `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `label_head: auto`.
-    `one_view`: it was taught by one view and is for that alone. `by_name`: no picture chooses it. `calibration`: how
-    its labels err, on photos held out.
+    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
+    `classes`, a column for each of the map's channels. `one_view`: it was taught by one view and is for that
+    alone. `calibration`: how its labels err, on photos held out.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
@@ -96,9 +98,7 @@ class LabelHeadFile(StrictModel):
     agreement: LabelAgreement = LabelAgreement()
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
-    domain: HeadDomain | None = None
     one_view: bool = False
-    by_name: bool = False
     calibration: Calibration | None = None
 
     @model_validator(mode="after")
@@ -106,8 +106,6 @@ class LabelHeadFile(StrictModel):
         count = len(self.classes)
         if self.name == SHIPPED_LABEL_HEAD:
             raise ValueError(f"name: {SHIPPED_LABEL_HEAD!r} is the network's own label head; choose another")
-        if self.name == AUTO_HEAD:
-            raise ValueError(f"name: {AUTO_HEAD!r} stands for a choice among label heads; choose another")
         if len(self.bias) != count:
             raise ValueError(f"bias has {len(self.bias)} values, expected {count}, one for each of classes")
         for name, rows in self.maps.items():
@@ -159,7 +157,6 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
         withdraw=content.withdraw,
         agreement=content.agreement,
         doubt=doubt_of_photographs(content.calibration),
-        domain=content.domain,
     )
     return head, content
 
@@ -203,8 +200,6 @@ def write_label_head(path: Path, content: LabelHeadFile) -> None:
     data = content.model_dump(mode="json", exclude_none=True)
     data["bias"] = _rounded(data["bias"])
     data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
-    if "domain" in data:
-        data["domain"]["centre"] = _rounded(data["domain"]["centre"])
     if "calibration" in data:
         data["calibration"]["confusion"] = [_rounded(row, 4) for row in data["calibration"]["confusion"]]
         data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}

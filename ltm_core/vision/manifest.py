@@ -28,13 +28,9 @@ DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
 FUSION_SUFFIX: Final = "_fusion.yaml"
 """Ends the name of the file beside a manifest that says how the model errs."""
-DOMAIN_SUFFIX: Final = "_domain.yaml"
-"""Of the one that says where its pictures lie (`picture_domain`)."""
 
 SHIPPED_LABEL_HEAD: Final = "landscape"
 """Name of the head that is the network's own scores: no correction."""
-AUTO_HEAD: Final = "auto"
-"""A camera's `head` that is chosen by the picture (`head_choice`)."""
 
 
 class InputSpec(StrictModel):
@@ -77,7 +73,7 @@ class InputSpec(StrictModel):
 
 
 class CoarseLook(StrictModel):
-    """A second look at the whole picture, at this size, whose scores of land count by `share` (`coarse_look`). The
+    """A second look at the whole picture, at this size, whose scores of land count by `share` (`tiling`). The
     network's file must take inputs of both sizes."""
 
     width: int = Field(gt=0)
@@ -91,7 +87,7 @@ class CoarseLook(StrictModel):
 
 class Withdrawal(StrictModel):
     """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
-    *tree* where the photo's local contrast is lower (`withdrawal.contrast`), as of hazy far slopes, where the
+    *tree* where the photo's local contrast is lower (`label_rules.contrast`), as of hazy far slopes, where the
     picture shows more shrub than tree. 0: none."""
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
@@ -125,7 +121,7 @@ class OutputSpec(StrictModel):
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
     # Class -> what is added to its logits: gives a class that training weighed up its true rarity (Menon et al. 2021).
     offsets: dict[str, float] = Field(default_factory=dict)
-    # Class -> what is taken off its logits, at most, where the photo is redder than what is green (`photo_colour`).
+    # Class -> what is taken off its logits, at most, where the photo is redder than what is green (`label_rules`).
     redness: dict[str, Annotated[float, Field(gt=0, le=20)]] = Field(default_factory=dict)
     withdraw: Withdrawal = Withdrawal()
     inverse: bool = False
@@ -317,7 +313,5 @@ def added_names() -> list[str]:
 
 def _names(folder: Path) -> list[str]:
     return sorted(
-        path.stem
-        for path in folder.glob("*.yaml")
-        if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX, DOMAIN_SUFFIX))
+        path.stem for path in folder.glob("*.yaml") if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX))
     )

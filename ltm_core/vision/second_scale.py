@@ -1,15 +1,11 @@
-"""Run a label network at a second scale: the whole photo coarser, distant slopes in enlarged tiles.
+"""Runs a network on a photo at a second scale: the whole of it coarser, and on request distant slopes finer, in tiles.
 
-A second, coarser look at the whole picture: its scores of land are averaged with those of the first.
+At half the size, the network sees twice as much of a slope's surroundings, and noise and the traces of compression are
+gone. On photographs the two scales err in different places, so their mean is right more often, and less sure where they
+differ. It costs a quarter of the work.
 
-At half the size a slope is an object of half as many pixels: what the network sees of its surroundings doubles, and
-noise and the traces of compression are gone. On photographs the two looks err in other places, so the mean is right
-more often, and is less sure where they differ. A quarter of the pixels, a quarter of the work.
-
-Segments distant slopes a second time, in enlarged tiles along the skyline, averaged into the whole photo's result.
-
-A network of 512 x 288 pixels sees a slope of a 4K photo eight times smaller than the sensor did. What lies far lies
-along the skyline; only that strip is worth the second look.
+Tiles are for large photos: a network of 512 x 288 pixels sees a slope of a 4K photo eight times smaller than the sensor
+did. Distant land lies along the skyline, so only that strip is enlarged.
 """
 
 from __future__ import annotations
@@ -21,43 +17,6 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-
-_CREST: Final = 0.0125  # of the width
-
-
-def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, sky: Sequence[int]) -> Float32Array:
-    """Scores (K, h, w) of a picture, those of its land averaged with `coarse` (K, h', w'), which counts by `share`.
-
-    Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
-    cameras their pose.
-    """
-    height, width = scores.shape[1:]
-    land = [k for k in range(len(scores)) if k not in sky]
-    enlarged = np.stack([cv2.resize(coarse[k], (width, height), interpolation=cv2.INTER_LINEAR) for k in land])
-    own = _log_sum(scores[land])
-    weight = np.full((height, width), share, np.float32)
-    if sky:
-        weight *= _beyond_crest(_log_sum(scores[list(sky)]) > own)
-    mean = np.asarray(scores[land] + weight * (enlarged - scores[land]), np.float32)
-    mixed = scores.copy()
-    mixed[land] = mean + (own - _log_sum(mean))
-    return mixed
-
-
-def _beyond_crest(sky: BoolArray) -> Float32Array:
-    """(h, w) 0 within `_CREST` below the lowest sky (h, w) of each column, 1 from twice as far on, and above."""
-    rows, cols = sky.shape
-    lowest = np.where(sky.any(axis=0), rows - 1 - np.argmax(sky[::-1], axis=0), -np.inf)
-    reach = max(1.0, _CREST * cols)
-    below = (np.arange(rows)[:, None] - lowest) / reach
-    return np.where(below <= 0, 1.0, np.clip(below - 1.0, 0.0, 1.0)).astype(np.float32)
-
-
-def _log_sum(scores: Float32Array) -> Float32Array:
-    """log(sum(exp)) over the classes, (h, w); `np.logaddexp.reduce` takes twelve times as long, thrice a frame."""
-    most = scores.max(axis=0)
-    return np.asarray(most + np.log(np.exp(scores - most).sum(axis=0)), np.float32)
-
 
 _OVERLAP = 0.25  # of a tile's side: neighbours share it, and fade into each other over it
 _ABOVE = 0.25  # of a tile's height that lies above the skyline
@@ -137,3 +96,40 @@ def _fade(size: tuple[int, ...]) -> Float32Array:
         place = (np.arange(length) + 0.5) / length
         ramps.append(np.clip(np.minimum(place, 1.0 - place) / (_OVERLAP / 2.0), 0.0, 1.0))
     return np.asarray(2.0 * ramps[0][:, None] * ramps[1][None], np.float32)
+
+
+_CREST: Final = 0.0125  # of the width
+
+
+def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, sky: Sequence[int]) -> Float32Array:
+    """Scores (K, h, w) of a picture, those of its land averaged with `coarse` (K, h', w'), which counts by `share`.
+
+    Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
+    cameras their pose.
+    """
+    height, width = scores.shape[1:]
+    land = [k for k in range(len(scores)) if k not in sky]
+    enlarged = np.stack([cv2.resize(coarse[k], (width, height), interpolation=cv2.INTER_LINEAR) for k in land])
+    own = _log_sum(scores[land])
+    weight = np.full((height, width), share, np.float32)
+    if sky:
+        weight *= _beyond_crest(_log_sum(scores[list(sky)]) > own)
+    mean = np.asarray(scores[land] + weight * (enlarged - scores[land]), np.float32)
+    mixed = scores.copy()
+    mixed[land] = mean + (own - _log_sum(mean))
+    return mixed
+
+
+def _beyond_crest(sky: BoolArray) -> Float32Array:
+    """(h, w) 0 within `_CREST` below the lowest sky (h, w) of each column, 1 from twice as far on, and above."""
+    rows, cols = sky.shape
+    lowest = np.where(sky.any(axis=0), rows - 1 - np.argmax(sky[::-1], axis=0), -np.inf)
+    reach = max(1.0, _CREST * cols)
+    below = (np.arange(rows)[:, None] - lowest) / reach
+    return np.where(below <= 0, 1.0, np.clip(below - 1.0, 0.0, 1.0)).astype(np.float32)
+
+
+def _log_sum(scores: Float32Array) -> Float32Array:
+    """log(sum(exp)) over the classes, (h, w); `np.logaddexp.reduce` takes twelve times as long, thrice a frame."""
+    most = scores.max(axis=0)
+    return np.asarray(most + np.log(np.exp(scores - most).sum(axis=0)), np.float32)

@@ -10,24 +10,21 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.base.errors import ImageError, ModelError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.vision.head_choice import HeadChoice
-from ltm_core.vision.head_choice_io import open_choice
-from ltm_core.vision.label_confidence import agreed, doubt_of_photographs, load_calibration
-from ltm_core.vision.label_corrections import against_green, withdraw
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.vision.label_confidence import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
+from ltm_core.vision.label_rules import against_green, agreed, withdraw
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import (
-    AUTO_HEAD,
     DEFAULT_MODEL,
     SHIPPED_LABEL_HEAD,
     InputSpec,
     NetworkManifest,
     Withdrawal,
 )
-from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.onnx_model import OnnxModel, as_tensor, fitted, input_tensor
 from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
-from ltm_core.vision.tensors import as_tensor, fitted, input_tensor, upsampled_winner
+from ltm_core.vision.tensors import upsampled_winner
 from ltm_core.vision.word_embeddings_io import load_text
 
 
@@ -49,9 +46,8 @@ class Segmenter:
 
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
     halves of one label (`grass` and `field`, say) are not beaten by a third class. `words`: of a text network, those
-    that compete (None: all). `head`: what corrects the network's scores (None: nothing does); with `choice`, each
-    picture's is chosen. `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and
-    for a mapping to a label that does not exist.
+    that compete (None: all). `head`: what corrects the network's scores (None: nothing does). `threads` is the number
+    of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
     """
 
     def __init__(
@@ -61,7 +57,6 @@ class Segmenter:
         labels: LabelSet | None = None,
         words: Sequence[str] | None = None,
         head: LabelHead | None = None,
-        choice: HeadChoice | None = None,
     ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
@@ -81,8 +76,6 @@ class Segmenter:
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
         self.head = head
-        """Of the last picture, where it is chosen."""
-        self.choice = choice
         self.withdraw_otherwise: Mapping[str, float] = {}
         """Fields of `withdrawal` that are to be others than the head's or the network's."""
 
@@ -97,21 +90,16 @@ class Segmenter:
     ) -> "Segmenter":
         """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
 
-        With a head, the network is the one that `NetworkManifest.serving` names. Head `auto` is chosen by the picture.
-        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_label_head`,
-        `read_label_head`, and for `auto` of a network whose domains nobody measured.
+        With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for the
+        head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
         """
         manifest = NetworkManifest.find(path_or_name).serving(head)
-        if head == AUTO_HEAD:
-            return cls(manifest, threads, labels, choice=open_choice(manifest, heads))
         file = find_label_head(head, manifest, heads)
         return cls(manifest, threads, labels, head=None if file is None else read_label_head(file, manifest)[0])
 
     @property
     def name(self) -> str:
         """What labels, for tables."""
-        if self.choice is not None:
-            return f"{self.manifest.name} {AUTO_HEAD}"
         return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
 
     @property
@@ -125,9 +113,8 @@ class Segmenter:
         """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
         ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        head, told = self.head, network if self.head is None else f"{network}, label head {self.head.described}"
-        if self.choice is not None:
-            head, told = self.choice.present, f"{network}, label head {self.choice.described}"
+        head = self.head
+        told = network if head is None else f"{network}, label head {head.described}"
         doubt = doubt_of_photographs(load_calibration(self.manifest)) if head is None else head.doubt
         return f"{told}, {doubt}" if doubt else told
 
@@ -136,11 +123,8 @@ class Segmenter:
         """The network file in use."""
         return self._model.path
 
-    def segment(self, image: UInt8Array, zoom: float = 1.0, seconds: float | None = None) -> Segmentation:
+    def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
-
-        `seconds`: when it was taken, of photos of one camera that come in their order, for a head to be chosen by those
-        before too; None: it is chosen by this photo alone.
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
         strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
@@ -151,9 +135,6 @@ class Segmenter:
         if self.manifest.output.kind == "ids":
             return self._from_ids(self._model.run(input_tensor(image, self.manifest.input)), height, width)
         scores, maps = self._answer(image)
-        if self.choice is not None:
-            odds = self.choice.odds(maps, self.land(scores))
-            self.head = self.choice.alone(odds) if seconds is None else self.choice.look(odds, seconds)
         probabilities = self._label_probabilities(self._of_whole(image, scores, maps))
         if zoom > 1.0 and Label.SKY in self._group_labels:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
@@ -196,23 +177,10 @@ class Segmenter:
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
 
-    def land(self, scores: Float32Array) -> BoolArray:
-        """(h, w) where the likeliest of the network's own classes, by scores (K, h, w), is not sky."""
-        return ~np.isin(scores.argmax(axis=0), self._sky_classes)
-
-    def head_odds(self, image: UInt8Array) -> Float64Array | None:
-        """Of a segmenter that chooses its head: a photo's log odds (`HeadChoice.odds`). Raises as `logits` does."""
-        _check(image)
-        if self.choice is None:
-            raise ModelError(f"model {self.manifest.name!r}: its head is named, not chosen; open it with head 'auto'")
-        scores, maps = self._answer(image)
-        return self.choice.odds(maps, self.land(scores))
-
     def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
         """The network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a head
         may read."""
-        names = self.choice.maps if self.choice is not None else self.head.maps if self.head is not None else ()
-        return self._run(image, names, part)
+        return self._run(image, () if self.head is None else self.head.maps, part)
 
     def _run(
         self, image: UInt8Array, names: Sequence[str], part: bool = False, spec: InputSpec | None = None

@@ -9,7 +9,7 @@ from typing import Any
 from ltm_core.base.errors import RecordingError
 from ltm_core.site.site_io import load_site
 from ltm_lab.training.adapt import frame_of
-from ltm_lab.training.labelled_frames import Frame
+from ltm_lab.training.training_frames import TrainingFrame
 from ltm_msgs_py.image import msg_to_depth, msg_to_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
@@ -24,7 +24,7 @@ class _Tracing(OfflineGraph):
     """The nodes that join and trace a recording; keeps each photo, made small, with its depth."""
 
     def __init__(self, graph: Graph, width: int) -> None:
-        self.frames: list[Frame] = []
+        self.frames: list[TrainingFrame] = []
         self._width = width
         self._photos: dict[tuple[str, int], Any] = {}
         super().__init__(graph)
@@ -41,7 +41,7 @@ class _Tracing(OfflineGraph):
         super().publish(topic, message, latched)
 
 
-def traced_frames(bag: Path, site_path: Path, width: int, progress: Callable[[int, int], None]) -> list[Frame]:
+def traced_frames(bag: Path, site_path: Path, width: int, progress: Callable[[int, int], None]) -> list[TrainingFrame]:
     """Every photo of a recording, `width` wide, with its traced inverse depth, in order of time.
 
     Raises RecordingError where no photo could be traced.

@@ -20,10 +20,11 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_lab.training.augment import augmented
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN, Frame
+from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.landscape_network import LandscapeNetwork
 from ltm_lab.training.loop import device, normalised
 from ltm_lab.training.losses import Batch, depth_loss
+from ltm_lab.training.training_frames import TrainingFrame
 
 _HEAD = ("depth.", "inverse.")
 
@@ -41,7 +42,7 @@ class AdaptConfig(StrictModel):
 
 
 def adapted(
-    network: LandscapeNetwork, frames: list[Frame], config: AdaptConfig, report: Callable[[int, float], None]
+    network: LandscapeNetwork, frames: list[TrainingFrame], config: AdaptConfig, report: Callable[[int, float], None]
 ) -> LandscapeNetwork:
     """A copy of a network in its exported form whose depth head has been taught on frames with true inverse depth.
 
@@ -75,7 +76,7 @@ def adapted(
     return network
 
 
-def depth_error(network: LandscapeNetwork, frames: list[Frame], config: AdaptConfig) -> float:
+def depth_error(network: LandscapeNetwork, frames: list[TrainingFrame], config: AdaptConfig) -> float:
     """Median over frames of the median |log ratio| to the true depth after each frame's own scale: 0.1 is 10 %."""
     errors = []
     with torch.inference_mode():
@@ -97,14 +98,14 @@ def sized(image: UInt8Array, width: int, height: int) -> UInt8Array:
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def frame_of(image: UInt8Array, depth: Float32Array, name: str, width: int) -> Frame:
+def frame_of(image: UInt8Array, depth: Float32Array, name: str, width: int) -> TrainingFrame:
     """A frame to learn from, `width` wide or less, of a photo (H, W, 3) and its traced depth (H, W), metres along the
     optical axis, +inf sky, NaN unknown."""
     height, full = image.shape[:2]
     small = (width, max(1, round(height * width / full))) if full > width else (full, height)
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.divide(1.0, depth, out=np.full(depth.shape, np.nan, np.float32), where=known)
-    return Frame(
+    return TrainingFrame(
         np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8),
         np.full(small[::-1], UNKNOWN, np.uint8),
         Path(name),

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_lab.training.borrow import land_of, photo_skies, photo_sky, with_lake
+from ltm_lab.training.borrow import fractal_noise, land_of, photo_skies, photo_sky, soft_mask, with_lake
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN, Frame
-from ltm_lab.training.random_fields import fractal_noise, soft_mask
+from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.structures import with_structures
+from ltm_lab.training.training_frames import TrainingFrame
 
 Rng = np.random.Generator
 
@@ -30,13 +30,13 @@ class Lent(NamedTuple):
     skies: list[UInt8Array]
 
     @classmethod
-    def by(cls, frames: Iterable[Frame]) -> "Lent":
+    def by(cls, frames: Iterable[TrainingFrame]) -> "Lent":
         frames = list(frames)
         return cls(photo_looks(frames), photo_skies(frames))
 
 
 def augmented(
-    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, lent: Lent | None = None
+    frame: TrainingFrame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, lent: Lent | None = None
 ) -> tuple[UInt8Array, UInt8Array, Float32Array]:
     """A changed copy of a frame at `size` (height, width): photo, labels, inverse depth (NaN where unknown).
 
@@ -167,7 +167,7 @@ def _under_sky(photo: Float32Array, labels: UInt8Array, new: Float32Array) -> Fl
     return np.asarray(np.clip(photo * (1.0 - weight) + new * weight, 0.0, 1.0), np.float32)
 
 
-def photo_looks(frames: Iterable[Frame]) -> Float32Array:
+def photo_looks(frames: Iterable[TrainingFrame]) -> Float32Array:
     """The looks of the real photos among frames: those whose depth is a teacher's order."""
     looks = []
     for frame in frames:

@@ -14,8 +14,8 @@ import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label
-from ltm_lab.training.labelled_frames import LAND, UNKNOWN, Frame
-from ltm_lab.training.random_fields import fractal_noise, soft_mask
+from ltm_lab.training.labelled_frames import LAND, UNKNOWN
+from ltm_lab.training.training_frames import TrainingFrame
 
 Rng = np.random.Generator
 Window = tuple[UInt8Array, UInt8Array, Float32Array]
@@ -26,7 +26,7 @@ _LAND_MOST = 0.02  # of a row of such a sky that may be something else
 _PATCH_LEAST = 0.01  # of a window: a smaller patch of ground is not worth its edge
 
 
-def photo_skies(frames: Iterable[Frame]) -> list[UInt8Array]:
+def photo_skies(frames: Iterable[TrainingFrame]) -> list[UInt8Array]:
     """The upper parts of real photos that are sky from side to side, clouds and all; (h, W, 3) uint8."""
     skies = []
     for frame in frames:
@@ -120,3 +120,22 @@ def with_ground(host: Window, donor: Window, rng: Rng) -> Window:
 def land_of(labels: UInt8Array) -> BoolArray:
     """Pixels that are ground of any kind, or of unknown class."""
     return np.asarray((labels != Label.SKY) & (labels != UNKNOWN))
+
+
+def fractal_noise(
+    size: tuple[int, int], rng: np.random.Generator, coarsest: int = 4, octaves: int = 5, fall: float = 0.55
+) -> Float32Array:
+    """Smooth noise (H, W) in 0..1: `octaves` grids of random values, each twice as fine and `fall` times as strong."""
+    height, width = size
+    total = np.zeros(size, np.float32)
+    for octave in range(octaves):
+        cells = coarsest * 2**octave
+        grid = rng.random((max(2, cells * height // width), cells), dtype=np.float32)
+        total += np.float32(fall**octave) * np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC))
+    low, high = total.min(), total.max()
+    return np.asarray((total - low) / max(float(high - low), 1e-6), np.float32)
+
+
+def soft_mask(mask: BoolArray) -> Float32Array:
+    """A mask with its edge softened over about two pixels, as a lens would; (H, W, 1)."""
+    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7), np.float32)[..., None]

@@ -34,8 +34,8 @@ class NetworkConfig(StrictModel):
     width: int = Field(default=64, ge=16, multiple_of=16)
     pretrained: bool = True
     fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
-    own_depth: bool = False  # depth reads a pyramid of its own: see `depth_pyramid`
-    side: bool = False  # coarser maps add to the logits: see `structure_cue`
+    own_depth: bool = False  # depth reads a pyramid of its own
+    side: bool = False  # coarser decoder maps add to the logits
 
     def with_parts_of(self, weights: Iterable[str]) -> "NetworkConfig":
         """This form with the optional parts that weights of these names belong to, and no others."""

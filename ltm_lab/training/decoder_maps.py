@@ -1,7 +1,4 @@
-"""Names the decoder's maps in an exported network and makes them outputs of its graph, for heads to read.
-
-An output that a run does not ask for is not computed (`OnnxModel`), so the file serves those without a head as before.
-"""
+"""Names the decoder maps of an exported network and makes them outputs of its graph, for label heads to read."""
 
 from __future__ import annotations
 
@@ -18,14 +15,12 @@ _READERS: Final = {
 }
 """Map -> the weights of the convolution that reads it (`landscape_network.LandscapeNetwork`)."""
 
-SIDES: Final = ("s2", "s1")
-"""The maps that may have side outputs: scores of classes that are added to those of the last one (`structure_cue`)."""
-
 
 def with_decoder_maps(model: Any) -> tuple[Any, dict[str, int]]:
-    """The ONNX model with the outputs `last` (1/2 of the input's size), `s2` (1/4) and `s1` (1/8), and their channels.
+    """Return the ONNX model with the outputs `last`, `s2`, `s1` (1/2, 1/4, 1/8 of the input's size) and their channels.
 
-    Tensors are renamed, nothing is computed otherwise. Raises ModelError for a file of another architecture.
+    Label heads read these decoder maps. A run that does not request an output does not compute it, so cameras without
+    a label head pay nothing. Raises ModelError for a file of another architecture.
     """
     shapes = {v.name: v.type.tensor_type.shape for v in shape_inference.infer_shapes(model).graph.value_info}
     channels = {}

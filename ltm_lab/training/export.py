@@ -1,4 +1,4 @@
-"""Exports a trained network to ONNX with its manifests, and checks the file against the trained network."""
+"""Writes a trained network as an ONNX file with its manifests, checks the file, and reads such files for training."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from onnx import TensorProto, helper, numpy_helper
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest
-from ltm_lab.training.config import SplitConfig, TrainingConfig
+from ltm_lab.training.config import NetworkConfig, SplitConfig, TrainingConfig
 from ltm_lab.training.decoder_maps import with_decoder_maps
-from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork
+from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork, for_inference
 from ltm_lab.training.loop import MEAN, STD
 
 OPSET = 17
 TOLERANCE = 0.02  # of logits and relative depth: ONNX Runtime with weights of half precision against PyTorch, median
 _TENSORS = ("image", "logits", "inverse_depth")
 _SMALL = 256  # elements: smaller constants stay as they are
+_PREFIX = "network."  # of the names of weights in an exported file: see `landscape_network.Deployed`
 
 
 def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, folder: Path) -> Path:
@@ -83,6 +84,31 @@ def export_adapted(
     if calibration.is_file():
         (folder / f"{name}{CALIBRATION_SUFFIX}").write_bytes(calibration.read_bytes())
     return manifest
+
+
+def load_exported(manifest: NetworkManifest, fixed: int = 0) -> LandscapeNetwork:
+    """Read the network of a file that `export` wrote, to train it further; its batch normalisations are folded in.
+
+    `fixed`: number of encoder blocks that are not trained. Raises ModelError for a file of another architecture.
+    """
+    path = manifest.model_file()
+    weights = {
+        tensor.name.removesuffix("_half").removeprefix(_PREFIX): torch.from_numpy(
+            numpy_helper.to_array(tensor).astype(np.float32)
+        )
+        for tensor in onnx.load(path).graph.initializer
+        if tensor.name.startswith(_PREFIX)
+    }
+    try:
+        bias, width = weights["classes.bias"], weights["reduce.0.weight"].shape[0]
+        config = NetworkConfig(width=width, pretrained=False, fixed=fixed).with_parts_of(weights)
+        network = for_inference(LandscapeNetwork(len(bias), config))
+        network.load_state_dict(weights)
+    except (KeyError, RuntimeError) as reason:
+        raise ModelError(
+            f"{path}: is not a network of `ltm train` ({str(reason).splitlines()[0]}); only such a one can learn on"
+        ) from reason
+    return network
 
 
 def halved(model: Any) -> Any:

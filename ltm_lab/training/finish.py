@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,9 @@ class SetScore(NamedTuple):
     calibration: CalibrationScore
 
 
-def calibrate(manifest: Path, frames: list[Frame], labels: LabelSet, seed: int) -> tuple[float, dict[str, SetScore]]:
+def calibrate(
+    manifest: Path, frames: Sequence[Frame], labels: LabelSet, seed: int
+) -> tuple[float, dict[str, SetScore]]:
     """Fit the temperature on frames that did not train the network, write it into the manifest, and the confusion
     matrix of these frames beside it; gives the temperature and the scores of each set.
 
@@ -61,7 +64,7 @@ def calibrate(manifest: Path, frames: list[Frame], labels: LabelSet, seed: int) 
     return temperature, scores
 
 
-def score_sets(segmenter: Segmenter, frames: list[Frame]) -> dict[str, SetScore]:
+def score_sets(segmenter: Segmenter, frames: Sequence[Frame]) -> dict[str, SetScore]:
     """Scores of a segmenter on each set (folder) of frames."""
     classes = len(segmenter.labels)
     scores: dict[str, SetScore] = {}

@@ -1,10 +1,14 @@
-"""Draws from labelled photos what a head is taught from: at pixels of known class, the network's scores and maps."""
+"""Draws from labelled photos what a label head is taught from, and groups the photos so that some judge the head.
+
+A sample is a pixel of known class with the network's scores and decoder maps. Photos of one site are in one group; of a
+single view, its areas are dealt into folds instead.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,12 +16,15 @@ import cv2
 import numpy as np
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
+from ltm_core.vision.labels import UNLABELLED
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.labelled_frames import Frame
 
 SITES_FILE: Final = "sites.csv"
+FOLDS: Final = 4
+_CUTS: Final = 8
 _MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
 
 
@@ -89,3 +96,40 @@ def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
     if planes.shape[1:] == (rows, cols):
         return planes
     return np.stack([cv2.resize(plane, (cols, rows), interpolation=cv2.INTER_LINEAR) for plane in planes])
+
+
+def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], list[str]]:
+    """Each photo once for each fold that has areas of it, with the labels of these alone, and the folds' names.
+
+    An area is what hangs together of one class, cut where it passes an eighth of the picture's width. Those of a class
+    go to the folds in turn, the largest first, so that a class of two areas is in two folds.
+    """
+    parts, names = [], []
+    turn: dict[int, int] = {}
+    for frame in frames:
+        labels = [np.full_like(frame.labels, UNLABELLED) for _ in range(folds)]
+        for label in np.unique(frame.labels[frame.labels != UNLABELLED]):
+            areas = _areas(frame.labels == label)
+            sizes = np.bincount(areas.ravel())
+            for area in sorted(range(1, len(sizes)), key=lambda k: -int(sizes[k])):
+                fold = turn.get(int(label), 0)
+                labels[fold % folds][areas == area] = label
+                turn[int(label)] = fold + 1
+        for fold, part in enumerate(labels):
+            if (part != UNLABELLED).any():
+                parts.append(replace(frame, labels=part))
+                names.append(f"areas {fold + 1}")
+    return parts, names
+
+
+def _areas(named: BoolArray) -> Int64Array:
+    """(H, W) number of each area, from 1 on; 0 where nothing is named."""
+    side = max(1, -(-named.shape[1] // _CUTS))
+    found, last = np.zeros(named.shape, np.int64), 0
+    for down in range(0, named.shape[0], side):
+        for across in range(0, named.shape[1], side):
+            block = np.s_[down : down + side, across : across + side]
+            count, parts = cv2.connectedComponents(named[block].astype(np.uint8))
+            found[block] = np.where(parts > 0, parts + last, 0)
+            last += count - 1
+    return found

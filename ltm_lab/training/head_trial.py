@@ -10,40 +10,67 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.vision.label_confidence import Calibration, LabelAgreement
+from ltm_core.vision.label_confidence import Calibration
 from ltm_core.vision.label_head import LabelHead, LabelHeadFile
+from ltm_core.vision.label_rules import LabelAgreement
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
-from ltm_core.vision.picture_domain import HeadDomain
-from ltm_core.vision.picture_domain_io import load_domain
 from ltm_core.vision.segmenter import Segmentation, Segmenter
-from ltm_lab.evaluation.segmentation.network_score import LabelScore, score_each
-from ltm_lab.training.area_folds import by_area
-from ltm_lab.training.domain_fit import fit_head_domain, held_out_odds, picture_point
+from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
+from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
-from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_lab.training.head_samples import PhotoSamples, by_area, photo_samples, sites_of
 from ltm_lab.training.labelled_frames import Frame
 from ltm_lab.training.temperature_scaling import balanced, fit_exponent
 
 AGREEMENT: Final = LabelAgreement(reach=0.006)
 """Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
+LAND_AND_SKY: Final = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
 _SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class HeadScore:
+    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration` and `land_risk`
+    leave out the pixels that are sky in truth, which are many and easy."""
+
+    labels: SegmentationScore
+    calibration: CalibrationScore
+    land_calibration: CalibrationScore
+    land_risk: RiskCoverage
+    macro: tuple[int, ...]
+
+    @property
+    def macro_f1(self) -> float:
+        """Return the mean F1 of the classes `macro`."""
+        return self.labels.macro_f1(self.macro)
+
+    def summary(self, names: Sequence[str]) -> dict[str, object]:
+        """Return all figures, ready for JSON but for NaN where a class does not occur."""
+        return {
+            "pixels": self.labels.pixels,
+            "f1": dict(zip(names, self.labels.f1.tolist(), strict=True)),
+            "macro_f1": self.macro_f1,
+            "macro_f1_of": [names[k] for k in self.macro],
+            "accuracy": self.labels.accuracy,
+            "unlabelled": self.labels.unlabelled,
+            "ece": self.calibration.ece,
+            "land": {"ece": self.land_calibration.ece, "risk": self.land_risk.risk()},
+            "confusion": self.labels.confusion.tolist(),
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class HeadTrial:
     """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
     sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
-    `odds`: of each photo, log odds that `label_head: auto` chooses a head that lies where the other sites' photos do;
-    NaN where that cannot be told; None of a head for one view, and of a network whose domains nobody measured.
     """
 
     file: LabelHeadFile
     sites: tuple[str, ...]
     folds: str
-    before: LabelScore
-    after: LabelScore
-    odds: Float64Array | None
+    before: HeadScore
+    after: HeadScore
 
     @property
     def better(self) -> bool:
@@ -68,8 +95,8 @@ def teach_head(
     and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
     held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
     `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
-    photos are of one view, which the head is for alone: areas are held out in their stead, and it is never chosen by
-    the picture. Raises ModelError for a network without maps, or for a single photo without `one_view`.
+    photos are of one view, which the head is for alone: areas are held out instead. Raises ModelError for a network
+    without maps, or for a single photo without `one_view`.
     """
     manifest = segmenter.manifest
     if not manifest.maps:
@@ -105,8 +132,8 @@ def teach_head(
     heads = {g: taught([s for s in samples if s.site != g]) for g in dict.fromkeys(groups)}
     judged, alike = _judged_by_others(segmenter, frames, groups, heads)
     with_heads = [_with_head(segmenter, judged[g]) for g in groups]
-    before = score_each([segmenter] * len(frames), frames, macro=counted)
-    after = score_each(with_heads, frames, macro=counted, look=look)
+    before = score_photos([segmenter] * len(frames), frames, counted)
+    after = score_photos(with_heads, frames, counted, look)
     names = manifest.classes
     errors = {"photos": after.calibration.ece, "land": after.land_calibration.ece}
     calibration = Calibration(
@@ -116,7 +143,6 @@ def teach_head(
         photographs=len({frame.path for frame in frames if not frame.rendered}),
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
-    domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
     final = taught(samples)
     file = LabelHeadFile(
         name=name,
@@ -130,27 +156,31 @@ def teach_head(
         agreement=alike,
         bias=tuple(map(float, final.bias)),
         maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
-        domain=domain,
         one_view=one_view,
         calibration=calibration,
     )
-    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after, odds)
+    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after)
 
 
-def _domain(
-    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], sites: Sequence[str]
-) -> tuple[HeadDomain | None, Float64Array | None]:
-    """Where the photos lie, and the log odds of each by those of the other groups."""
-    space = load_domain(segmenter.manifest)
-    if space is None:
-        return None, None
-    points, odds = [picture_point(segmenter, space, frame.image) for frame in frames], np.full(len(frames), np.nan)
-    known = [k for k, point in enumerate(points) if point is not None]
-    if not known:
-        return None, odds
-    there = np.array([points[k] for k in known])
-    odds[known] = held_out_odds(there, [groups[k] for k in known], space.checksum)
-    return fit_head_domain(there, [sites[k] for k in known], space.checksum), odds
+def score_photos(
+    segmenters: Sequence[Segmenter],
+    frames: Sequence[Frame],
+    macro: tuple[int, ...] = LAND_AND_SKY,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> HeadScore:
+    """Label each frame with the segmenter at its place and compare with the truth; `look` gets each answer."""
+    classes = len(segmenters[0].labels)
+    labels, risk = SegmentationScore.empty(classes), RiskCoverage.empty()
+    calibration = land_calibration = CalibrationScore.empty()
+    for segmenter, frame in zip(segmenters, frames, strict=True):
+        found = segmenter.segment(frame.image)
+        land = np.where(frame.labels == Label.SKY, np.uint8(UNLABELLED), frame.labels)
+        labels = labels.plus(frame.labels, found.labels)
+        calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
+        land_calibration = land_calibration.plus(land, found.labels, found.confidence, classes)
+        risk = risk.plus(land, found.labels, found.confidence, classes)
+        look(frame, found)
+    return HeadScore(labels, calibration, land_calibration, risk, macro)
 
 
 def _judged_by_others(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -10,8 +11,10 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from ltm_lab.training.config import NetworkConfig
-from ltm_lab.training.decoder_maps import SIDES
 from ltm_lab.training.encoder import TAPS, Lite0Encoder, convolution
+
+SIDES: Final = ("s2", "s1")
+"""Decoder maps of 1/4 and 1/8 of the photo's size that may add to the class logits."""
 
 
 class StripContext(nn.Module):  # type: ignore[misc]  # torch is not typed for us
@@ -82,8 +85,8 @@ class LandscapeNetwork(Pyramid):
     The depth head answers in logarithms, so that a slope at 5 km is told from one at 6 km as surely as a bush at 5 m
     from one at 6 m; its scale is free: photos of unknown focal length do not give it. With `config.own_depth` it reads
     a pyramid of its own, so that depth may be taught without a label that changes. The pyramid of the classes is the
-    network's own parts, by whose names exported files hold their weights. With `config.side` its coarser maps have a
-    say in the logits, too, as `structure_cue` fits it; before, none.
+    network's own parts, by whose names exported files hold their weights. With `config.side` the maps SIDES add to the
+    logits, too. The shipped networks have both parts.
     """
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
@@ -117,13 +120,6 @@ class LandscapeNetwork(Pyramid):
                 said = self.side[name](coarse)
                 logits = logits + functional.interpolate(said, logits.shape[2:], mode="bilinear", align_corners=False)
         return logits, self.inverse(self.depth(y))
-
-    def own_log_inverse(self, maps: list[Tensor]) -> Tensor:
-        """Log inverse depth by the depth's own pyramid, from the encoder's maps of a quarter of the photo's size and
-        less: what there is to learn where neither encoder nor labels do."""
-        assert self.own is not None  # nosec B101 # only where config.own_depth
-        inverse: Tensor = self.inverse(self.depth(self.own.quarter(maps)))
-        return inverse
 
 
 class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us

@@ -21,9 +21,9 @@ from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 from ltm_lab.training.augment import Lent, augmented
 from ltm_lab.training.borrow import with_ground
 from ltm_lab.training.config import OptimiserConfig, TrainingConfig
-from ltm_lab.training.labelled_frames import Frame, Split
 from ltm_lab.training.landscape_network import LandscapeNetwork, for_inference
 from ltm_lab.training.losses import Batch, kept_depth_loss, total_loss
+from ltm_lab.training.training_frames import Split, TrainingFrame
 
 # ImageNet's, as the encoder's weights expect; the exported manifest states the same.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -143,19 +143,17 @@ def train(
     report: Callable[[Progress], None],
     run: Run | None = None,
     checkpoint: Path | None = None,
-    until: int | None = None,
 ) -> tuple[LandscapeNetwork, Run]:
     """Train on `split.train`; gives the network with averaged weights, and the run.
 
     They are the weights that scored best on `split.validation` (mean F1 of the classes that occur), or the last ones
-    where no frames validate. With `checkpoint`, the run is written there at every validation, for `Run.resume`. With
-    `until`, it ends after that step of its course, as if it had been broken off there.
+    where no frames validate. With `checkpoint`, the run is written there at every validation, for `Run.resume`.
     """
     run = Run.start(config, classes) if run is None else run
     optimiser, settings = run.optimiser, config.optimiser
     weights = _class_weights(split.train, classes, settings.class_weight_power).to(device())
-    last = settings.steps if until is None else min(until, settings.steps)
-    for step, batch in enumerate(_batches(config, split.train, run.step, last), start=run.step + 1):
+    last = settings.steps
+    for step, batch in enumerate(_batches(config, split.train, run.step), start=run.step + 1):
         for group in optimiser.param_groups:
             group["lr"] = _learning_rate(settings, step) * group["scale"]
         frozen = step <= settings.frozen * settings.steps
@@ -197,7 +195,9 @@ def train(
     return result.cpu().eval(), run
 
 
-def score(network: LandscapeNetwork, frames: list[Frame], config: TrainingConfig, classes: int) -> SegmentationScore:
+def score(
+    network: LandscapeNetwork, frames: list[TrainingFrame], config: TrainingConfig, classes: int
+) -> SegmentationScore:
     """The network's labels of unchanged frames against their truth, at the frames' own size."""
     result = SegmentationScore.empty(classes)
     network.eval()
@@ -224,13 +224,12 @@ def _at_size(image: UInt8Array, size: tuple[int, int]) -> UInt8Array:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
 
 
-def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) -> Iterator[Batch]:
-    """Augmented batches after the first `done` up to the `last`, made ahead; what is in a batch depends on seed and
-    step alone."""
+def _batches(config: TrainingConfig, frames: list[TrainingFrame], done: int) -> Iterator[Batch]:
+    """Augmented batches after the first `done`, made ahead; what is in a batch depends on seed and step alone."""
     workers, there = config.optimiser.workers, device()
     loader = DataLoader(
         _Steps(config, frames),
-        sampler=range(done, last),
+        sampler=range(done, config.optimiser.steps),
         batch_size=None,
         num_workers=workers,
         pin_memory=there.type == "cuda",
@@ -246,7 +245,7 @@ def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) 
 class _Steps(Dataset):  # type: ignore[misc]  # torch is not typed for us
     """Batches by their step: photos (N, H, W, 3) uint8, labels, inverse depth, whether it is an order."""
 
-    def __init__(self, config: TrainingConfig, frames: list[Frame]) -> None:
+    def __init__(self, config: TrainingConfig, frames: list[TrainingFrame]) -> None:
         self._config, self._frames = config, frames
         self._deck, self._lent = Deck(frames, config.shares, config.seed), Lent.by(frames)
         self._rendered = [frame for frame in frames if not frame.ordinal]
@@ -287,7 +286,7 @@ class Deck:
     frames. Raises ConfigError for a share of a set that has no frame.
     """
 
-    def __init__(self, frames: list[Frame], shares: dict[str, float], seed: int) -> None:
+    def __init__(self, frames: list[TrainingFrame], shares: dict[str, float], seed: int) -> None:
         members: dict[str, list[int]] = {}
         for index, frame in enumerate(frames):
             name = frame.path.parent.name
@@ -320,7 +319,7 @@ def _two_thirds(config: TrainingConfig) -> tuple[int, int]:
     return max(64, round(config.height / 48) * 32), max(64, round(config.width / 48) * 32)
 
 
-def _class_weights(frames: list[Frame], classes: int, power: float) -> Tensor:
+def _class_weights(frames: list[TrainingFrame], classes: int, power: float) -> Tensor:
     counts = np.sum([np.bincount(frame.labels.ravel(), minlength=256)[:classes] for frame in frames], axis=0)
     share = counts / max(1, counts.sum())
     weights = np.where(counts > 0, np.maximum(share, 1e-3) ** -power, 1.0)

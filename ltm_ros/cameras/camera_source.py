@@ -16,7 +16,6 @@ from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.camera_state import CameraState, StateRecord
-from ltm_ros.cameras.lens_watch import LensWatch
 from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.errors import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
@@ -113,7 +112,6 @@ class CameraSource:
         self._reader: CameraReader | None = None
         self._exposures = ExposureClock()
         self._stuck = StuckPicture(settings.stuck_s)
-        self._lens = LensWatch()
         self._record = StateRecord(clock.monotonic())
         self._before: PtzReading | None = None
         """What the PTZ head said last; None: not since the connection was made."""
@@ -233,9 +231,7 @@ class CameraSource:
                 self._health.note("night")
                 return True
         else:
-            self._lens.look(picture, self._calibration.width, reading, now)
-            why = self._lens.said()
-            self._become(CameraState.DIRTY if why else CameraState.ALIVE, why)
+            self._become(CameraState.ALIVE)
         self._publish(picture, exposure, wall_less_monotonic, reading)
         return True
 

@@ -19,8 +19,6 @@ class CameraState(StrEnum):
     """Its PTZ head was moving while the pictures were taken."""
     NIGHT = "night"
     """Nothing is to be seen for the dark, or it sees by infrared."""
-    DIRTY = "dirty"
-    """It sends good pictures, of which parts have lost their detail: the lens is dirty or wet."""
 
 
 class StateRecord:

@@ -1,4 +1,4 @@
-"""`ltm mask`: proposes what of a camera's pictures never shows the landscape, and keeps what a person confirms."""
+"""`ltm mask`: proposes pixels that never show the landscape, and writes the mask that a person confirms."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from ltm_ros.cli.output import Overwrite
 from ltm_ros.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from ltm_core.base.types import Float64Array, UInt8Array
-    from ltm_core.site.site import Site
     from ltm_core.vision.areas import NamedArea
     from ltm_core.vision.mask_proposals import Proposal
     from ltm_core.vision.masks import ViewMask
@@ -46,13 +44,13 @@ def mask(
             "recording, only pictures that look there are taken."
         ),
     ] = "",
-    model: Annotated[str, typer.Option(help="Segmentation network; default: the site's, or the shipped one.")] = "",
     overwrite: Overwrite = False,
 ) -> None:
-    """Propose a camera's mask: lens corners, captions, masts before the sky. Look at the picture, then --keep.
+    """Propose a camera's mask: lens corners and captions. Check the written picture, then repeat with --keep.
 
-    Without --keep nothing is decided: PNG and polygons hold all that is proposed. With it only that, and the line for
-    the site file is printed. What is found hangs on the pictures alone, so the numbers stay.
+    Without --keep, the PNG and the polygons hold every proposal. With --keep, they hold only the chosen ones, and the
+    line for the site file is printed. The proposals depend only on the images, so their numbers stay the same. Draw
+    masts, roofs and other objects on the labelling page (`ltm label`), and pass them with --drawn.
     """
     from rich.console import Console
 
@@ -62,10 +60,9 @@ def mask(
     from ltm_core.site.site_io import load_site
     from ltm_core.storage.disk_io import require_files
     from ltm_core.vision.areas import read_areas, write_areas
-    from ltm_core.vision.manifest import DEFAULT_MODEL
+    from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
     from ltm_core.vision.masks import write_mask
-    from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
 
     if (site is None) != (not camera):
@@ -86,12 +83,10 @@ def mask(
         names, frames = recorded_pictures(pictures, known, camera, MOST_FRAMES, turned)
     else:
         names, frames = folder_pictures(pictures, only, MOST_FRAMES)
-    segmenter = Segmenter.open(model or (DEFAULT_MODEL if known is None else known.model))
-    skyline = None if known is None else _terrain_skyline(known, camera, frames[0])
-    proposals = propose_mask(frames, segmenter, skyline)
+    proposals = propose_mask(frames)
     if drawn is not None:
         areas = [area for area in read_areas(drawn) if area.image in names]
-        proposals += drawn_proposals(areas, segmenter.labels.names, frames[0].shape[:2])
+        proposals += drawn_proposals(areas, LabelSet.load().names, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
     console = Console()
     rows = (
@@ -100,8 +95,6 @@ def mask(
     )
     title = f"{len(frames)} pictures of one camera"
     print_table(console, title, (">number", "what", ">share", "why", "kept"), rows)
-    if len(frames) == 1:
-        console.print("[yellow]one picture alone: clouds may be taken for structures; more, in other light, are better")
     target.parent.mkdir(parents=True, exist_ok=True)
     beside[1].write_bytes(to_png(mask_picture(frames[0], [p.hidden for p in proposals], kept)))
     console.print(f"  look at {beside[1]}", highlight=False)
@@ -189,26 +182,3 @@ def _below(target: Path, site: Path | None) -> str:
     if resolved.is_relative_to(folder.resolve()):
         return resolved.relative_to(folder.resolve()).as_posix()
     return f"{target.name}   # copy {target} into {folder}: a site names no file outside its folder"
-
-
-def _terrain_skyline(site: Site, camera: str, frame: UInt8Array) -> Float64Array | None:
-    """(W,) rows above which the camera's pose lets no terrain expect; None where the site file has no pose of it."""
-    import numpy as np
-
-    from ltm_core.tracing import TerrainTracer
-
-    config = site.camera(camera)
-    if config.pose is None or config.calibration is None:
-        return None
-    dem = site.open_dem()
-    lens = config.calibration.camera()
-    if (lens.width, lens.height) != (frame.shape[1], frame.shape[0]):
-        return None
-    step = max(1, round(lens.width / 640))
-    small = lens.resized(lens.width // step, lens.height // step)
-    surface = site.open_surface(dem)
-    tracer = TerrainTracer(surface, site.curvature, site.refraction, site.possible_ground)
-    land = ~np.isposinf(tracer.trace(small, config.pose.pose(dem, site.frame)).range)
-    top = np.where(land.any(axis=0), np.argmax(land, axis=0), small.height).astype(np.float64)
-    columns = (np.arange(lens.width) + 0.5) * small.width / lens.width - 0.5
-    return np.asarray(np.interp(columns, np.arange(small.width), top) * lens.height / small.height, np.float64)

@@ -18,14 +18,9 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.storage.photo_io import check_picture, photos_in
-from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
-from ltm_lab.cli.eval.score_table import score_table
-from ltm_lab.evaluation.metrics.segmentation import score_labels
-from ltm_lab.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
-from ltm_lab.training.labelled_frames import read_frames
 from ltm_ros.cli.tables import print_table
 
 
@@ -34,14 +29,12 @@ def check(
     manifest: NetworkManifest,
     threads: int,
     images: Path | None,
-    frames: Path | None,
-    sky_masks: Path | None,
     out: Path,
     *,
     classes: str | None = None,
     zoom: float = 1.0,
 ) -> None:
-    """Print what the model takes and gives, its time, and scores where there is truth; write overlay pictures.
+    """Print the model's input, output and running time; write overlay images.
 
     With `classes`, comma-separated words are looked for instead of the model's own classes. Without `images` the
     picture is of a plain scene that is drawn here.
@@ -54,21 +47,14 @@ def check(
             console.print(f"{reading.query!r} {reading.how}", markup=False)
     _describe(console, manifest, segmenter.model_path)
     noise = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
-    times = segment_milliseconds(segmenter, [noise], repeats=15)
+    times = _milliseconds(segmenter, noise, repeats=15)
     console.print(
         f"1920 x 1080, {threads} thread(s): median {np.median(times):.1f} ms, p95 {np.percentile(times, 95):.1f} ms"
     )
     if images is None:
         _overlay(console, segmenter, trial_scene(), Path("trial_scene"), out, zoom)
-    photos = photos_in(images) if images is not None else []
-    for path in photos:
+    for path in photos_in(images) if images is not None else []:
         _overlay(console, segmenter, _read(path), path, out, zoom)
-    if photos and sky_masks is not None:
-        _score_sky(console, segmenter, photos, sky_masks)
-    if frames is not None:
-        pairs = [(frame.image, frame.labels) for frame in read_frames(frames, len(segmenter.labels), sampled=True)]
-        score = score_segmenter(segmenter, pairs)
-        console.print(score_table(segmenter.labels.names, score, f"{manifest.name} on {frames}"))
 
 
 def check_depth(console: Console, manifest: NetworkManifest, threads: int, images: Path | None, out: Path) -> None:
@@ -104,6 +90,17 @@ def trial_scene() -> UInt8Array:
     return np.asarray(np.clip(scene, 0, 255), np.uint8)
 
 
+def _milliseconds(segmenter: Segmenter, image: UInt8Array, repeats: int) -> list[float]:
+    """Return the wall time of each call of `segment`, after one call that is not counted."""
+    segmenter.segment(image)
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        segmenter.segment(image)
+        times.append((time.perf_counter() - start) * 1e3)
+    return times
+
+
 def _describe(console: Console, manifest: NetworkManifest, path: Path) -> None:
     spec = manifest.input
     console.print(f"{manifest.name}: {path}; sha256 {manifest.sha256[:12]}... and shapes are as its manifest states")
@@ -128,21 +125,6 @@ def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Pa
     target.write_bytes(to_jpeg(with_legend(overlay_labels(photo, labels, segmenter.labels), legend)))
     text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
     console.print(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text} -> {target}")
-
-
-def _score_sky(console: Console, segmenter: Segmenter, photos: list[Path], masks: Path) -> None:
-    """IoU of the sky with masks named `<photo>_mask.*` (white: ground), `_resized` in the photo's name left out."""
-    scores = []
-    for path in photos:
-        stem = path.stem.removesuffix("_resized")
-        found = sorted(masks.glob(f"{stem}_mask.*"))
-        if not found:
-            raise ImageError(f"{masks}: no mask for {path.name}; expected {stem}_mask.png or .jpg")
-        sky = (_read(found[0])[..., 0] < 128).astype(np.uint8)
-        predicted = (segmenter.segment(_read(path)).labels == Label.SKY).astype(np.uint8)
-        scores.append(float(score_labels(sky, predicted, 2).iou[1]))
-        console.print(f"{path.name}: sky IoU {scores[-1]:.3f}")
-    console.print(f"sky IoU over {len(scores)} photos: mean {np.mean(scores):.3f}, least {np.min(scores):.3f}")
 
 
 def _read(path: Path) -> UInt8Array:
@@ -170,18 +152,12 @@ def models(
     classes: Annotated[
         str | None, typer.Option(help='Look for these words instead: "dry grass, chaparral, oak, road" (check).')
     ] = None,
-    frames: Annotated[
-        Path | None, typer.Option(help="Folder of NNNN.png with NNNN_labels.png to score on (check).")
-    ] = None,
-    sky_masks: Annotated[
-        Path | None, typer.Option(help="Folder of <photo>_mask.* (white: not sky) to score the sky on (check).")
-    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for pictures (check, add).")] = Path("out/models"),
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(help="Second look at distant slopes, so much larger (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
 ) -> None:
-    """List the networks, check one (shapes, time, pictures, scores), or add one to those found by name."""
+    """List the networks, check one (shapes, time, pictures), or add one to those found by name."""
     from rich.console import Console
 
     console = Console()
@@ -201,7 +177,7 @@ def models(
     if manifest.output.is_depth:
         check_depth(console, manifest, threads, images, out)
     else:
-        check(console, manifest, threads, images, frames, sky_masks, out, classes=classes, zoom=zoom)
+        check(console, manifest, threads, images, out, classes=classes, zoom=zoom)
 
 
 def _add(console: Console, path: Path, fetch: bool) -> NetworkManifest:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_core.vision.manifest import DEFAULT_MODEL
-from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
+from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def head(
@@ -26,9 +26,6 @@ def head(
     ] = None,
     one_view: Annotated[
         bool, typer.Option("--one-view", help="PHOTOS are of one view, and the head is for that alone.")
-    ] = False,
-    by_name: Annotated[
-        bool, typer.Option("--by-name", help="No picture chooses the head; a camera has to name it.")
     ] = False,
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
@@ -51,9 +48,6 @@ def head(
     rarity: Annotated[
         float, typer.Option(min=0, max=1, help="A class counts in a photo as its area's share to this power.")
     ] = 0.8,
-    diagram: Annotated[
-        Path | None, typer.Option(help="Draw reliability and risk by coverage, .png or .svg.", callback=writable_file)
-    ] = None,
     overlays: Annotated[
         Path | None,
         typer.Option(help="Draw the answer to each photo held out beside its truth, PNG.", callback=writable_folder),
@@ -74,19 +68,19 @@ def head(
 
     from ltm_core.base.errors import ModelError
     from ltm_core.base.evenly import evenly
-    from ltm_core.vision.head_choice import LIKELIER
-    from ltm_core.vision.label_head import label_heads_folder, read_label_head, write_label_head
+    from ltm_core.vision.label_head import (
+        label_heads_folder,
+        read_label_head,
+        write_label_head,
+    )
     from ltm_core.vision.manifest import NetworkManifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.segmentation_tables import confusion_table, score_table
+    from ltm_lab.cli.train.head_tables import confusion_table, score_table
     from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.segmentation.diagram_io import write_diagram
-    from ltm_lab.evaluation.segmentation.ignored_classes import without_classes
-    from ltm_lab.evaluation.segmentation.network_score import score_frames
     from ltm_lab.evaluation.segmentation.overlays_io import write_overlay
     from ltm_lab.training.head_fit import HeadFitConfig
-    from ltm_lab.training.head_trial import teach_head
-    from ltm_lab.training.labelled_frames import read_frames
+    from ltm_lab.training.head_trial import score_photos, teach_head
+    from ltm_lab.training.labelled_frames import read_frames, without_classes
 
     console, start = Console(), time.perf_counter()
     segmenter = Segmenter(NetworkManifest.find(model).serving(out), threads)
@@ -111,31 +105,17 @@ def head(
     console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
-    if trial.odds is not None:
-        told = ", ".join(f"{f.path.name} {v:+.2f}" for f, v in zip(frames, trial.odds, strict=True) if np.isfinite(v))
-        likely = int((trial.odds > LIKELIER).sum())
-        console.print(
-            f"head auto would choose it, by where the other sites' photos lie, for {likely} of {len(frames)} photos: "
-            f"{told or 'nothing is known of other sites'}",
-            highlight=False,
-        )
-    drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
-    write_label_head(part, trial.file.model_copy(update={"by_name": True, "domain": None}) if by_name else trial.file)
+    write_label_head(part, trial.file)
     figures = {"photos": {name: score.summary(names) for name, score in scores.items()}}
     try:
         taught = Segmenter(manifest, threads, segmenter.labels, head=read_label_head(part, manifest)[0])
         for folder in also or []:
             others = evenly(read_frames(folder, len(names), sampled=True), limit)
-            elsewhere = {
-                "the network": score_frames(segmenter, others),
-                f"head {path.stem}": score_frames(taught, others),
-            }
+            both = {"the network": segmenter, f"head {path.stem}": taught}
+            elsewhere = {name: score_photos([one] * len(others), others) for name, one in both.items()}
             console.print(score_table(names, elsewhere, f"{folder}, {len(others)} frames: what the head forgets"))
             figures[folder.resolve().name] = {name: score.summary(names) for name, score in elsewhere.items()}
-            drawn |= {f"{name}, {folder.resolve().name}": score for name, score in elsewhere.items()}
-        if diagram is not None:
-            write_diagram(diagram, drawn)
         if json_path is not None:
             write_figures(json_path, figures)
         seconds = time.perf_counter() - start

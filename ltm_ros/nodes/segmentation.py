@@ -46,7 +46,6 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
-        self._told, self._chosen = self._step.described, ""
         self._join = StampJoin(("image", "info", "pose"), self._label_view, health, max_wait=config.max_wait)
 
     @property
@@ -60,7 +59,7 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         }
 
     def start(self) -> None:
-        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, self._told))
+        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, self._step.described))
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -78,20 +77,9 @@ class SegmentationHandler(Handler[SegmentationConfig]):
         stamp, frame_id = stamp_of(message), message.header.frame_id
         found, view = self._step.label(msg_to_rgb(message), looking, stamp)
         note_picture(self.health, view)
-        self._tell_of_head()
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
         self.outlet.acknowledge(FINISHED, stamp)
-
-    def _tell_of_head(self) -> None:
-        """Of a camera whose head is chosen by its pictures: `labels/info` again where it has become another."""
-        if (chosen := self._step.chosen) == self._chosen:
-            return
-        self._chosen = chosen
-        self.health.gauge("head", chosen)
-        if (described := self._step.described) != self._told:
-            self._told = described
-            self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, described))
 
 
 NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.evenly import evenly
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.site import Site
-from ltm_core.storage.photo_io import open_picture, read_rgb
+from ltm_core.storage.photo_io import read_rgb
 from ltm_core.vision.masks import Looking, ViewMask
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_rgb
@@ -31,21 +30,6 @@ def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
     if not found:
         raise RecordingError(f"{folder}: no photos called {pattern!r}; {', '.join(PICTURES)} are read")
     return found
-
-
-def pictures_of_cameras(folder: Path) -> dict[str, list[Path]]:
-    """The photos of a folder that are named CAMERA_YYYYMMDD..., by camera and date: of equal size, of cameras that have
-    at least two. Raises RecordingError where there are none, ImageError."""
-    found: dict[tuple[str, tuple[int, int]], list[Path]] = {}
-    for path in pictures_in(folder):
-        named = re.fullmatch(r"(.+?)_[12]\d{7}(_[^_].*)?", path.stem)
-        if named is not None:
-            with open_picture(path) as (source, _):
-                found.setdefault((named[1], source.size), []).append(path)
-    cameras = {f"{name} {size[0]} x {size[1]}": paths for (name, size), paths in found.items() if len(paths) > 1}
-    if not cameras:
-        raise RecordingError(f"{folder}: no two photos of one camera and size, named CAMERA_YYYYMMDD...")
-    return cameras
 
 
 def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from scenes.movie_file import gps5, gps9, jpeg, movie
+from scenes.movie_file import jpeg, movie
 from scenes.phone_site import STAMP, taken
 
 from fuzz.mutations import spoil_text
@@ -18,7 +18,6 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.dji import read_subtitles
-from ltm_ros.recordings.importing.gopro import read_gopro
 from ltm_ros.recordings.importing.pictures import find_pictures
 from ltm_ros.recordings.importing.sensor_logger import read_sensor_logger_json
 
@@ -68,19 +67,10 @@ def _read_srt(folder: Path) -> None:
     read_subtitles(folder / "a.srt", None)[0].at(1, np.eye(3))
 
 
-def _gpmf(folder: Path) -> list[bytes]:
-    fixes = [(34.225, -118.06, 1500.0), (34.2251, -118.06, 1501.0)]
-    return [gps5(fixes, "240705013015.000", datum=b"MSLV"), gps9(fixes, 8952, 5415.0)]
-
-
-def _read_gpmf(folder: Path) -> None:
-    read_gopro([(0.0, (folder / "gpmd").read_bytes())], folder / "gpmd")[0].at(1, np.eye(3))
-
-
 def _video(folder: Path) -> list[bytes]:
     frames = [np.full((24, 40, 3), 60 * k, np.uint8) for k in range(2)]
     plain = movie(frames, 1, datetime(2024, 7, 5, tzinfo=UTC), location="+34.2250-118.0600+1500.000/")
-    return [plain, movie(frames, 1, None, _gpmf(folder)[:1] * 2, turned=90)]
+    return [plain, movie(frames, 1, None, turned=90)]
 
 
 def _odometry(folder: Path) -> list[bytes]:
@@ -108,7 +98,6 @@ CAPTURE_FILES = (
     Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip"), weight=2.0),
     Target("sensor_logger_json", "walk.json", _json, _read_json),
     Target("video", "a.mp4", _video, lambda folder: _read(folder, "a.mp4")),
-    Target("gopro", "gpmd", _gpmf, _read_gpmf),
     Target("subtitles", "a.srt", _srt, _read_srt, spoil_text),
     Target("stray_scanner", "odometry.csv", _odometry, _read_odometry, spoil_text),
     Target("record3d", "metadata.json", _record3d, _read_record3d, spoil_text),

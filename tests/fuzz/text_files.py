@@ -40,9 +40,7 @@ from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
-from ltm_lab.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_lab.evaluation.truth_frames_io import read_truth_frames
-from ltm_lab.resources import lab_config
 from ltm_lab.simulator.scenario_io import load_scenario
 from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
@@ -102,11 +100,6 @@ def _dem() -> Dem:
 def _polygons(folder: Path) -> list[bytes]:
     one = {"image": "a.jpg", "class": "shrub", "polygon": [[10, 140], [250.5, 45], [1000, 45]]}
     return [json.dumps([one, one | {"number": 3, "reason": "hood"}]).encode()]
-
-
-def _mask_truth(folder: Path) -> list[bytes]:
-    whole = json.loads(lab_config("evaluation/hpwren_masks.json").read_text())
-    return [json.dumps(whole[:1]).encode()]
 
 
 _PICTURE = """
@@ -193,7 +186,6 @@ def _head(folder: Path) -> list[bytes]:
 TEXT_FILES = (
     Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
     Target("polygons", "polygons.json", _polygons, lambda folder: read_areas(folder / "polygons.json"), spoil_text),
-    Target("mask_truth", "m.json", _mask_truth, lambda folder: read_mask_truths(folder / "m.json"), spoil_text),
     _yaml("manifest", _manifest, NetworkManifest.load),
     _yaml("head", _head, lambda path: read_label_head(path, NetworkManifest.load(path.with_name("colors.yaml")))),
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,6 @@ import numpy as np
 import onnx
 import yaml
 from onnx import TensorProto, helper, numpy_helper
-
-from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.picture_domain import DomainSpace, land_statistics
-from ltm_core.vision.picture_domain_io import domain_path, load_domain, write_domain
 
 WIDTH, HEIGHT = 48, 32
 # The classes of the classifier, each the photo colour that it answers to.
@@ -125,25 +120,6 @@ def write_swapping_head(path: Path, manifest: Path, **changes: Any) -> Path:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     return write_manifest(path, {**content, **changes})
-
-
-def write_domain_of(manifest: Path, photos: Sequence[Any]) -> DomainSpace:
-    """Write where pictures of the classifier with `maps` lie, these being its own; axes are the channels' means."""
-    network = NetworkManifest.load(manifest)
-    planes = [(photo[::2, ::2].astype(np.float32) / 255).transpose(2, 0, 1) for photo in photos]
-    found = [land_statistics(values, np.ones(values.shape[1:], bool)) for values in planes]
-    space = DomainSpace(
-        network=network.name,
-        sha256=network.sha256,
-        map="mean",
-        measured_on="photos of one colour",
-        mean=tuple(np.mean([row for row in found if row is not None], axis=0).tolist()),
-        axes=tuple(tuple(row) for row in (np.eye(3, 6) / 0.5).tolist()),
-    )
-    write_domain(domain_path(network), space)
-    loaded = load_domain(network)
-    assert loaded is not None
-    return loaded
 
 
 def write_manifest(path: Path, content: dict[str, Any]) -> Path:

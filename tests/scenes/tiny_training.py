@@ -9,8 +9,8 @@ import numpy as np
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.vision.labels import Label
+from ltm_lab.training.borrow import fractal_noise
 from ltm_lab.training.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
-from ltm_lab.training.random_fields import fractal_noise
 
 SIZE = (64, 96)
 COLORS = np.array([(140, 190, 235), (200, 190, 90), (110, 90, 50), (20, 70, 30), (160, 150, 140)], np.uint8)

@@ -13,12 +13,9 @@ from ltm_lab.cli.eval.bag import bag
 from ltm_lab.cli.eval.canopy import canopy
 from ltm_lab.cli.eval.crosswalk import crosswalk
 from ltm_lab.cli.eval.depth import depth
-from ltm_lab.cli.eval.dirty_lens import dirty_lens
 from ltm_lab.cli.eval.fuel import fuel
 from ltm_lab.cli.eval.gallery import gallery
-from ltm_lab.cli.eval.heads import heads
 from ltm_lab.cli.eval.locate import locate
-from ltm_lab.cli.eval.mask import mask
 from ltm_lab.cli.eval.mount import mount
 from ltm_lab.cli.eval.pose import pose
 from ltm_lab.cli.eval.pose_watch import pose_watch
@@ -49,11 +46,8 @@ evaluate.command(WHOLE)(bag)
 evaluate.command()(canopy)
 evaluate.command()(crosswalk)
 evaluate.command()(depth)
-evaluate.command()(dirty_lens)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
-evaluate.command()(heads)
-evaluate.command()(mask)
 evaluate.command()(pose)
 evaluate.command()(pose_watch)
 evaluate.command()(mount)

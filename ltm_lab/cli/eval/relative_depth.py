@@ -31,7 +31,7 @@ def relative_depth(
     from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL
     from ltm_lab.evaluation.depth.relative_depth import bin_names, score_relative_depth
     from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.training.labelled_frames import read_frames
+    from ltm_lab.training.training_frames import read_training_frames
 
     places = [folder] if (folder / "frames.json").is_file() else sorted(p.parent for p in folder.glob("*/frames.json"))
     if not places:
@@ -40,7 +40,7 @@ def relative_depth(
     console, labels = Console(), LabelSet.load()
     result: dict[str, object] = {}
     for place in places:
-        frames = read_frames(place, len(labels), sampled=True)
+        frames = read_training_frames(place, len(labels), sampled=True)
         if limit is not None:
             frames = evenly(frames, limit)
         scores = {network.manifest.name: score_relative_depth(network, frames) for network in networks}

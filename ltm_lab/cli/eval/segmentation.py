@@ -69,13 +69,13 @@ def segmentation(
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.segmentation_tables import confusion_table, score_table
+    from ltm_lab.cli.eval.segmentation_tables import score_table
+    from ltm_lab.cli.train.head_tables import confusion_table
     from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.segmentation.diagram_io import write_diagram
-    from ltm_lab.evaluation.segmentation.ignored_classes import without_classes
     from ltm_lab.evaluation.segmentation.network_score import LabelScore, score_frames
     from ltm_lab.evaluation.segmentation.overlays_io import write_overlay
-    from ltm_lab.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
+    from ltm_lab.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames, without_classes
 
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
     sets = [folder] if folder.is_dir() and holds_frames(folder) else inside

@@ -1,4 +1,4 @@
-"""Tables of `ltm-lab eval segmentation` and `ltm train head`: scores side by side, and what is taken for what."""
+"""The table of `ltm-lab eval segmentation`: scores side by side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
     from ltm_lab.evaluation.segmentation.network_score import LabelScore
 
 
@@ -21,19 +20,6 @@ def score_table(names: tuple[str, ...], scores: Mapping[str, LabelScore], title:
         table.add_column(name, justify="right")
     for label, row in _rows(names, list(scores.values())):
         table.add_row(label, *row)
-    return table
-
-
-def confusion_table(names: tuple[str, ...], score: SegmentationScore, title: str) -> Table:
-    """Shares of each true class by label; the last column is what was left unlabelled."""
-    table = Table(title=f"{title}: rows are true, columns given")
-    table.add_column("")
-    for name in (*names, "unlabelled"):
-        table.add_column(name, justify="right")
-    for k, name in enumerate(names):
-        if score.true[k] > 0:
-            shares = score.confusion[k] / score.true[k]
-            table.add_row(name, *("." if share == 0 else f"{share:.3f}" for share in shares))
     return table
 
 

@@ -13,10 +13,6 @@ from typer.core import TyperGroup
 
 from ltm_lab.cli.train.adapt import adapt
 from ltm_lab.cli.train.appearance import appearance
-from ltm_lab.cli.train.blend import blend
-from ltm_lab.cli.train.built import built
-from ltm_lab.cli.train.depth import depth
-from ltm_lab.cli.train.domains import domains
 from ltm_lab.cli.train.fusion import fusion
 from ltm_lab.cli.train.photos import photos
 from ltm_ros.cli.output import writable_folder
@@ -29,7 +25,7 @@ WHOLE = "run"
 
 
 class TrainGroup(TyperGroup):
-    """A group whose default command is `run`: `ltm-lab train ltm_lab/config/training/landscape_lite0.yaml`."""
+    """A group whose default command is `run`: `ltm-lab train ltm_lab/config/training/landscape_v2.yaml`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         if args and args[0] not in self.commands and args[0] not in ("--help", "-h"):
@@ -39,10 +35,8 @@ class TrainGroup(TyperGroup):
 
 def run(
     config: Annotated[
-        Path | None,
-        typer.Argument(help="Training configuration, such as ltm_lab/config/training/landscape_lite0.yaml."),
-    ] = None,
-    config_option: Annotated[Path | None, typer.Option("--config", help="The same, as an option.")] = None,
+        Path, typer.Argument(help="Training configuration, such as ltm_lab/config/training/landscape_v2.yaml.")
+    ],
     frames: Annotated[
         Path | None, typer.Option(help="Folder of <set>/NAME.png with NAME_labels.png; overrides the config's.")
     ] = None,
@@ -56,7 +50,6 @@ def run(
         str | None,
         typer.Option(help="Weights to start from: another run's checkpoint .pt, a manifest or model's name."),
     ] = None,
-    until: Annotated[int | None, typer.Option(min=1, help="End after this step; --resume goes on from there.")] = None,
 ) -> None:
     """Train the network of CONFIG: checkpoints, a picture of the course, ONNX file, manifests, calibration, scores."""
     from rich.console import Console
@@ -66,23 +59,20 @@ def run(
     from ltm_core.vision.labels import LabelSet
     from ltm_lab.cli.train.training_run import need_torch, report_scores, trained
     from ltm_lab.training.config import TrainingConfig
-    from ltm_lab.training.labelled_frames import read_split
+    from ltm_lab.training.training_frames import read_split
 
     need_torch()
-    chosen = config or config_option
-    if chosen is None:
-        raise ConfigError("name a training configuration: ltm-lab train ltm_lab/config/training/landscape_lite0.yaml")
-    settings = load_yaml(chosen, TrainingConfig)
+    settings = load_yaml(config, TrainingConfig)
     if steps is not None:
         settings = _with_steps(settings, steps)
     folder = frames or settings.frames
     if folder is None:
-        raise ConfigError(f"{chosen}: no frames; name their folder with --frames or as `frames` in the configuration")
+        raise ConfigError(f"{config}: no frames; name their folder with --frames or as `frames` in the configuration")
     out = out or Path("out/train") / settings.name
     writable_folder(out)
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
-    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start, until=until)
+    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start)
     report_scores(settings, manifest, split, labels, threads, console)
 
 
@@ -94,9 +84,5 @@ train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the networ
 train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(fusion)
-train.command()(domains)
 train.command()(photos)
 train.command()(appearance)
-train.command()(blend)
-train.command()(depth)
-train.command()(built)

@@ -39,8 +39,7 @@ def adapt(
 
     from ltm_lab.evaluation.traced_frames import traced_frames
     from ltm_lab.training.adapt import AdaptConfig, adapted, depth_error
-    from ltm_lab.training.export import export_adapted
-    from ltm_lab.training.exported import load_exported
+    from ltm_lab.training.export import export_adapted, load_exported
 
     console = Console()
     place = site or next((p for p in (bag / "site.yaml", bag.parent / "site.yaml") if p.is_file()), None)

@@ -12,7 +12,7 @@ from ltm_ros.cli.output import writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.training.teachers import Opinions
+    from ltm_lab.training.photo_sets import Opinions
 
 BY_HAND = "_by_hand"
 """Ends the name of a set whose labels are a person's alone: boxes of held-out photos."""
@@ -40,8 +40,7 @@ def photos(
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.vision.labels import UNLABELLED
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.training.photo_sets import PhotoSets
-    from ltm_lab.training.teachers import teach
+    from ltm_lab.training.photo_sets import PhotoSets, teach
 
     sets = load_yaml(config, PhotoSets)
     sky, scene = Segmenter.open(sky_model, threads), Segmenter.open(scene_model, threads)
@@ -80,7 +79,7 @@ def _opinions(sky: Segmenter, scene: Segmenter, photo: UInt8Array, size: tuple[i
     import numpy as np
 
     from ltm_core.vision.labels import Label
-    from ltm_lab.training.teachers import Opinions
+    from ltm_lab.training.photo_sets import Opinions
 
     def at_size(plane: Float32Array) -> Float32Array:
         return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)

@@ -12,8 +12,7 @@ from ltm_core.vision.labels import LabelSet
 
 if TYPE_CHECKING:
     from ltm_lab.training.config import TrainingConfig
-    from ltm_lab.training.labelled_frames import Split
-    from ltm_lab.training.landscape_network import LandscapeNetwork
+    from ltm_lab.training.training_frames import Split
 
 
 def need_torch() -> None:
@@ -34,7 +33,6 @@ def trained(
     console: Console,
     resume: bool = False,
     start: str | None = None,
-    until: int | None = None,
 ) -> Path:
     """Train, export into `out` and calibrate on the validation sets; gives the manifest's path."""
     import torch
@@ -42,6 +40,8 @@ def trained(
 
     from ltm_lab.training import loop
     from ltm_lab.training.curve_io import write_curve
+    from ltm_lab.training.export import export
+    from ltm_lab.training.finish import calibrate
 
     for part, frames in (("train", split.train), ("validation", split.validation), ("test", split.test)):
         sets = sorted({frame.path.parent.name for frame in frames})
@@ -62,18 +62,8 @@ def trained(
             if progress.validation is not None:
                 console.print(f"step {progress.step}: validation mean F1 {progress.validation.mean_f1:.3f}")
 
-        network, run = loop.train(settings, split, len(labels), report, run, checkpoint, until)
+        network, run = loop.train(settings, split, len(labels), report, run, checkpoint)
     write_curve(out / f"{settings.name}_curve.png", settings.name, run)
-    return finished(settings, network, split, labels, out, console)
-
-
-def finished(
-    settings: TrainingConfig, network: LandscapeNetwork, split: Split, labels: LabelSet, out: Path, console: Console
-) -> Path:
-    """Export a network into `out` and calibrate it on the validation sets; gives the manifest's path."""
-    from ltm_lab.training.export import export
-    from ltm_lab.training.finish import calibrate
-
     manifest = export(network, settings, labels, out)
     if split.validation:
         temperature, _ = calibrate(manifest, split.validation, labels, settings.seed)
@@ -100,7 +90,7 @@ def _weights(start: str, fixed: int) -> dict[str, Any]:
     import torch
 
     from ltm_core.vision.manifest import NetworkManifest
-    from ltm_lab.training.exported import load_exported
+    from ltm_lab.training.export import load_exported
 
     weights: dict[str, Any]
     if not start.endswith(".pt"):

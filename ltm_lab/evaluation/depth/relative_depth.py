@@ -15,7 +15,7 @@ from ltm_core.depth.scale_fit import robust_line
 from ltm_core.geometry.camera import Camera
 from ltm_lab.evaluation.metrics.depth import RANGE_BINS
 from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of
-from ltm_lab.training.labelled_frames import Frame
+from ltm_lab.training.training_frames import TrainingFrame
 
 _PAIRS = 4000  # of pixels of a frame, whose order of near and far is compared
 _CLEAR = 1.5  # ratio of true depths from which a pair has an order to be told
@@ -34,7 +34,7 @@ class RelativeDepthScore:
     unfit: int
 
 
-def score_relative_depth(network: DepthNetwork, frames: Iterable[Frame], seed: int = 0) -> RelativeDepthScore:
+def score_relative_depth(network: DepthNetwork, frames: Iterable[TrainingFrame], seed: int = 0) -> RelativeDepthScore:
     """Score a network on frames whose true depth is known; others are passed over.
 
     Raises ModelError for a metric network (its camera matters: `ltm-lab eval depth`).

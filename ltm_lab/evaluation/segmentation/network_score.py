@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,22 +99,11 @@ def score_frames(
 ) -> LabelScore:
     """Label each frame and compare with its truth, where that is known. `macro`: classes of the mean F1; `look` gets
     each answer, to draw it."""
-    return score_each([segmenter] * len(frames), frames, zoom, macro, look)
-
-
-def score_each(
-    segmenters: Sequence[Segmenter],
-    frames: Sequence[Frame],
-    zoom: float = 1.0,
-    macro: tuple[int, ...] = _LAND_AND_SKY,
-    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
-) -> LabelScore:
-    """As `score_frames`, each frame labelled by a segmenter of its own: of a cross-validation, say."""
-    classes = len(segmenters[0].labels)
+    classes = len(segmenter.labels)
     labels, calibration, tally = SegmentationScore.empty(classes), CalibrationScore.empty(), SkylineTally()
     risk, land_risk, land_calibration = RiskCoverage.empty(), RiskCoverage.empty(), CalibrationScore.empty()
     times = []
-    for segmenter, frame in zip(segmenters, frames, strict=True):
+    for frame in frames:
         start = time.perf_counter()
         found = segmenter.segment(frame.image, zoom)
         times.append((time.perf_counter() - start) * 1e3)
@@ -133,26 +122,6 @@ def score_each(
         tally.add(scale * (skyline(found.labels == Label.SKY) + half) - half, scale * truth, step)
     milliseconds = float(np.median(times))
     return LabelScore(labels, calibration, risk, land_calibration, land_risk, tally.score(), milliseconds, macro)
-
-
-def score_segmenter(segmenter: Segmenter, pairs: Iterable[tuple[UInt8Array, UInt8Array]]) -> SegmentationScore:
-    """Score over pairs of photo (H, W, 3) uint8 RGB and true labels (H, W) uint8 (255: truth unknown)."""
-    score = SegmentationScore.empty(len(segmenter.labels))
-    for image, truth in pairs:
-        score = score.plus(truth, segmenter.segment(image).labels)
-    return score
-
-
-def segment_milliseconds(segmenter: Segmenter, images: Sequence[UInt8Array], repeats: int = 5) -> Float64Array:
-    """Wall time of `segment` in ms, of each call on each image, after one call that is not counted."""
-    segmenter.segment(images[0])
-    times = []
-    for _ in range(repeats):
-        for image in images:
-            start = time.perf_counter()
-            segmenter.segment(image)
-            times.append((time.perf_counter() - start) * 1e3)
-    return np.array(times)
 
 
 def _truth_step(labels: UInt8Array) -> int:

@@ -21,8 +21,6 @@ SUFFIXES = (".mp4", ".mov", ".m4v")
 MOST_FRAMES = 20_000
 _FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis")
-_LARGEST_TRACK = 256 << 20
-"""Bytes of a track of telemetry: an hour of a GoPro has 60 MB."""
 _ISO6709 = re.compile(r"([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)?(?:CRS[^/]*)?/?")
 _TAGS = (
     *("com.apple.quicktime.location.ISO6709", "com.apple.quicktime.location.iso6709"),
@@ -116,27 +114,6 @@ def read_video(path: Path, every: float) -> Video:
         _number(tags.get("com.apple.quicktime.camera.focal_length.35mm_equivalent")),
         tags.get("com.apple.quicktime.make", tags.get("make", "")),
     )
-
-
-def telemetry(path: Path, begin: bytes) -> list[tuple[float, bytes]]:
-    """The packets of the data track whose first packet begins so, with their seconds; empty where there is none."""
-    packets: dict[int, list[tuple[float, bytes]]] = {}
-    held = 0
-    with _opened(path) as container:
-        streams = [stream for stream in container.streams if stream.type == "data"]
-        for packet in container.demux(*streams) if streams else ():
-            index = packet.stream_index
-            if not packet.size or packet.pts is None or packets.get(index) == []:
-                continue
-            data = bytes(packet)
-            if index not in packets and not data.startswith(begin):
-                packets[index] = []  # of another kind: a clock, a camera's own notes
-                continue
-            held += len(data)
-            if held > _LARGEST_TRACK:
-                raise RecordingError(f"{path}: its telemetry has more than {_LARGEST_TRACK >> 20} MiB: cut the video")
-            packets.setdefault(index, []).append((float(packet.pts * packet.time_base), data))
-    return next((found for found in packets.values() if found), [])
 
 
 @contextmanager

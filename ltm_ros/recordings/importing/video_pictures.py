@@ -1,4 +1,4 @@
-"""The frames of a video as photos, with what its tags, its telemetry and the file beside it tell."""
+"""The frames of a video as photos, with the data in its tags and in the file beside it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.dji import read_subtitles, subtitles_of
 from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM, ExifFacts
-from ltm_ros.recordings.importing.gopro import read_gopro
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.sensed import Sensed
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
-from ltm_ros.recordings.importing.video import Video, later, read_video, telemetry
+from ltm_ros.recordings.importing.video import Video, later, read_video
 
 QUALITY = 95
 _GIMBAL = np.eye(3)
@@ -55,15 +54,14 @@ def frame_photo(pixels: UInt8Array, path: Path, sensed: Sensed) -> Photo:
 
 def _telemetry(path: Path, assumed: Assumptions) -> tuple[SensorTrack | None, datetime | None, float | None]:
     subtitles = subtitles_of(path)
-    if subtitles is not None:
-        try:
-            return read_subtitles(subtitles, assumed.time_zone)
-        except RecordingError:
-            if assumed.keep_unknown:  # subtitles of somebody who speaks
-                return None, None, None
-            raise
-    packets = telemetry(path, b"DEVC")
-    return (*read_gopro(packets, path), None) if packets else (None, None, None)
+    if subtitles is None:
+        return None, None, None
+    try:
+        return read_subtitles(subtitles, assumed.time_zone)
+    except RecordingError:
+        if assumed.keep_unknown:  # subtitles of speech
+            return None, None, None
+        raise
 
 
 def _sensed(

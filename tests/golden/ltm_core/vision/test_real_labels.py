@@ -9,9 +9,8 @@ import numpy as np
 from ltm_core.storage.photo_io import read_rgb
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.evaluation.segmentation.ignored_classes import without_classes
 from ltm_lab.evaluation.segmentation.network_score import score_frames
-from ltm_lab.training.labelled_frames import read_frames
+from ltm_lab.training.labelled_frames import read_frames, without_classes
 
 
 def test_towers_without_any_teaching(shared_data: Path) -> None:

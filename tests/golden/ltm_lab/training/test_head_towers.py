@@ -10,8 +10,7 @@ from ltm_core.vision.areas import POLYGONS_FILE, labels_of
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.head_trial import teach_head
-from ltm_lab.training.labelled_frames import read_frames
-from ltm_lab.training.polygon_labels_io import read_polygons
+from ltm_lab.training.labelled_frames import read_frames, read_polygons
 
 
 def test_polygons_and_pictures_of_the_same_areas_agree(shared_data: Path) -> None:

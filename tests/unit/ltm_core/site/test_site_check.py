@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scenes.networks import COLORS, write_classifier, write_domain_of, write_swapping_head
+from scenes.networks import write_classifier, write_swapping_head
 
 from ltm_core.base.finding import SiteVerdict
 from ltm_core.geometry.camera import Camera
@@ -164,25 +164,6 @@ def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Pat
     ((_, message),) = [found for found in said(check, SiteVerdict.DOUBTFUL) if found[0] == name]
     assert message.startswith("of north: ")
     assert message.endswith("; it was never scored")
-
-
-def test_what_auto_chooses_among_and_what_it_passes_over_is_told(tmp_path: Path) -> None:
-    cameras = {"north": {"label_head": "auto"}, "south": {}}
-    network = write_classifier(tmp_path, maps=True)
-
-    def told(verdict: SiteVerdict) -> str:
-        check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
-        ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head auto"]
-        return message
-
-    assert "ltm-lab train domains" in told(SiteVerdict.WRONG)
-    space = write_domain_of(network, [np.full((40, 70, 3), COLORS["lime"], np.uint8)])
-    assert told(SiteVerdict.DOUBTFUL).endswith("of north: chosen by the picture among landscape")
-    domain = {"axes": space.checksum, "centre": [0.0, 1.0, 0.0], "spread": 0.5, "sites": 2}
-    write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network, domain=domain, calibration=CALIBRATION)
-    assert told(SiteVerdict.OK).endswith("among landscape, chaparral")
-    write_swapping_head(tmp_path / "heads" / "old.yaml", network)
-    assert "passed over: " in told(SiteVerdict.DOUBTFUL)
 
 
 def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:

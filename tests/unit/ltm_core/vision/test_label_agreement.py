@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.vision.label_confidence import LabelAgreement, agreed
+from ltm_core.vision.label_rules import LabelAgreement, agreed
 from ltm_lab.training.temperature_scaling import fit_exponent
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.tower_pictures import HEIGHT, HORIZON, MAST, WIDTH, corners, tower_picture
+from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
@@ -12,17 +12,11 @@ from ltm_core.vision.areas import NamedArea, polygons_of
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
 from ltm_core.vision.masks import MaskPolygon
-from ltm_core.vision.segmenter import Segmenter
 
 
 @pytest.fixture(scope="module")
-def segmenter() -> Segmenter:
-    return Segmenter.open()
-
-
-@pytest.fixture(scope="module")
-def found(segmenter: Segmenter) -> list[Proposal]:
-    return propose_mask([tower_picture(seed) for seed in (1, 2, 3)], segmenter)
+def found() -> list[Proposal]:
+    return propose_mask([tower_picture(seed) for seed in (1, 2, 3)])
 
 
 def of(kind: str, proposals: list[Proposal]) -> BoolArray:
@@ -49,33 +43,16 @@ def test_the_caption_of_every_time(found: list[Proposal]) -> None:
     assert caption[letters].mean() > 0.99
 
 
-def test_the_mast_and_no_cloud(found: list[Proposal]) -> None:
-    structures = of("structure", found)
-    left, top, right, bottom = MAST
-    body = np.zeros((HEIGHT, WIDTH), np.bool_)
-    body[top : HORIZON - 30, left:right] = True
-    assert structures[body].mean() > 0.9
-    structures[top - 8 : bottom + 20, left - 12 : right + 13] = False
-    assert structures.mean() < 0.002
-
-
-def test_a_known_skyline_takes_the_place_of_the_labels(segmenter: Segmenter) -> None:
-    """A skyline that is known to lie above the mast: nothing there is nearer than the terrain can be."""
-    frames = [tower_picture(seed) for seed in (1, 2, 3)]
-    assert not of("structure", propose_mask(frames, segmenter, np.full(WIDTH, 40.0))).any()
-    assert of("structure", propose_mask(frames, segmenter, np.full(WIDTH, float(HORIZON)))).any()
-
-
-def test_a_plain_picture_has_nothing_to_hide(segmenter: Segmenter) -> None:
+def test_a_plain_picture_has_nothing_to_hide() -> None:
     frames = [tower_picture(seed, mast=False, hood=False, caption="") for seed in (1, 2, 3)]
-    assert propose_mask(frames, segmenter) == []
+    assert propose_mask(frames) == []
 
 
-def test_pictures_of_two_sizes_are_not_of_one_camera(segmenter: Segmenter) -> None:
+def test_pictures_of_two_sizes_are_not_of_one_camera() -> None:
     with pytest.raises(ImageError, match="different sizes"):
-        propose_mask([tower_picture(1), tower_picture(2)[:-8]], segmenter)
+        propose_mask([tower_picture(1), tower_picture(2)[:-8]])
     with pytest.raises(ImageError, match="no pictures"):
-        propose_mask([], segmenter)
+        propose_mask([])
 
 
 def test_outlines_give_back_what_they_enclose() -> None:

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 _RUNS = """
 import re
 import numpy as np
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.manifest import DEFAULT_MODEL
 
@@ -21,7 +21,7 @@ def private_mb():
     return int(re.search(r"Private_Dirty: +([0-9]+)", rollup)[1]) / 1000
 
 for name in (DEFAULT_MODEL, f"{DEFAULT_MODEL}_depth"):
-    manifest = Manifest.find(name)
+    manifest = NetworkManifest.find(name)
     network = OnnxModel(manifest)
     tensor = np.ones(manifest.input.shape, manifest.input.dtype)
     before = private_mb()

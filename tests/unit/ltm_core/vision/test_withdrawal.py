@@ -9,7 +9,7 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.vision.label_corrections import contrast, withdraw
+from ltm_core.vision.label_rules import contrast, withdraw
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmenter

@@ -17,7 +17,7 @@ from ltm_core.depth.monocular import DepthKind, DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
 from ltm_lab.cli import main
 from ltm_lab.evaluation.depth.relative_depth import bin_names, score_relative_depth
-from ltm_lab.training.labelled_frames import Frame
+from ltm_lab.training.training_frames import TrainingFrame
 
 SHAPE = (60, 100)
 
@@ -41,10 +41,10 @@ def _depth() -> Float64Array:
     return np.asarray(depth)
 
 
-def _frame(depth: Float64Array, ordinal: bool = False) -> Frame:
+def _frame(depth: Float64Array, ordinal: bool = False) -> TrainingFrame:
     inverse = np.where(np.isfinite(depth), 1.0 / depth, np.nan).astype(np.float32)
     photo = np.zeros((*SHAPE, 3), np.uint8)
-    return Frame(photo, np.zeros(SHAPE, np.uint8), Path("oak/0001.png"), inverse, ordinal)
+    return TrainingFrame(photo, np.zeros(SHAPE, np.uint8), Path("oak/0001.png"), inverse, ordinal)
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: P
     areas = [
         {"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [59, 0], [59, 14], [0, 14]]},
         {"image": "b.jpg", "class": "shrub", "polygon": [[10, 20], [29, 20], [29, 34], [10, 34]]},
-        {"image": "b.jpg", "class": "structure", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
+        {"image": "b.jpg", "class": "masked", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
         {"image": "gone.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]},
     ]
     (folder / "polygons.json").write_text(json.dumps(areas))

@@ -11,7 +11,8 @@ from ltm_core.vision.labels import Label
 from ltm_lab.training.augment import Lent, augmented
 from ltm_lab.training.borrow import photo_skies, photo_sky, with_ground, with_lake
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN, Frame
+from ltm_lab.training.labelled_frames import UNKNOWN
+from ltm_lab.training.training_frames import TrainingFrame
 
 SIZE = (64, 96)
 NONE = dict.fromkeys(AugmentConfig.model_fields, 0.0)
@@ -27,13 +28,13 @@ def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tupl
     return photo.astype(np.uint8), labels
 
 
-def _photo(skyline: int = 24) -> Frame:
+def _photo(skyline: int = 24) -> TrainingFrame:
     photo, labels = _scene(Label.TREE, (60, 90, 50), skyline)
-    return Frame(photo, labels, Path("photos/1.jpg"), np.ones(SIZE, np.float32), ordinal=True)
+    return TrainingFrame(photo, labels, Path("photos/1.jpg"), np.ones(SIZE, np.float32), ordinal=True)
 
 
 def test_a_photo_lends_what_is_sky_from_side_to_side() -> None:
-    rendered = Frame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
+    rendered = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
     (sky,) = photo_skies([rendered, _photo(), _photo(skyline=6)])  # the last has too little of it
     assert sky.shape == (22, 96, 3)
     np.testing.assert_array_equal(sky, _photo().image[:22])
@@ -44,7 +45,7 @@ def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
     new = photo_sky(SIZE, 24, grey, np.random.default_rng(0))
     assert new.shape == (*SIZE, 3)
     np.testing.assert_allclose(new, 128 / 255, atol=1e-6)
-    frame = Frame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
+    frame = TrainingFrame(*_scene(Label.GRASS, (200, 180, 90)), Path("oak/1.png"))
     lent = Lent(np.zeros((0, 2, 3), np.float32), [grey])
     changed, labels, _ = augmented(
         frame, SIZE, AugmentConfig(**{**NONE, "photo_sky": 1.0}), np.random.default_rng(0), lent
@@ -57,7 +58,7 @@ def test_a_lent_sky_lies_above_the_skyline_alone() -> None:
 def test_a_lake_is_water_where_land_was_and_nowhere_else() -> None:
     photo, labels = _scene(Label.GRASS, (200, 180, 90))
     labels[:, :5] = UNKNOWN
-    frame = Frame(photo, labels, Path("oak/1.png"), np.full(SIZE, 0.01, np.float32))
+    frame = TrainingFrame(photo, labels, Path("oak/1.png"), np.full(SIZE, 0.01, np.float32))
     config = AugmentConfig(**{**NONE, "lake": 1.0})
     shares = []
     for seed in range(12):

@@ -14,16 +14,14 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError, ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.vision.head_choice_io import heads_to_choose
 from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli.main import cli
-from ltm_lab.training.area_folds import by_area
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
-from ltm_lab.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_lab.training.head_samples import PhotoSamples, by_area, photo_samples, sites_of
 from ltm_lab.training.head_trial import teach_head
 from ltm_lab.training.labelled_frames import Frame, read_frames
 
@@ -135,28 +133,12 @@ def test_the_command_installs_a_head_that_is_better_where_it_was_not_taught(tmp_
     assert (Segmenter.open().segment(photo).labels == Label.BUILT)[labels == Label.BUILT].mean() < 0.5
 
 
-@pytest.mark.slow
-def test_a_head_that_has_to_be_named_is_chosen_by_no_picture(tmp_path: Path) -> None:
-    photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
-    result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out), "--by-name"])
-    assert result.exit_code == 0, result.output
-    manifest = NetworkManifest.find("landscape_lite0")
-    _, content = read_label_head(out, manifest)
-    assert content.by_name
-    assert content.domain is None
-    taken, passed = heads_to_choose(manifest, out.parent)
-    assert out not in {*taken, *passed}
-
-
-def test_the_near_head_fits_the_network_that_ships_and_is_chosen_by_no_picture() -> None:
+def test_the_near_head_fits_the_network_that_ships() -> None:
     manifest = NetworkManifest.find("landscape_lite0")
     file = find_label_head("near", manifest)
     assert file is not None
-    head, content = read_label_head(file, manifest)
+    head, _ = read_label_head(file, manifest)
     assert not head.doubt
-    assert content.by_name
-    taken, passed = heads_to_choose(manifest)
-    assert file not in {*taken, *passed}
 
 
 @pytest.mark.slow
@@ -247,7 +229,7 @@ def test_areas_of_one_photo_are_in_folds_of_all_classes(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> None:
-    """It labels the view, is judged by areas that did not teach it, and no picture chooses it."""
+    """It labels the view, and is judged by areas that did not teach it."""
     folder, truth = _one_view(tmp_path / "view")
     out = tmp_path / "heads" / "mast.yaml"
     result = CliRunner().invoke(cli, ["train", "head", str(folder), "--out", str(out), "--one-view"])
@@ -261,6 +243,3 @@ def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> 
     photo, _ = _striped(True, 11)
     found = Segmenter(manifest, head=head).segment(photo).labels
     assert (found == truth)[truth != UNLABELLED].mean() > 0.9
-    taken, passed = heads_to_choose(manifest, out.parent)
-    assert not taken
-    assert "for one view alone" in passed[out]

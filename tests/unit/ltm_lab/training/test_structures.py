@@ -6,8 +6,9 @@ import pytest
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.augment import augmented
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN, Frame
+from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.structures import with_structures
+from ltm_lab.training.training_frames import TrainingFrame
 
 NOTHING = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
 
@@ -57,7 +58,7 @@ def test_nothing_is_built_into_the_sky_or_a_lake() -> None:
 
 def test_shade_darkens_bare_ground_alone_and_takes_its_colour(tmp_path) -> None:  # noqa: ANN001
     photo, labels = scene()
-    frame = Frame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png")
+    frame = TrainingFrame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png")
     shaded = 0
     for seed in range(8):
         changed, same, _ = augmented(
@@ -75,7 +76,7 @@ def test_shade_darkens_bare_ground_alone_and_takes_its_colour(tmp_path) -> None:
 def test_structures_hide_what_is_known_of_depth(tmp_path) -> None:  # noqa: ANN001
     photo, labels = scene()
     inverse = np.full(labels.shape, 0.01, np.float32)
-    frame = Frame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png", inverse)
+    frame = TrainingFrame(np.round(photo * 255).astype(np.uint8), labels, tmp_path / "a.png", inverse)
     chances = NOTHING.model_copy(update={"structures": 1.0})
     _, changed, depth = augmented(frame, labels.shape, chances, np.random.default_rng(3))
     assert (changed == Label.BUILT).any()

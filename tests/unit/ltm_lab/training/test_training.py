@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,11 +16,15 @@ from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.augment import Lent, augmented, photo_looks
 from ltm_lab.training.config import AugmentConfig, OptimiserConfig, SplitConfig, TrainingConfig
-from ltm_lab.training.labelled_frames import LAND, UNKNOWN, Frame, read_frames, read_split
+from ltm_lab.training.labelled_frames import LAND, UNKNOWN
+from ltm_lab.training.training_frames import TrainingFrame, read_split, read_training_frames
+
+if TYPE_CHECKING:
+    from ltm_lab.training.loop import Progress
 
 
 def test_frames_are_read_as_rendered(frames: Path) -> None:
-    read = read_frames(frames / "elm", 7)
+    read = read_training_frames(frames / "elm", 7)
     assert [frame.path.name for frame in read] == ["0010.png", "0011.png", "0012.png"]
     image, labels = drawn_frame(11)
     np.testing.assert_array_equal(read[1].image, image)
@@ -45,32 +51,32 @@ def test_a_scenario_in_validation_and_test_is_refused() -> None:
 def test_labels_of_another_size_or_unknown_id_are_refused(tmp_path: Path) -> None:
     write_drawn(tmp_path / "small", 1, np.zeros((64, 95), np.uint8))
     with pytest.raises(ImageError, match=r"0001_labels\.png: is \(64, 95\) uint8, expected \(64, 96\)"):
-        read_frames(tmp_path / "small", 7)
+        read_training_frames(tmp_path / "small", 7)
     write_drawn(tmp_path / "unknown", 2, np.full(SIZE, 7, np.uint8))
     with pytest.raises(ImageError, match=r"holds label 7, expected ids below 7 or 255"):
-        read_frames(tmp_path / "unknown", 7)
+        read_training_frames(tmp_path / "unknown", 7)
 
 
 def test_sampled_labels_can_score_but_not_train(tmp_path: Path) -> None:
     truth = drawn_frame(4)[1]
     write_drawn(tmp_path / "frames", 4, truth[::4, ::4])
-    (frame,) = read_frames(tmp_path / "frames", 7, sampled=True)
+    (frame,) = read_training_frames(tmp_path / "frames", 7, sampled=True)
     np.testing.assert_array_equal(frame.labels[::4, ::4], truth[::4, ::4])
     assert np.sum(frame.labels != UNLABELLED) == 16 * 24
     with pytest.raises(ImageError, match=r"\(16, 24\) uint8, expected \(64, 96\)"):
-        read_frames(tmp_path / "frames", 7)
+        read_training_frames(tmp_path / "frames", 7)
 
 
 def test_a_folder_without_frames_says_what_it_expects(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"NNNN_labels\.png"):
-        read_frames(tmp_path, 7)
+        read_training_frames(tmp_path, 7)
 
 
 def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -> None:
     """With geometry alone the photo's colours still tell each pixel's class."""
     image, labels = drawn_frame(5)
     inverse = (labels + 1).astype(np.float32)
-    frame = Frame(image, labels, Path("oak/0005.png"), inverse)
+    frame = TrainingFrame(image, labels, Path("oak/0005.png"), inverse)
     geometry = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "flip": 0.5, "rescale": 0.7})
     for seed in range(6):
         photo, truth, depth = augmented(frame, (72, 80), geometry, np.random.default_rng(seed))
@@ -90,7 +96,7 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
     image, labels = drawn_frame(6)
     every = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 1.0), "lake": 0.0})
     none = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
-    frame = Frame(image, labels, Path("oak/0006.png"))
+    frame = TrainingFrame(image, labels, Path("oak/0006.png"))
     photo, truth, depth = augmented(frame, SIZE, none, np.random.default_rng(0))
     np.testing.assert_array_equal(photo, image)
     np.testing.assert_array_equal(truth, labels)
@@ -108,8 +114,8 @@ def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> No
     blue, photo_labels = drawn_frame(8)
     blue = np.where((photo_labels == Label.SKY)[..., None], blue, blue // 4 + np.array([0, 0, 60], np.uint8))
     order = np.ones(SIZE, np.float32)
-    photo = Frame(blue.astype(np.uint8), photo_labels, Path("photos/8.png"), order, ordinal=True)
-    rendered = Frame(image, labels, Path("oak/7.png"), order)
+    photo = TrainingFrame(blue.astype(np.uint8), photo_labels, Path("photos/8.png"), order, ordinal=True)
+    rendered = TrainingFrame(image, labels, Path("oak/7.png"), order)
     looks = photo_looks([rendered, photo])
     assert looks.shape == (1, 2, 3)
     only = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "photo_look": 1.0})
@@ -134,7 +140,7 @@ def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path
     from ltm_lab.training.curve_io import write_curve
     from ltm_lab.training.export import export
     from ltm_lab.training.finish import calibrate, score_sets
-    from ltm_lab.training.loop import Progress, train
+    from ltm_lab.training.loop import train
 
     labels = LabelSet.load()
     split = read_split(frames, TINY.split, len(labels))
@@ -156,6 +162,16 @@ def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path
     assert calibration.matrix(labels).shape == (7, 7)
 
 
+def break_off_at(step: int) -> Callable[[Progress], None]:
+    """Interrupt a training after this step."""
+
+    def report(progress: Progress) -> None:
+        if progress.step == step:
+            raise KeyboardInterrupt
+
+    return report
+
+
 def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_lab.training.loop import Run, train
@@ -165,8 +181,8 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
     split = read_split(frames, config.split, 7)
     checkpoint = tmp_path / "checkpoint.pt"
     whole, _ = train(config, split, 7, lambda _: None)
-    _, broken_off = train(config, split, 7, lambda _: None, checkpoint=checkpoint, until=2)
-    assert broken_off.step == 2
+    with pytest.raises(KeyboardInterrupt):
+        train(config, split, 7, break_off_at(2), checkpoint=checkpoint)
     run = Run.resume(checkpoint, config, 7)
     assert run.step == 2
     resumed, _ = train(config, split, 7, lambda _: None, run)
@@ -202,7 +218,8 @@ def test_depth_is_kept_where_only_labels_are_taught(frames: Path, tmp_path: Path
         photo = torch.randn(1, 3, 64, 96, generator=torch.Generator().manual_seed(1))
         with torch.inference_mode():
             before = run.average(photo)[1]
-        _, run = train(config, split, 7, lambda _: None, run, checkpoint=tmp_path / "c.pt", until=6)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, split, 7, break_off_at(6), run, checkpoint=tmp_path / "c.pt")
         assert run.step == 6
         if keep:  # a run that goes on keeps what was there at its start, not what it has come to
             resumed = Run.resume(tmp_path / "c.pt", config, 7)
@@ -256,7 +273,7 @@ def test_sets_are_drawn_by_their_shares(frames: Path) -> None:
     pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_lab.training.loop import Deck
 
-    read = [frame for name in ("ash", "elm", "fir", "oak") for frame in read_frames(frames / name, 7)]
+    read = [frame for name in ("ash", "elm", "fir", "oak") for frame in read_training_frames(frames / name, 7)]
     deck = Deck(read, {"oak": 0.5}, 1)
     drawn = np.bincount([deck.card(i) for i in range(1200)], minlength=12)
     assert drawn[9:].sum() == pytest.approx(600, abs=12)
@@ -267,7 +284,7 @@ def test_sets_are_drawn_by_their_shares(frames: Path) -> None:
 
 def test_teachers_split_a_slope_by_a_persons_word() -> None:
     """Sky above a slope whose left half is snow and whose right half is dark; grass below."""
-    from ltm_lab.training.teachers import Opinions, teach
+    from ltm_lab.training.photo_sets import Opinions, teach
 
     photo = np.full((60, 90, 3), 40, np.uint8)
     photo[:20] = (150, 190, 240)
@@ -302,7 +319,7 @@ def test_simulated_frames_bring_their_depth(tmp_path: Path) -> None:
     fields = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
     entry = {"image": "0003.png", "truth_camera": {name: getattr(camera, name) for name in fields}}
     (tmp_path / "frames.json").write_text(json.dumps({"frames": [entry]}))
-    (frame,) = read_frames(tmp_path, 7)
+    (frame,) = read_training_frames(tmp_path, 7)
     assert frame.inverse is not None
     assert not frame.ordinal
     assert np.isnan(frame.inverse[:20]).all()

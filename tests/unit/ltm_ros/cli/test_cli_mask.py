@@ -1,8 +1,7 @@
-"""`ltm mask` from pictures to the line for the site file, and `ltm-lab eval mask`."""
+"""`ltm mask`, from images to the line for the site file."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -125,25 +124,3 @@ def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
         run("mask", photos, "--only", "west*", "--keep", "one", *out)
     assert "nothing to mask" in run("mask", photos, "--only", "west*", "--keep", "none", *out)
     assert not (tmp_path / "m.png").exists()
-
-
-def test_proposals_are_scored_against_what_a_person_drew(photos: Path, tmp_path: Path) -> None:
-    corner = [[0, 0], [90, 0], [0, 90]]
-    truth = [
-        {
-            "camera": "west",
-            "pictures": ["west_1.png", "west_2.png", "west_3.png"],
-            "areas": [
-                {"class": "lens", "polygon": corner},
-                {"class": "roof", "polygon": [[300, 400], [400, 400], [350, 500]]},
-            ],
-        }
-    ]
-    (tmp_path / "truth.json").write_text(json.dumps(truth))
-    out = run("eval", "mask", photos, "--truth", tmp_path / "truth.json", "--json", tmp_path / "score.json")
-    assert "together" in out
-    score = json.loads((tmp_path / "score.json").read_text())["west"]
-    assert score["lens"]["areas"] == 1
-    assert score["lens"]["missed"] == 0
-    assert score["lens"]["wrong"] >= 1, "the other corners are not in this truth"
-    assert (score["all"]["areas"], score["all"]["missed"]) == (2, 1)

@@ -6,14 +6,11 @@ import ctypes
 import math
 import time
 
-import cv2
 import numpy as np
 import pytest
 from scenes.source_under_test import Sourced, TurnedClock, settings
 from scenes.timed_picture import jpeg, scene
 
-from ltm_core.vision.dirty_lens import AGREEING, APART_S, LEAST_HISTORY
-from ltm_ros.cameras.lens_watch import LensWatch
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
@@ -175,57 +172,3 @@ def test_a_stamp_that_keeps_its_order_says_what_that_costs() -> None:
     told = np.array([frame.uncertainty for frame in sourced.frames])
     assert (np.abs(late) <= told + 1e-3).all(), (late, told)
     assert told[-1] < 0.1
-
-
-def detailed(wet: bool, seed: int = 1) -> bytes:
-    """A coloured scene with detail everywhere, with the noise of a sensor; `wet`: a drop on the lens."""
-    rng = np.random.default_rng(seed)
-    fixed = cv2.resize(rng.uniform(60.0, 160.0, (9, 16, 3)), (320, 180)) + rng.normal(0.0, 14.0, (180, 320, 1))
-    if wet:
-        fixed[90:160, 40:110] = cv2.GaussianBlur(fixed, (0, 0), 5.0)[90:160, 40:110]
-    return jpeg(np.clip(fixed + np.random.default_rng().normal(0.0, 2.0, fixed.shape), 0, 255).astype(np.uint8))
-
-
-def test_a_wet_lens_is_told_and_its_pictures_go_on_being_published() -> None:
-    clock, reader = TurnedClock(), Pictures()
-    sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/", every=600), clock, reader=lambda: reader)
-
-    def take(count: int, wet: bool) -> list[str]:
-        states = []
-        for _ in range(count):
-            reader.next = CameraImage(Timing(clock.monotonic()), jpeg=detailed(wet))
-            sourced.steps(1)
-            states.append(sourced.state)
-            clock.turn(APART_S)
-        return states
-
-    assert set(take(2 * LEAST_HISTORY + 1, wet=False)) == {"alive"}
-    states = take(AGREEING, wet=True)
-    assert states[: AGREEING // 2] == ["alive"] * (AGREEING // 2)
-    assert states[-1] == "dirty"
-    sourced.source.report()
-    said = sourced.health.summary()
-    assert "lower part, left: the lens is dirty or wet" in said["state_why"]
-    assert said["noted.became_dirty"] == "1"
-    assert len(sourced.frames) == 2 * LEAST_HISTORY + 1 + AGREEING
-    assert take(AGREEING, wet=False)[-1] == "alive"
-    assert sourced.source.why == ""
-
-
-def test_each_preset_of_a_head_is_compared_with_itself() -> None:
-    """Two views whose detail lies elsewhere are no dirty lens; presets are met again to some hundredths of a degree."""
-    watch, now = LensWatch(), 0.0
-
-    def patrol(turns: int, wet: tuple[int, ...]) -> None:
-        nonlocal now
-        for turn in range(turns):
-            for seed, pan in ((1, 30.0), (2, 120.0)):
-                reading = PtzReading(pan + 0.02 * (-1) ** turn, 0.0, 1.0, None, now)
-                watch.look(CameraImage(Timing(now), jpeg=detailed(seed in wet, seed)), 320, reading, now)
-            now += APART_S
-
-    patrol(2 * LEAST_HISTORY + AGREEING, wet=(2,))
-    assert not watch.said()
-    # Where the second view never had detail it has no say.
-    patrol(AGREEING, wet=(1, 2))
-    assert "lower part, left" in watch.said()

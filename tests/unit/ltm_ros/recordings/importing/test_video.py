@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes.movie_file import gps5, gps9, klv, movie, nest
+from scenes.movie_file import movie
 from scenes.phone_site import FRAME, GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
 
 from ltm_core.base.errors import CameraError, PoseError, RecordingError
@@ -18,7 +18,6 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
-from ltm_ros.recordings.importing.gopro import read_gopro, streams, values
 
 BEGIN = datetime(2024, 7, 5, 1, 30, 15, tzinfo=UTC)
 BEGIN_NS = 1_720_143_015_000_000_000
@@ -40,11 +39,6 @@ def images(bag: Path) -> list[UInt8Array]:
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
     return phone_site(tmp_path)
-
-
-def fixes(seconds: int, rate: int = 5) -> list[tuple[float, float, float]]:
-    """Going east by 1e-5 degrees a second."""
-    return [(LAT, LON + 1e-5 * (seconds + k / rate), GROUND + 12.0 - 35.4) for k in range(rate)]
 
 
 def test_a_phones_video_has_one_place_and_no_direction(tmp_path: Path, site: Site) -> None:
@@ -87,61 +81,6 @@ def test_a_recording_of_the_same_time_tells_the_direction(tmp_path: Path, site: 
     ((stamp, _, pose, _),) = imported(tmp_path / "bag")
     assert stamp == BEGIN_NS == STAMP - 250_000_000
     np.testing.assert_allclose(pose.angles_deg, [100.0, -3.0, 1.0], atol=0.01)
-
-
-@pytest.mark.parametrize("generation", [5, 9])
-def test_a_goproes_fixes_come_with_the_clock_of_its_receiver(tmp_path: Path, site: Site, generation: int) -> None:
-    """Its own clock says a local time as if it were UTC; the receiver's goes before it. Altitudes are ellipsoidal."""
-    packets = [
-        gps5(fixes(s), f"2407050130{15 + s:02d}.000")
-        if generation == 5
-        else gps9(fixes(s), 8952, 3600 + 1800 + 15 + s)  # days since 2000
-        for s in range(3)
-    ]
-    path = tmp_path / "GX010001.MP4"
-    path.write_bytes(movie(frames(6), 2, datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC), packets))
-    known = Assumptions(focal_35mm=27.0, keep_unknown=True, geoid_undulation=-35.4)
-    import_photos([path], tmp_path / "bag", site=site, assumed=known)
-    rows = imported(tmp_path / "bag")
-    assert [stamp for stamp, *_ in rows] == [BEGIN_NS + s * 1_000_000_000 for s in range(3)]
-    for second, (_, _, pose, covariance) in enumerate(rows):
-        x, y = FRAME.from_lonlat(LON + 1e-5 * second, LAT)
-        np.testing.assert_allclose(pose.position, [x, y, GROUND + 12.0], atol=0.02)
-        assert np.sqrt(covariance[0, 0]) == pytest.approx(4.0 * 1.5)
-
-
-def test_gopros_altitudes_above_the_sea_say_so(tmp_path: Path) -> None:
-    track, _ = read_gopro([(0.0, gps5(fixes(0), "240705013015.000", datum=b"MSLV"))], Path("a.mp4"))
-    ellipsoidal, _ = read_gopro([(0.0, gps5(fixes(0), "240705013015.000"))], Path("a.mp4"))
-    assert track.fixes is not None
-    assert ellipsoidal.fixes is not None
-    assert (track.fixes.ellipsoidal, ellipsoidal.fixes.ellipsoidal) == (False, True)
-
-
-def test_a_gopro_without_a_fix_tells_no_place(tmp_path: Path, site: Site) -> None:
-    path = tmp_path / "GX010001.MP4"
-    path.write_bytes(movie(frames(2), 2, BEGIN, [gps5(fixes(0), "240705013015.000", fix=0)]))
-    with pytest.raises(PoseError, match=r"no position in GoPro GPMF: it holds no fix; give it x, y or lon, lat"):
-        import_photos([path], tmp_path / "bag", site=site, assumed=KEPT)
-
-
-def test_gpmf_of_the_documentation() -> None:
-    """The examples of GoPro's README: values behind padding, and complex structures."""
-    entries = (
-        klv(b"DMO1", "b", 1, 1, b"\x05"),
-        klv(b"DMO2", "b", 1, 15, bytes(range(15))),
-        klv(b"DMO3", "S", 2, 3, b"\0\1\0\2\xff\xff"),
-    )
-    (stream,) = streams(nest(b"DEVC", klv(b"DVID", "L", 4, 1, b"\0\0\x10\x01"), nest(b"STRM", *entries)))
-    assert [item.key for item in stream] == ["DMO1", "DMO2", "DMO3"]
-    np.testing.assert_array_equal(values(stream[1]).ravel(), np.arange(15))
-    np.testing.assert_array_equal(values(stream[2]).ravel(), [1, 2, 65_535])
-
-
-def test_damaged_telemetry_is_told(tmp_path: Path) -> None:
-    whole = gps5(fixes(0), "240705013015.000")
-    with pytest.raises(RecordingError, match=r"a\.mp4: its telemetry is damaged .*reaches beyond"):
-        read_gopro([(0.0, whole[:-20])], Path("a.mp4"))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,97 @@
+"""Rules that correct what a network says of a photo: colour against *tree*, withdrawal of labels, and agreement.
+
+- Colour: living crowns show more green than red, dry slopes and rock do not. A network that learnt dark slopes as
+  forest calls dry chaparral and shaded cliffs *tree*. The correction of the scores is bounded, so that trees of which
+  the network is sure stay trees under an evening sun, in autumn, and in photos that were graded warm.
+- Withdrawal: labels of low probability are removed, and *tree* where the photo shows no texture. Hazy far slopes of
+  shrub are called tree with confidence, but have little contrast. Forests on mountains have as little, so that
+  contrast counts against trees only in a photo with more shrub than tree.
+- Agreement: a label is right more often than its probability says where the pixels around it have the same label.
+  Patches within another class, and edges between classes, are what label heads get wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Withdrawal
+
+_GREEN: Final = -0.01
+"""Redness up to which nothing is taken off,"""
+_RED: Final = 0.03
+"""and from which on all is. Chosen with the amounts in the manifest on 166 photos of mountains that taught the network
+shipped and on renderings; figures of the tower views were visible meanwhile (docs/labels.md)."""
+_REACH: Final = 2 / 320
+"""Of the photo's width, standard deviation of the Gaussian that colours are averaged by: noise is no colour."""
+_DARK: Final = 4.0
+"""Grey levels added to the sum: in black, colour says nothing."""
+
+
+def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:
+    """(rows, cols) of a photo (H, W, 3) RGB: red minus green over their sum; 0 where they are alike."""
+    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
+    soft = cv2.GaussianBlur(small, (0, 0), _REACH * cols)
+    red, green = soft[..., 0], soft[..., 1]
+    return np.asarray((red - green) / (red + green + _DARK), np.float32)
+
+
+def against_green(image: UInt8Array, rows: int, cols: int) -> Float32Array:
+    """(rows, cols) in 0..1: how much a photo (H, W, 3) RGB speaks against what is green."""
+    return np.asarray(np.clip((redness(image, rows, cols) - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
+
+
+_WIDTH = 640  # pixels that the photo is brought to, so that contrast means the same for each camera
+_WINDOW = 15  # pixels of these
+
+
+def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rules: Withdrawal) -> None:
+    """Set labels (H, W) that the rules withdraw to 255, and their confidence to 0, in place; `image` (H, W, 3)."""
+    if not rules.any:
+        return
+    out = confidence < np.uint8(round(255 * rules.confidence))
+    if rules.tree_contrast > 0:
+        trees = labels == Label.TREE
+        if 0 < np.count_nonzero(trees) < np.count_nonzero(labels == Label.SHRUB):
+            low = (contrast(image) < rules.tree_contrast).astype(np.uint8)
+            height, width = labels.shape
+            out |= trees & (cv2.resize(low, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+    labels[out] = UNLABELLED
+    confidence[out] = 0
+
+
+def contrast(image: UInt8Array) -> Float32Array:
+    """Standard deviation of grey within 15 pixels, in 8-bit steps, of the photo at a width of 640 (h, 640) float32."""
+    height, width = image.shape[:2]
+    rows = max(1, round(height * _WIDTH / width))
+    method = cv2.INTER_AREA if width > _WIDTH else cv2.INTER_LINEAR
+    grey = cv2.cvtColor(cv2.resize(image, (_WIDTH, rows), interpolation=method), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    mean, square = (cv2.boxFilter(v, -1, (_WINDOW, _WINDOW)) for v in (grey, grey * grey))
+    return np.asarray(np.sqrt(np.maximum(square - mean * mean, 0.0)), np.float32)
+
+
+class LabelAgreement(StrictModel):
+    """`reach`: of the picture's width, standard deviation of the Gaussian that weighs what is around a pixel; 0: only
+    the pixel itself counts. `exponent`: of the mean, so that it is the share of right labels; measured on photos."""
+
+    reach: float = Field(default=0.0, ge=0, le=0.1)
+    exponent: float = Field(default=1.0, gt=0, le=5)
+
+
+def agreed(probabilities: Float32Array, rule: LabelAgreement) -> Float32Array:
+    """(h, w) how sure the likeliest of (K, h, w) probabilities is: the mean around the pixel of the probability where
+    the same class is the likeliest, and 0 elsewhere, to the exponent."""
+    winner, best = probabilities.argmax(axis=0), probabilities.max(axis=0)
+    sigma = rule.reach * probabilities.shape[2]
+    mean = np.zeros(best.shape, np.float32)
+    for k in np.unique(winner):
+        own = winner == k
+        around = cv2.GaussianBlur(np.where(own, best, np.float32(0)), (0, 0), sigma)
+        mean[own] = around[own]
+    return np.asarray(np.clip(mean, 0, 1) ** np.float32(rule.exponent), np.float32)
