@@ -15,12 +15,12 @@ from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.scoring.fuel import on_grid
+from ltm_core.scoring.fuel_change import MapScore, score_map
 from ltm_core.site.networks import site_label_errors
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.false_changes import FalseRegion, false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
-from ltm_lab.evaluation.fuel.map_score import MapScore, score_map
-from ltm_lab.evaluation.metrics.fuel import on_grid
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
 
 REPEAT_S = 60.0

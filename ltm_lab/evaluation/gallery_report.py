@@ -23,7 +23,7 @@ from ltm_core.pictures import (
 )
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_lab.evaluation.gallery.exhibit import Exhibit, Section
-from ltm_lab.evaluation.page import render_page
+from ltm_ros.pages.render import render_page
 
 PAGE, PICTURES = "gallery.html", "pictures"
 _COLUMNS, _WIDTH = 2, 900
@@ -55,7 +55,13 @@ def write_gallery(out: Path, data: Path, sections: Sequence[Section], networks: 
         shown.append((section, exhibits, sheets))
     page = out / PAGE
     content = render_page(
-        PAGE, {}, title="Gallery of real photos", sections=shown, data=str(data), networks=", ".join(networks)
+        PAGE,
+        {},
+        "ltm_lab.evaluation",
+        title="Gallery of real photos",
+        sections=shown,
+        data=str(data),
+        networks=", ".join(networks),
     )
     page.write_text(content, encoding="utf-8")
     return page

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import Pose
+from ltm_lab.evaluation.truth_frames_io import TruthFrame, read_index, read_truth_frames
 from ltm_lab.simulator.phone_photo_io import PhonePhoto, write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 
@@ -30,34 +26,27 @@ def write_phone_capture(
     `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`.
     Raises RecordingError on a folder without frames of exactly one walk, or where photos of an earlier one lie.
     """
-    index_file = frames / "frames.json"
-    try:
-        index = json.loads(index_file.read_text(encoding="utf-8"))
-        walks = {str(walk["name"]): walk for walk in index["walks"]}
-        entries = [entry for entry in index["frames"] if entry["camera_name"] in walks]
-        frame = SiteFrame(index["crs"], *(float(v) for v in index["origin"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RecordingError(
-            f"{index_file}: no index of simulated frames ({error}); `ltm-lab simulate` writes one"
-        ) from error
-    names = {entry["camera_name"] for entry in entries}
+    index = read_index(frames)
+    walks = {walk.name: walk for walk in index.walks}
+    entries = [frame for frame in read_truth_frames(frames) if frame.camera_name in walks]
+    names = {frame.camera_name for frame in entries}
     if len(names) != 1:
         raise RecordingError(
-            f"{index_file}: has frames of {len(names)} walks, a capture is of one; give the scenario one `walks`"
+            f"{frames}/frames.json has frames of {len(names)} walks; give the scenario exactly one in `walks`"
         )
     (out / PHOTOS).mkdir(parents=True, exist_ok=True)
     if any((out / PHOTOS).iterdir()):
         raise RecordingError(f"{out / PHOTOS} is not empty: remove it, or write elsewhere")
     photos, rows = [], []
-    quality = int(index.get("jpeg_quality", 78))
+    quality, site = index.jpeg_quality, index.site_frame
     for number, entry in enumerate(entries, start=1):
-        photo = _photo(frames, entry, f"IMG_{number:04d}.jpg")
-        write_phone_photo(out / PHOTOS / photo.name, photo, frame, quality)
+        photo = _photo(entry, f"IMG_{number:04d}.jpg")
+        write_phone_photo(out / PHOTOS / photo.name, photo, site, quality)
         photos.append(photo)
-        rows.append(_true_row(photo.name, entry, frame))
+        rows.append(_true_row(photo.name, entry, site))
         progress(number, len(entries))
-    undulation = float(walks[names.pop()]["geoid_undulation"])
-    write_sensor_logger(out / SENSOR_LOGGER, photos, frame, quality, undulation)
+    undulation = walks[names.pop()].geoid_undulation
+    write_sensor_logger(out / SENSOR_LOGGER, photos, site, quality, undulation)
     with (out / TRUE_POSES).open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -65,26 +54,15 @@ def write_phone_capture(
     return len(photos)
 
 
-def _photo(folder: Path, entry: dict[str, Any], name: str) -> PhonePhoto:
-    image = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
-    if image is None:
-        raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken; render it again")
-    told = entry["reported"]
-    camera = Camera(**entry["camera"] | {"distortion": tuple(entry["camera"]["distortion"])})
-    pose = Pose.from_angles(told["position"], told["azimuth_deg"], told["pitch_deg"], told["roll_deg"])
-    return PhonePhoto(
-        name,
-        np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8),
-        camera,
-        pose,
-        int(told["stamp_ns"]),
-        float(np.sqrt(told["covariance"][0])),
-    )
+def _photo(frame: TruthFrame, name: str) -> PhonePhoto:
+    told = frame.reported
+    return PhonePhoto(name, frame.photo, frame.camera, told.pose, told.stamp_ns, float(np.sqrt(told.covariance[0])))
 
 
-def _true_row(name: str, entry: dict[str, Any], frame: SiteFrame) -> dict[str, str]:
-    x, y, z = entry["position"]
-    values = (x + frame.x_origin, y + frame.y_origin, z)
-    angles = {key: f"{entry[key]:.4f}" for key in ("azimuth_deg", "pitch_deg", "roll_deg")}
+def _true_row(name: str, frame: TruthFrame, site: SiteFrame) -> dict[str, str]:
+    x, y, z = (float(v) for v in frame.pose.position)
+    values = (x + site.x_origin, y + site.y_origin, z)
+    names = ("azimuth_deg", "pitch_deg", "roll_deg")
+    angles = {key: f"{value:.4f}" for key, value in zip(names, frame.pose.angles_deg, strict=True)}
     place = {key: f"{value:.3f}" for key, value in zip("xyz", values, strict=True)}
-    return {"name": name} | place | angles | {"fx": f"{entry['camera']['fx']:.3f}"}
+    return {"name": name} | place | angles | {"fx": f"{frame.camera.fx:.3f}"}

@@ -4,37 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table as RichTable
-from rich.text import Text
 
-from ltm_lab.evaluation.figures_io import without_nan
-from ltm_lab.evaluation.metrics.depth import DepthScore
-from ltm_lab.evaluation.run_report import NOTHING, Table
-from ltm_lab.evaluation.run_score import SHARED, BagScore
-
-_AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}
-
-
-def bin_name(score: DepthScore) -> str:
-    """The range of a depth score: `100-300 m`."""
-    if score.near == 0 and math.isinf(score.far):
-        return "all"
-    return f"> {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f}-{score.far:,.0f} m"
+from ltm_lab.evaluation.run_score import BagScore
+from ltm_ros.demo.report import NOTHING, Table
+from ltm_ros.demo.tables import depth_table, fuel_maps_table, percent
+from ltm_ros.pages.figures_io import without_nan
 
 
 def tables(score: BagScore) -> list[Table]:
     """One table a part that could be scored, then what the bag lacks."""
     found = [
-        _depth(score),
+        depth_table(score),
         _labels(score),
         _confusion(score),
         _skylines(score),
         _fuel(score),
-        _fuel_maps(score),
+        fuel_maps_table(score),
         _change(score),
         _surface(score),
     ]
@@ -43,23 +31,6 @@ def tables(score: BagScore) -> list[Table]:
     if score.lacking:
         kept.append(Table("lacking", ("part", "why"), [_split(reason) for reason in score.lacking]))
     return kept
-
-
-def rich_table(parts: Sequence[Table], title: str) -> RichTable:
-    """All tables as one: each part begins with a bold row that names its columns."""
-    width = max((len(part.columns) for part in parts if part.title != "lacking"), default=1)
-    whole = RichTable(title=title, title_justify="left", show_header=False, box=None, padding=(0, 1, 0, 0))
-    for column in range(width):
-        whole.add_column(justify="left" if column < 2 else "right", no_wrap=True)
-    for part in parts:
-        if part.title == "lacking":
-            continue
-        if whole.row_count:
-            whole.add_row()
-        whole.add_row(*(Text(name, style="bold cyan") for name in (part.title, *part.columns[1:])))
-        for row in part.rows:
-            whole.add_row(*(shown(value) for value in row))
-    return whole
 
 
 def as_json(score: BagScore) -> dict[str, Any]:
@@ -115,40 +86,6 @@ def macro(values: np.ndarray[Any, Any], present: np.ndarray[Any, Any]) -> float:
     return float(values[present].mean()) if present.any() else math.nan
 
 
-def _depth(score: BagScore) -> Table | None:
-    rows: list[tuple[object, ...]] = []
-    for row in score.depth:
-        for one in row.scores:
-            rows.append(
-                (
-                    f"{row.source}, {_AGAINST[row.against]}" if one is row.scores[0] else "",
-                    bin_name(one),
-                    one.pixels,
-                    one.rmse,
-                    one.mae,
-                    one.median,
-                    one.bias,
-                )
-            )
-    if not rows:
-        return None
-    covered = ", ".join(
-        f"{row.source} {100 * row.coverage:.1f} %" for row in score.depth if row.against == "visible surface"
-    )
-    note = (
-        "Metres along the optical axis, by true depth, against the visible surface (vegetation included) and bare "
-        f"ground. Truth pixels of finite depth that got a depth: {covered}."
-    )
-    sources = {row.source for row in score.depth}
-    if any(row.against == SHARED for row in score.depth):
-        note += " Shared: against the surface, on pixels where every source has a depth, so that sources compare."
-    if "network" in sources:
-        note += " Network: its own depth at the scale that the terrain gave it; published where that fit was sound."
-    return Table(
-        "depth", ("source, against", "true depth", "pixels", "RMSE m", "MAE m", "median m", "bias m"), rows, note
-    )
-
-
 def _labels(score: BagScore) -> Table | None:
     labels = score.labels
     if labels is None:
@@ -157,10 +94,10 @@ def _labels(score: BagScore) -> Table | None:
     for k, name in enumerate(score.class_names):
         if labels.true[k] or labels.predicted[k]:
             values = (labels.f1[k], labels.precision[k], labels.recall[k], labels.iou[k])
-            rows.append((name, _percent(labels.true[k] / labels.pixels), int(labels.true[k]), *map(_ratio, values)))
+            rows.append((name, percent(labels.true[k] / labels.pixels), int(labels.true[k]), *map(_ratio, values)))
     present = labels.true > 0
     means = (macro(v, present) for v in (labels.f1, labels.precision, labels.recall, labels.iou))
-    rows.append(("macro mean", f"right {_percent(labels.accuracy)}", labels.pixels, *map(_ratio, means)))
+    rows.append(("macro mean", f"right {percent(labels.accuracy)}", labels.pixels, *map(_ratio, means)))
     return Table("segmentation", ("class", "of truth", "pixels", "F1", "precision", "recall", "IoU"), rows)
 
 
@@ -173,7 +110,7 @@ def _confusion(score: BagScore) -> Table | None:
     heads = [*score.class_names, "none"]
     shown = [k for k in range(len(heads)) if counts[:, k].sum() or (k < len(counts) and counts[k].sum())]
     rows = [
-        (heads[k], *(_percent(counts[k, j] / counts[k].sum()) for j in shown))
+        (heads[k], *(percent(counts[k, j] / counts[k].sum()) for j in shown))
         for k in range(len(counts))
         if counts[k].sum()
     ]
@@ -210,32 +147,14 @@ def _fuel(score: BagScore) -> Table | None:
         scores = [2 * right / (true + mapped), right / mapped, right / true, right / (true + mapped - right)]
     for k, name in enumerate(score.class_names[: len(counts)]):
         if true[k] or mapped[k]:
-            rows.append((name, _percent(true[k] / fuel.seen), int(true[k]), *(_ratio(v[k]) for v in scores)))
+            rows.append((name, percent(true[k] / fuel.seen), int(true[k]), *(_ratio(v[k]) for v in scores)))
     share = fuel.right / fuel.seen if fuel.seen else math.nan
     means = (_ratio(macro(np.nan_to_num(v), present)) for v in scores)
-    rows.append(("macro mean", f"right {_percent(share)}", fuel.seen, *means))
+    rows.append(("macro mean", f"right {percent(share)}", fuel.seen, *means))
     note = (
         f"{fuel.right:,} of the {fuel.seen:,} observed cells with a known truth are right; the map has {fuel.cells:,}."
     )
     return Table("fuel cells", ("life form", "of truth", "cells", "F1", "precision", "recall", "IoU"), rows, note)
-
-
-def _fuel_maps(score: BagScore) -> Table | None:
-    """The map beside what it started from and beside the paper's vote, on the same cells."""
-    maps = (("evidence over the prior", score.fuel), ("majority vote", score.fuel_vote), ("prior", score.fuel_prior))
-    rows = [
-        (name, one.seen, one.right, _percent(one.right / max(1, one.seen))) for name, one in maps if one is not None
-    ]
-    if len(rows) < 2:
-        return None
-    note = "Cells that a recorded frame voted in; life form against the true one."
-    if (changes := score.fuel_changes) is not None:
-        found, false = changes.found, changes.false_flips
-        note += (
-            f" Of {found.of:,} cells that are no more what the prior says the map has found {found.count:,}, of "
-            f"{false.of:,} that are it has changed {false.count:,}."
-        )
-    return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)
 
 
 def _change(score: BagScore) -> Table | None:
@@ -282,10 +201,6 @@ def _split(reason: str) -> tuple[str, str]:
 
 def _ratio(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else NOTHING
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %" if math.isfinite(value) else NOTHING
 
 
 def shown(value: object) -> str:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import cv2
 import numpy as np
 
-from ltm_core.base.errors import RecordingError
+from ltm_core.base.errors import LtmError
 from ltm_core.base.types import Float32Array
-from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.range_image import RangeImage
+from ltm_lab.evaluation.truth_frames_io import TruthFrame, read_index, read_truth_frames
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
@@ -51,61 +46,39 @@ def write_simulated_bag(
     what the sensors reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which
     they came. Raises RecordingError on a folder without frames.json.
     """
-    index_file = frames / "frames.json"
-    try:
-        index = json.loads(index_file.read_text(encoding="utf-8"))
-        entries, step = index["frames"], int(index["truth_step"])
-        quality = int(index.get("jpeg_quality", 78)) if quality is None else quality
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RecordingError(
-            f"{index_file}: no index of simulated frames ({error}); `ltm-lab simulate` writes one"
-        ) from error
-    entries = [e for e in entries if date is None or e.get("date") == date]
-    entries.sort(key=lambda e: (e.get("reported", e).get("received_ns", e["stamp_ns"]), e["camera_name"]))
+    index = read_index(frames)
+    quality = index.jpeg_quality if quality is None else quality
+    waiting = sorted(read_truth_frames(frames, date or ""), key=lambda f: (f.reported.received_ns, f.camera_name))
+    total = len(waiting)
+    waiting.reverse()
     writer = BagWriter(out)
     try:
         with writer as bag:
-            for done, entry in enumerate(entries, start=1):
-                _write_frame(bag, frames, entry, site, step, quality)
-                progress(done, len(entries))
-    except RecordingError:
+            while waiting:
+                _write_frame(bag, waiting.pop(), site, index.truth_step, quality)
+                progress(total - len(waiting), total)
+    except LtmError:
         shutil.rmtree(out, ignore_errors=True)  # half a recording looks like a whole one
         raise
-    return len(entries)
+    return total
 
 
-def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str, step: int, quality: int) -> None:
-    name, told = entry["camera_name"], entry.get("reported", entry)
-    stamp, received = int(told["stamp_ns"]), int(told.get("received_ns", told["stamp_ns"]))
-    optical = f"{name}_optical"
-    camera = Camera(**entry["camera"] | {"distortion": tuple(entry["camera"]["distortion"])})
-    pose = Pose.from_angles(entry["position"], entry["azimuth_deg"], entry["pitch_deg"], entry["roll_deg"])
-    told_pose = Pose.from_angles(told["position"], told["azimuth_deg"], told["pitch_deg"], told["roll_deg"])
-    covariance = np.diag(told.get("covariance", np.zeros(6)))
-    image = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
-    if image is None:
-        raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken; render it again")
-    jpeg = encode_rgb(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8), "jpeg", quality)
-    sampled = camera.scaled(step)
-    try:
-        with np.load(folder / entry["truth"]) as truth:
-            surface = _rounded(RangeImage(truth["range_surface"].astype(np.float32), sampled, pose).depth())
-            ground = _rounded(RangeImage(truth["range_ground"].astype(np.float32), sampled, pose).depth())
-            labels = truth["labels"].astype(np.uint8)
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise RecordingError(f"{folder / entry['truth']}: no truth of the frame ({error}); render it again") from error
+def _write_frame(bag: BagWriter, frame: TruthFrame, site: str, step: int, quality: int) -> None:
+    told, optical = frame.reported, f"{frame.camera_name}_optical"
+    stamp = told.stamp_ns
+    jpeg = encode_rgb(frame.photo, "jpeg", quality)
 
     def write(topic: Topic, message: Any) -> None:
-        bag.write(camera_topic(site, name, topic), message, received)
+        bag.write(camera_topic(site, frame.camera_name, topic), message, told.received_ns)
 
-    write(CAMERA_INFO, camera_to_msg(camera, stamp, optical))
-    write(POSE, pose_to_msg(told_pose, stamp, covariance=covariance))
+    write(CAMERA_INFO, camera_to_msg(frame.camera, stamp, optical))
+    write(POSE, pose_to_msg(told.pose, stamp, covariance=np.diag(told.covariance)))
     write(IMAGE_COMPRESSED, compressed_to_msg(jpeg, "jpeg", stamp, optical))
-    write(TRUTH_POSE, pose_to_msg(pose, stamp))
-    write(TRUTH_CAMERA_INFO, camera_to_msg(sampled, stamp, optical))
-    write(TRUTH_DEPTH, depth_to_msg(surface, stamp, optical))
-    write(TRUTH_GROUND_DEPTH, depth_to_msg(ground, stamp, optical))
-    write(TRUTH_LABELS, image_to_msg(labels, "mono8", stamp, optical))
+    write(TRUTH_POSE, pose_to_msg(frame.pose, stamp))
+    write(TRUTH_CAMERA_INFO, camera_to_msg(frame.camera.scaled(step), stamp, optical))
+    write(TRUTH_DEPTH, depth_to_msg(_rounded(frame.surface), stamp, optical))
+    write(TRUTH_GROUND_DEPTH, depth_to_msg(_rounded(frame.ground), stamp, optical))
+    write(TRUTH_LABELS, image_to_msg(frame.labels, "mono8", stamp, optical))
 
 
 def _rounded(depth: Float32Array) -> Float32Array:

@@ -18,9 +18,9 @@ from torch.nn import functional
 from ltm_core.base.errors import ModelError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_lab.training.augment import augmented
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.landscape_network import LandscapeNetwork
 from ltm_lab.training.loop import device, normalised
 from ltm_lab.training.losses import Batch, depth_loss

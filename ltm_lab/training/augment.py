@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.borrow import fractal_noise, land_of, photo_skies, photo_sky, soft_mask, with_lake
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.structures import with_structures
 from ltm_lab.training.training_frames import TrainingFrame
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import Label
-from ltm_lab.training.labelled_frames import LAND, UNKNOWN
 from ltm_lab.training.training_frames import TrainingFrame
 
 Rng = np.random.Generator

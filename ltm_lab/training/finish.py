@@ -10,13 +10,13 @@ import numpy as np
 import yaml
 
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import Frame
+from ltm_core.label_heads.temperature_scaling import balanced, fit_temperature
+from ltm_core.scoring.confidence import CalibrationScore
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.label_confidence import Calibration, calibration_path, write_calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.evaluation.metrics.confidence import CalibrationScore
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
-from ltm_lab.training.labelled_frames import Frame
-from ltm_lab.training.temperature_scaling import balanced, fit_temperature
 
 _PIXELS = 4000  # of a frame, drawn for the temperature
 

@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.types import UInt8Array
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_lab.training.augment import Lent, augmented
 from ltm_lab.training.borrow import with_ground
 from ltm_lab.training.config import OptimiserConfig, TrainingConfig

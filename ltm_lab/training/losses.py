@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ltm_core.label_heads.labelled_frames import LAND
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.config import OptimiserConfig
-from ltm_lab.training.labelled_frames import LAND
 
 _PAIRS = 600  # of pixels, drawn in each frame whose order of near and far a teacher gives
 _CLEAR = 0.12  # of the teacher's spread between the 5th and 95th percentile: a smaller step is no order

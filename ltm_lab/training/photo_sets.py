@@ -17,8 +17,8 @@ from pydantic import Field, model_validator
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_lab.training.labelled_frames import LAND, UNKNOWN
 
 TAG_LABELS = {"G": Label.GRASS, "S": Label.SHRUB, "T": Label.TREE, "B": Label.BARE, "-": LAND}
 _SKY_SURE = 0.25  # probability of sky: below and above 1 - this the sky network is believed

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
-from ltm_lab.training.labelled_frames import UNKNOWN
 
 Rng = np.random.Generator
 Points = npt.NDArray[np.float64]

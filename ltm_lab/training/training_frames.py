@@ -19,8 +19,8 @@ import numpy.typing as npt
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float32Array
 from ltm_core.geometry.camera import Camera
+from ltm_core.label_heads.labelled_frames import INDEX_FILE, Frame, read_frames
 from ltm_lab.training.config import SplitConfig
-from ltm_lab.training.labelled_frames import INDEX_FILE, Frame, read_frames
 
 
 @dataclass(frozen=True)

@@ -44,10 +44,10 @@ def demo(
 
 def _simulated(out: Path, domain: int, console: Console) -> None:
     from ltm_core.base.resources import project_path
-    from ltm_lab.evaluation.score_tables import bin_name
     from ltm_ros.cli.output import print_nodes
     from ltm_ros.cli.progress import message_bar
     from ltm_ros.demo.simulated import run_demo
+    from ltm_ros.demo.tables import bin_name
 
     with message_bar(console, "demo") as progress:
         result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))

@@ -51,8 +51,8 @@ def fire(
     from ltm_core.fire.pyretechnics import interpreter
     from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
     from ltm_core.storage.disk_io import require_files
-    from ltm_lab.evaluation.fire_before_after import open_pair, run_fires
-    from ltm_lab.evaluation.fire_page import FILES, NO_FORECAST, sentences, write_results
+    from ltm_ros.fire.before_after import open_pair, run_fires
+    from ltm_ros.fire.page import FILES, NO_FORECAST, sentences, write_results
 
     console = Console()
     blowing, wet = Wind.parse(wind), Moisture.parse(moisture)

@@ -68,6 +68,10 @@ def head(
 
     from ltm_core.base.errors import ModelError
     from ltm_core.base.evenly import evenly
+    from ltm_core.label_heads.head_fit import HeadFitConfig
+    from ltm_core.label_heads.head_trial import score_photos, teach_head
+    from ltm_core.label_heads.labelled_frames import read_frames, without_classes
+    from ltm_core.scoring.overlays_io import write_overlay
     from ltm_core.vision.label_head import (
         label_heads_folder,
         read_label_head,
@@ -75,12 +79,8 @@ def head(
     )
     from ltm_core.vision.manifest import NetworkManifest, Withdrawal
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.train.head_tables import confusion_table, score_table
-    from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.segmentation.overlays_io import write_overlay
-    from ltm_lab.training.head_fit import HeadFitConfig
-    from ltm_lab.training.head_trial import score_photos, teach_head
-    from ltm_lab.training.labelled_frames import read_frames, without_classes
+    from ltm_ros.cli.train_head_tables import confusion_table, score_table
+    from ltm_ros.pages.figures_io import write_figures
 
     console, start = Console(), time.perf_counter()
     segmenter = Segmenter(NetworkManifest.find(model).serving(out), threads)

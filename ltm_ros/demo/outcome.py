@@ -18,7 +18,7 @@ from ltm_core.pictures.fuel_maps import CameraMark, change_sheet, coverage_sheet
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.run_report import CameraPictures, Sheet
+from ltm_ros.demo.report import CameraPictures, Sheet
 from ltm_ros.fuel_map.pictures import canvas_of, seen_window
 from ltm_ros.recordings.recorded_run import RecordedFrame
 

@@ -16,9 +16,6 @@ from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.run_report import ReportData, write_report
-from ltm_lab.evaluation.run_score import BagScore, DepthRow, score_bag
-from ltm_lab.evaluation.score_tables import tables
 from ltm_ros.demo.outcome import (
     camera_pictures,
     conditions,
@@ -28,6 +25,9 @@ from ltm_ros.demo.outcome import (
     range_scale,
     write_pictures,
 )
+from ltm_ros.demo.report import ReportData, write_report
+from ltm_ros.demo.score import DepthRow, RunScore, score_run
+from ltm_ros.demo.tables import depth_table, fuel_maps_table
 from ltm_ros.demo.walk import Walk, run_walk, walk_sheet
 from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
@@ -39,7 +39,7 @@ from ltm_ros.runtime.diagnostics import NodeRow, node_rows
 @dataclass(frozen=True, eq=False)
 class DemoResult:
     nodes: list[NodeRow]
-    score: BagScore
+    score: RunScore
     seconds: float
     walk: Walk
 
@@ -86,7 +86,7 @@ def run_demo(
     with open_stored_map(state / STORE_FILE, site, evidence):
         write_landscapes(evidence, site, out, state)
     recorded = Recorded(out / "recording", site_path, site, demo)
-    score = score_bag(recorded)
+    score = score_run(recorded)
     walk = run_walk(bags / "phone", out / "walk", progress)
     result = DemoResult(node_rows(summaries), score, seconds, walk)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
@@ -119,7 +119,7 @@ def run_demo(
         label_set=labels,
         scale=scale,
         recording="demo.rrd",
-        tables=[table for table in tables(score) if table.title in ("depth", "fuel maps")],
+        tables=[table for table in (depth_table(score), fuel_maps_table(score)) if table is not None],
         files=(
             ("fuel_map.tif", "class indices per 30 m cell, 255 unseen"),
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),

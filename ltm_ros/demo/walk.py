@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.fuel.cell_counts import MajorityFuelMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pictures.legend import label_legend, with_legend
+from ltm_core.pictures.maps import furnished, relief, scale_bar, view_of
+from ltm_core.raster.dem import Dem
+from ltm_core.scoring.fuel import score_fuel
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.metrics.fuel import score_fuel
-from ltm_lab.evaluation.pictures.walk import walk_map
-from ltm_lab.evaluation.recorded_pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
-from ltm_lab.evaluation.run_report import Sheet
+from ltm_ros.demo.pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
+from ltm_ros.demo.report import Sheet
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.refinement import PoseRefinement
@@ -27,6 +31,11 @@ from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 PHONE = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
 """What the recording does not tell: its lens, and how high it was held."""
+_WIDTH = 1000
+_COLORS = ((205, 40, 40), (0, 130, 220), (25, 25, 25), (240, 150, 0))
+_SHARE = 0.11
+"""Of the map's width: how long an arrow is."""
+_SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +123,41 @@ def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
     truth = read_fuel_map(recorded.truth / FUEL_TRUTH)
     score = score_fuel(classes, recorded.site.in_crs(grid), *truth, len(labels))
     return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)
+
+
+@dataclass(frozen=True)
+class _Kinds:
+    names: tuple[str, ...]
+    colors: tuple[tuple[int, int, int], ...]
+
+
+def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
+    """Arrows over relief, (H, W, 3).
+
+    `directions`: by the name of their kind, (N, 3): x, y in the map frame (m) and azimuth (degrees), at most four
+    kinds; later ones are drawn over earlier ones.
+    """
+    view = _view(np.concatenate(list(directions.values())))
+    picture = relief(dem, view)
+    reach = _SHARE * view.width * view.resolution
+    for (_, poses), color in zip(directions.items(), _COLORS, strict=False):
+        azimuth = np.radians(poses[:, 2])
+        tips = poses[:, :2] + reach * np.column_stack([np.sin(azimuth), np.cos(azimuth)])
+        for begin, end in zip(_pixels(view, poses[:, :2]), _pixels(view, tips), strict=True):
+            cv2.arrowedLine(picture, begin, end, color, 2, cv2.LINE_AA, _SHIFT, 0.12)
+    kinds = _Kinds(tuple(directions), _COLORS[: len(directions)])
+    furniture = furnished(picture, view, [], None)
+    return with_legend(furniture, scale_bar(view), label_legend(_WIDTH, kinds, range(len(kinds.names))))
+
+
+def _view(poses: Float64Array) -> GridGeometry:
+    low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
+    span = float((high - low).max())
+    margin = max(30.0, 0.25 * span)
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.3 * span) + margin
+    return view_of((*(middle - half), *(middle + half)), _WIDTH)
+
+
+def _pixels(view: GridGeometry, points: Float64Array) -> list[tuple[int, int]]:
+    row, col = view.to_grid(points[:, 0], points[:, 1])
+    return [(round(c * 2**_SHIFT), round(r * 2**_SHIFT)) for c, r in zip(col.tolist(), row.tolist(), strict=True)]

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import yaml
 from scenes.networks import HEIGHT, WIDTH, write_classifier
 
 from fuzz.target import Target
 from ltm_core.base.errors import ConfigError
-from ltm_core.geometry.camera import Camera
 from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
+from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
 
 
 def _network(folder: Path) -> list[bytes]:
@@ -42,20 +39,15 @@ def _npz(folder: Path) -> list[bytes]:
     return files
 
 
-def _depth_maps(suffix: str) -> Callable[[Path], list[bytes]]:
-    def made(folder: Path) -> list[bytes]:
-        (folder / "maps").mkdir()
-        (folder / "maps/depth_maps.yaml").write_text("metres_per_unit: 0.001\n")
-        depth = np.random.default_rng(6).integers(1, 60_000, (9, 14)).astype(np.uint16)
-        file = io.BytesIO()
-        np.save(file, depth.astype(np.float32))
-        return [file.getvalue()] if suffix == "npy" else [cv2.imencode(f".{suffix}", depth)[1].tobytes()]
-
-    return made
+def _depth_map(folder: Path) -> list[bytes]:
+    (folder / "a").mkdir()
+    file = io.BytesIO()
+    np.save(file, np.random.default_rng(6).uniform(1, 60_000, (9, 14)).astype(np.float32))
+    return [file.getvalue()]
 
 
 def _read_depth_map(folder: Path) -> None:
-    DepthMapFolder.open("maps", folder / "maps").of_frame("a", 5, (90, 140), Camera.from_fov(14, 9, 50.0))
+    read_depth_map(folder, "a", 5, (90, 140))
 
 
 def _read_npz(folder: Path) -> None:
@@ -65,8 +57,5 @@ def _read_npz(folder: Path) -> None:
 ARRAY_FILES = (
     Target("network", "colors.onnx", _network, _read_network),
     Target("npz", "a.npz", _npz, _read_npz),
-    *(
-        Target(f"depth_map_{suffix}", f"maps/a_5.{suffix}", _depth_maps(suffix), _read_depth_map)
-        for suffix in ("npy", "png", "tif")
-    ),
+    Target("depth_map", "a/5.npy", _depth_map, _read_depth_map),
 )

@@ -18,7 +18,7 @@ CASES = 100
 OF_FAST = dict.fromkeys(
     (
         *("photo_jpg", "photo_png", "photo_heic", "photo_progressive", "poses_csv", "control_points"),
-        *("simulated_index", "npz", "depth_map_npy", "depth_map_png", "depth_map_tif"),
+        *("simulated_index", "npz", "depth_map"),
         *("node_capture", "node_segmentation"),
     ),
     300,

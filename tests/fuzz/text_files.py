@@ -160,9 +160,9 @@ def _frames(folder: Path) -> list[bytes]:
     return [json.dumps(index | {"frames": [entry]}).encode()]
 
 
-def _whole(frames: Any) -> None:
-    for _ in frames:
-        pass
+def _used(frames: Any) -> None:
+    for frame in frames:
+        assert frame.photo.size > frame.surface.size == frame.changed.size
 
 
 def _yaml(
@@ -260,5 +260,5 @@ TEXT_FILES = (
         lambda path: read_burns(path, GridGeometry(480_000.0, 4_150_000.0, 30.0, 70, 50, "EPSG:26911")),
         "burns.geojson",
     ),
-    _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
+    _yaml("simulated_index", _frames, lambda path: _used(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

@@ -191,7 +191,7 @@ def test_commands_are_found_at_all() -> None:
         ("ltm replay bag more", "ltm replay takes 1 arguments, not 2"),
         ("ltm-lab eval BAG --report DIR", ""),
         ("ltm-lab eval BAG --reprot DIR", "ltm-lab eval bag has no option --reprot"),
-        ("ltm-lab eval relative-depth FOLDER", ""),
+        ("ltm-lab eval pose-watch FOLDER", ""),
         ("ltm-lab bench traces", "ltm-lab bench has no command 'traces'"),
         ("ltm-lab train look FOLDER", "ltm-lab train run takes 1 arguments, not 2"),
         ("ltm export a.ltm --out b --format landscape", ""),

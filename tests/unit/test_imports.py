@@ -41,9 +41,10 @@ ON_DEMAND = {
     "fsspec": "the same, on disk or S3",
     "dask": "the same, on many workers",
     "distributed": "the same, on many workers",
+    "jinja2": "reports of the demo and of fires",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
+NOT_ON_A_TOWER = {"rerun", "jinja2", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 

@@ -20,13 +20,10 @@ from ltm_lab.cli.eval.mount import mount
 from ltm_lab.cli.eval.pose import pose
 from ltm_lab.cli.eval.pose_watch import pose_watch
 from ltm_lab.cli.eval.recorded_poses import recorded_poses
-from ltm_lab.cli.eval.relative_depth import relative_depth
 from ltm_lab.cli.eval.segmentation import segmentation
 from ltm_lab.cli.eval.sim2real import sim2real
-from ltm_lab.cli.eval.smoke import smoke
 from ltm_lab.cli.eval.terrain import terrain
 from ltm_lab.cli.eval.update import update
-from ltm_lab.cli.eval.usable import usable
 
 WHOLE = "bag"
 """The command that runs where the first argument is no command: a recorded run as a whole."""
@@ -53,10 +50,7 @@ evaluate.command()(pose_watch)
 evaluate.command()(mount)
 evaluate.command()(recorded_poses)
 evaluate.command()(locate)
-evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
-evaluate.command()(smoke)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)
 evaluate.command()(update)
-evaluate.command()(usable)

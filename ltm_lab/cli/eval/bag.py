@@ -26,23 +26,6 @@ def bag(
             "--report", help="Also draw the figures to this folder, with a page of them.", callback=writable_folder
         ),
     ] = None,
-    depth_maps: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--depth-maps",
-            metavar="NAME=FOLDER",
-            help="Another source of depth: FOLDER/CAMERA/STAMP_NS.npy; depth_maps.yaml in it says kind and unit.",
-        ),
-    ] = None,
-    before: Annotated[
-        Path | None, typer.Option("--before", help="For the report: a run of the same cameras at an earlier date.")
-    ] = None,
-    before_date: Annotated[
-        str, typer.Option("--before-date", help="Its date, where the truth folder has several.")
-    ] = "before",
-    photos: Annotated[
-        Path | None, typer.Option("--photos", help="For the report: a folder of real photos to stand beside.")
-    ] = None,
 ) -> None:
     """Score BAG: depth by range for each source, labels, skyline, fuel cells, terrain and latency, in one table."""
     import os
@@ -50,32 +33,23 @@ def bag(
 
     from rich.console import Console
 
-    from ltm_core.base.errors import ConfigError, RecordingError
-    from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
-    from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.run_score import DEPTH_SOURCES, score_bag
-    from ltm_lab.evaluation.score_tables import as_json, rich_table, tables
+    from ltm_core.base.errors import RecordingError
+    from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.evaluation.run_score import score_bag
+    from ltm_lab.evaluation.score_tables import as_json, shown, tables
+    from ltm_ros.pages.figures_io import write_figures
     from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()
-    folders: list[DepthMapFolder] = []
-    for given in depth_maps or []:
-        name, equals, folder = given.partition("=")
-        if not (name and equals and folder):
-            raise ConfigError(f"--depth-maps {given!r}: give NAME=FOLDER, such as --depth-maps depth_pro=out/depth_pro")
-        if name in DEPTH_SOURCES or any(name == other.name for other in folders):
-            raise ConfigError(f"--depth-maps {given!r}: another source is called {name!r}; give this one its own name")
-        folders.append(DepthMapFolder.open(name, Path(folder)))
     recorded = Recorded.find(bag, site, truth, date)
     with console.status("scoring"):
-        score = score_bag(recorded, folders)
+        score = score_bag(recorded)
     parts = tables(score)
     nothing = all(part.title == "lacking" for part in parts)
-    if not nothing:
-        console.print(rich_table(parts, f"{bag} against truth"))
     for part in parts:
-        if part.note:
-            console.print(f"[bold]{part.title}[/]: {part.note}", highlight=False)
+        if part.title != "lacking":
+            rows = [[shown(value) for value in row] for row in part.rows]
+            print_table(console, part.title, part.columns, rows, part.note)
     for reason in score.lacking:
         console.print(f"[yellow]lacking[/] {reason}", highlight=False)
     console.print(
@@ -88,15 +62,10 @@ def bag(
         write_figures(json_path, as_json(score))
         console.print(f"figures: {json_path}")
     if report is not None:
-        from ltm_lab.evaluation.score_report import ReportInputs, write_eval_report
+        from ltm_lab.evaluation.score_report import write_eval_report
 
-        earlier = None
-        if before is not None:
-            earlier = Recorded.find(before, site or recorded.site_path, truth, before_date if date else None)
-        with console.status("drawing") as status:
-            page = write_eval_report(
-                report, recorded, score, ReportInputs(earlier, photos, folders), lambda what: status.update(what)
-            )
+        with console.status("drawing"):
+            page = write_eval_report(report, recorded, score)
         console.print(f"report: {page}")
     if nothing:
         raise RecordingError(f"{bag} could not be scored on anything; run the graph on it with `ltm replay --record`")

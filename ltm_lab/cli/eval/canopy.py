@@ -40,9 +40,9 @@ def canopy(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.fuel.codes import FuelClimate
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.fuel.canopy_score import confirmed_of, score_canopy
     from ltm_lab.evaluation.terrain.hillside_scenes import SceneConditions, trial
+    from ltm_ros.pages.figures_io import write_figures
 
     try:
         numbers = [int(part) for part in seeds.split(",")]

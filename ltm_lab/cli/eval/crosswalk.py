@@ -26,8 +26,8 @@ def crosswalk(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.fuel.crosswalk_score import score_crosswalk
+    from ltm_ros.pages.figures_io import write_figures
 
     table = Table(
         title=f"FBFM40 to FBFM13, climate {climate}",

@@ -17,14 +17,14 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
+from ltm_core.scoring.fuel_change import MapScore, Share
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.bench.measure import conditions
-from ltm_lab.evaluation.figures_io import write_figures
 from ltm_lab.evaluation.fuel.false_changes import FalseRegion
-from ltm_lab.evaluation.fuel.map_score import MapScore, Share
 from ltm_lab.evaluation.fuel.trial import TRIALS, TUNING_SEEDS, Trial
 from ltm_lab.evaluation.fuel.trial_score import TrialScore, run_trial
 from ltm_lab.evaluation.fuel_score import FuelBagScore, score_fuel_bag
+from ltm_ros.pages.figures_io import write_figures
 from ltm_ros.recordings.recorded_run import Recorded
 
 RARE = 0.01

@@ -29,14 +29,14 @@ def gallery(
     Nothing of the data is copied into the repository: the pictures lie in --out alone.
     """
     from rich.console import Console
-    from rich.table import Table
 
-    from ltm_lab.evaluation.figures_io import write_figures
+    from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.gallery.exhibit import Section
     from ltm_lab.evaluation.gallery.posed import Networks, canyon_section, engabreen_section
     from ltm_lab.evaluation.gallery.real_photos_io import require_photos
     from ltm_lab.evaluation.gallery.unposed import mountain_section, tower_section
     from ltm_lab.evaluation.gallery_report import figures_of, write_gallery
+    from ltm_ros.pages.figures_io import write_figures
 
     parts = tuple(dict.fromkeys(part or Part))
     require_photos(data, parts)
@@ -55,13 +55,15 @@ def gallery(
                     sections.append(mountain_section(data, networks.segmenter, status.update))
     page = write_gallery(out, data, sections, (model, depth_model))
     for section in sections:
-        table = Table(title=f"{section.title}: {section.fault}", title_justify="left", box=None, padding=(0, 2, 0, 0))
-        for column in ("photo", "wrong", "verdict of the fusion"):
-            table.add_column(column, justify="right" if column == "wrong" else "left")
-        for shown in section.worst_first():
-            fault = f"{shown.fault:.1%}" if shown.fault == shown.fault else "-"
-            table.add_row(shown.name, fault, str(shown.fused.verdict) if shown.fused is not None else "")
-        console.print(table)
+        rows = [
+            (
+                shown.name,
+                f"{shown.fault:.1%}" if shown.fault == shown.fault else "-",
+                "" if shown.fused is None else str(shown.fused.verdict),
+            )
+            for shown in section.worst_first()
+        ]
+        print_table(console, f"{section.title}: {section.fault}", ("photo", "wrong", "verdict of the fusion"), rows)
         for fact in section.facts:
             console.print(f"  {fact.name}: {fact.shown()}", highlight=False)
     if json_path is not None:

@@ -117,10 +117,10 @@ def _smoke(
 ) -> None:
     from ltm_core.locating.settings import LocatingConfig
     from ltm_lab.bench.measure import conditions
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_score import smoke_trials
     from ltm_lab.evaluation.locating.smoke_sites import smoke_site
     from ltm_lab.evaluation.locating.smoke_trials import PoseErrors
+    from ltm_ros.pages.figures_io import write_figures
 
     machine = conditions(("numpy", "numba", "scipy"))
     console.print(
@@ -233,8 +233,8 @@ def _points(
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.tracing.trace_io import GuessConfig
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.control_points import located_points
+    from ltm_ros.pages.figures_io import write_figures
 
     known = load_yaml(guess, GuessConfig)
     setup = set_up_resection(known, open_terrain([(raster, None)]), None)
@@ -284,8 +284,8 @@ def _speed(console: Console, json_path: Path | None) -> None:
     from rich.table import Table
 
     from ltm_lab.bench.measure import conditions
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.speed import large_stack, query_times
+    from ltm_ros.pages.figures_io import write_figures
 
     machine = conditions(("numpy", "numba", "scipy"))
     with console.status("terrain"):

@@ -29,10 +29,10 @@ def naming(
 
     from ltm_core.locating.settings import LocatingConfig
     from ltm_lab.bench.measure import conditions
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_sites import smoke_site
     from ltm_lab.evaluation.locating.smoke_trials import PoseErrors
     from ltm_lab.evaluation.locating.turned_trials import EXACTLY, NamingScore, TurnedCase, turned_cases
+    from ltm_ros.pages.figures_io import write_figures
 
     machine = conditions(("numpy", "numba", "scipy"))
     sure = LocatingConfig().sure_of_wrong

@@ -34,11 +34,11 @@ def watched(
 
     from ltm_core.locating.settings import LocatingConfig
     from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.locating.smoke_trials import PoseErrors
     from ltm_lab.evaluation.locating.watched_eyes import AFTER, watched_eye
     from ltm_lab.evaluation.locating.watched_trials import WatchedScore, eyes_site, watched_cases
     from ltm_lab.evaluation.pose.rendered_terrain_io import rendered_terrain
+    from ltm_ros.pages.figures_io import write_figures
 
     errors, pictures = PoseErrors(angle_sigma), PicturePoseConfig()
     error = _DEM_SIGMA if dem_error is None else dem_error

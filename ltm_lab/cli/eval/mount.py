@@ -19,7 +19,6 @@ def mount(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.pose.landmark_trial import (
         ENCODER_DEG,
         LEAN_DEG,
@@ -29,6 +28,7 @@ def mount(
         landmark_trial,
         refused,
     )
+    from ltm_ros.pages.figures_io import write_figures
 
     title = (
         f"{heads} simulated heads each (lean {LEAN_DEG[0]}, {LEAN_DEG[1]} deg, tilt zero {TILT_ZERO_DEG}, encoders "

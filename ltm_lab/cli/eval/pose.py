@@ -117,13 +117,13 @@ def _rendered(
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.pose.disturbance import Sensor
     from ltm_lab.evaluation.pose.mount_trial import run_mount_trial
     from ltm_lab.evaluation.pose.pose_score import PoseScore, inside, open_ones
     from ltm_lab.evaluation.pose.pose_trial import PoseTrial, PreparedFrame, prepared, run_trial
     from ltm_lab.evaluation.pose.rendered_terrain_io import rendered_terrain
     from ltm_lab.evaluation.truth_frames_io import read_truth_frames
+    from ltm_ros.pages.figures_io import write_figures
 
     try:
         kinds = [Sensor(name.strip()) for name in sensors.split(",")]
@@ -251,8 +251,8 @@ def _real(folder: Path, model: str, pictures: Path | None, json_path: Path | Non
     from ltm_core.pictures.photo_overlays import pose_fit_picture
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.pose.engabreen_io import STARTS, read_real_photo, run_real_trials
+    from ltm_ros.pages.figures_io import write_figures
 
     console = Console()
     real = read_real_photo(folder)

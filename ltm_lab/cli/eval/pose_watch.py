@@ -35,11 +35,11 @@ def pose_watch(
     from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.evaluation.figures_io import write_figures
     from ltm_lab.evaluation.pose.pose_trial import PreparedFrame, prepared
     from ltm_lab.evaluation.pose.rendered_terrain_io import rendered_terrain
     from ltm_lab.evaluation.pose.watch_trial import run_watch_trial
     from ltm_lab.evaluation.truth_frames_io import read_truth_frames
+    from ltm_ros.pages.figures_io import write_figures
 
     console, config = Console(), PicturePoseConfig()
     segmenter = Segmenter.open(model or DEFAULT_MODEL)

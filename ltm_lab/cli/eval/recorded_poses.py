@@ -23,8 +23,8 @@ def recorded_poses(
     from rich.table import Table
 
     from ltm_core.site.site_io import load_site
-    from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.recorded_pose_errors import PARTS, recorded_pose_errors
+    from ltm_ros.demo.pose_errors import PARTS, recorded_pose_errors
+    from ltm_ros.pages.figures_io import write_figures
 
     found = recorded_pose_errors(bag, true, load_site(site))
     table = Table(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
+from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def segmentation(
@@ -42,10 +42,6 @@ def segmentation(
     tree_contrast: Annotated[
         float | None, typer.Option(min=0, help="Withdraw tree of lower contrast, 8-bit steps, among more shrub.")
     ] = None,
-    diagram: Annotated[
-        Path | None,
-        typer.Option(help="Draw reliability and risk by coverage on land, .png or .svg.", callback=writable_file),
-    ] = None,
     overlays: Annotated[
         Path | None,
         typer.Option(
@@ -66,16 +62,14 @@ def segmentation(
 
     from ltm_core.base.errors import RecordingError
     from ltm_core.base.evenly import evenly
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames, without_classes
+    from ltm_core.scoring.overlays_io import write_overlay
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.segmentation_tables import score_table
-    from ltm_lab.cli.train.head_tables import confusion_table
-    from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.segmentation.diagram_io import write_diagram
-    from ltm_lab.evaluation.segmentation.network_score import LabelScore, score_frames
-    from ltm_lab.evaluation.segmentation.overlays_io import write_overlay
-    from ltm_lab.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames, without_classes
+    from ltm_lab.cli.eval.segmentation_tables import print_confusion, print_scores
+    from ltm_lab.evaluation.segmentation.network_score import score_frames
+    from ltm_ros.pages.figures_io import write_figures
 
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
     sets = [folder] if folder.is_dir() and holds_frames(folder) else inside
@@ -105,7 +99,6 @@ def segmentation(
     }
     result: dict[str, object] = {"conditions": conditions}
     console.print(", ".join(f"{key} {value}" for key, value in conditions.items()), highlight=False)
-    drawn: dict[str, LabelScore] = {}
     for path in sets:
         frames = read_frames(path, len(labels), sampled=True)
         if limit is not None:
@@ -116,13 +109,10 @@ def segmentation(
             look = partial(write_overlay, overlays, s.name, labels) if overlays is not None else lambda *_: None
             scores[s.name] = score_frames(s, frames, zoom, counted, look)
         title = f"{path}: {len(frames)} frames, {next(iter(scores.values())).labels.pixels} labelled pixels"
-        console.print(score_table(labels.names, scores, title))
-        drawn |= {f"{name}, {path.resolve().name}": score for name, score in scores.items()}
+        print_scores(console, labels.names, scores, title)
         for name, score in scores.items():
-            console.print(confusion_table(labels.names, score.labels, name))
+            print_confusion(console, labels.names, score.labels, name)
         result[path.resolve().name] = {name: score.summary(labels.names) for name, score in scores.items()}
-    if diagram is not None:
-        write_diagram(diagram, drawn)
     if json_path is not None:
         write_figures(json_path, result)
 

@@ -16,45 +16,39 @@ def sim2real(
     pairs: Annotated[int, typer.Option(min=2, help="Random pairs for SSIM and LPIPS.")] = 300,
     side: Annotated[int, typer.Option(min=32, help="Pixels of the middle square for SSIM and LPIPS.")] = 256,
     seed: Annotated[int, typer.Option(help="Of the pairs and the intervals.")] = 0,
-    backbone: Annotated[str, typer.Option(help="LPIPS network: alexnet or vgg16.")] = "alexnet",
     json_path: JsonFile = None,
 ) -> None:
     """SSIM, LPIPS, FID and KID between two folders, each with N, its weights and a 95 % interval."""
     import dataclasses
     import math
-    from typing import cast
 
     from rich.console import Console
-    from rich.table import Table
 
-    from ltm_core.base.errors import ConfigError
-    from ltm_lab.evaluation.figures_io import write_figures
-    from ltm_lab.evaluation.sim2real.comparison import advice, compare
+    from ltm_lab.cli.eval.score_table import print_table
+    from ltm_lab.evaluation.sim2real.comparison import advice, compare, pictures_below
     from ltm_lab.evaluation.sim2real.distribution import Estimate
-    from ltm_lab.evaluation.sim2real.lpips import Backbone
-    from ltm_lab.evaluation.sim2real.picture_folder_io import pictures_below
+    from ltm_ros.pages.figures_io import write_figures
 
-    if backbone not in ("alexnet", "vgg16"):
-        raise ConfigError(f"--backbone {backbone!r}: LPIPS has alexnet and vgg16")
     console = Console()
     a, b = pictures_below(real), pictures_below(simulated)
     with console.status("reading") as status:
-        found, pairing = compare(
-            a, b, pairs, side, seed, cast(Backbone, backbone), lambda what, i, n: status.update(f"{what}: {i} of {n}")
-        )
+        found, pairing = compare(a, b, pairs, side, seed, lambda what, i, n: status.update(f"{what}: {i} of {n}"))
 
     def shown(estimate: Estimate) -> tuple[str, str]:
         digits = 1 if abs(estimate.value) >= 10 else 4 if abs(estimate.value) < 0.3 else 3
         return f"{estimate.value:.{digits}f}", f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
 
-    table = Table(title=f"{simulated} beside {real}", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for column in ("metric", "sim to real", "95 %", "real to real", "95 %", "paper"):
-        table.add_column(column, justify="right" if column != "metric" else "left", no_wrap=True)
-    for row in found:
-        paper = f"{row.paper:.4f}" if row.paper is not None else ""
-        name = f"{row.name} {'↑' if row.better == 'higher' else '↓'}"
-        table.add_row(name, *shown(row.estimate), *shown(row.floor), paper)
-    console.print(table)
+    rows = [
+        (
+            f"{row.name} {'↑' if row.better == 'higher' else '↓'}",
+            *shown(row.estimate),
+            *shown(row.floor),
+            "" if row.paper is None else f"{row.paper:.4f}",
+        )
+        for row in found
+    ]
+    columns = ("metric", "sim to real", "95 %", "real to real", "95 %", "paper")
+    print_table(console, f"{simulated} beside {real}", columns, rows)
     samples = [f"{row.name} {row.sample}, weights {row.weights}" for row in found]
     notes = [
         "↑: more alike when higher, ↓: when lower. N and weights: " + "; ".join(samples) + ".",

@@ -110,7 +110,7 @@ def report_scores(
     import json
 
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.cli.eval.score_table import score_table
+    from ltm_lab.cli.eval.segmentation_tables import print_class_scores
     from ltm_lab.training.finish import score_sets
 
     segmenter = Segmenter.open(manifest, threads)
@@ -119,7 +119,7 @@ def report_scores(
     for part, scores in found.items():
         for name, score in scores.items():
             title = f"{settings.name} on {name} ({part}); ECE {score.calibration.ece:.3f}"
-            console.print(score_table(labels.names, score.labels, title))
+            print_class_scores(console, labels.names, score.labels, title)
         report[part] = {
             name: {
                 "macro_f1": score.labels.mean_f1,

@@ -1,97 +1,28 @@
-"""Scores traced, network and fused depth against truth, under known errors of pose, terrain and view.
-
-The errors are applied on purpose (see `Condition`). `ltm-lab eval depth` prints the scores.
-"""
+"""Scores traced, network and fused depth against truth, with exact poses and with poses wrong by known angles."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.errors import ConfigError, ImageError
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.monocular import DepthKind, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
+from ltm_core.scoring.depth import DepthScore, DepthTally, at_pixels_of
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
-from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.depth.ablation import without
-from ltm_lab.evaluation.metrics.depth import DepthScore
-from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of, fit_to_truth
-from ltm_lab.evaluation.metrics.depth_tally import DepthTally
 from ltm_lab.evaluation.truth_frames_io import TruthFrame
 
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What is done to a frame before it is fused. `pose_error_deg`: turn of the camera in a random direction, and so
-    is `shift`, metres, of the DEM. `coarsen`: cells of the DEM, metres. `occluded`: share of the photo behind things
-    that stand before the camera. `without`: a stage of fusion that is left out (`ablation.STAGES`).
-    """
-
-    pose_error_deg: float = 0.0
-    occluded: float = 0.0
-    coarsen: float = 0.0
-    shift: float = 0.0
-    without: str = ""
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.occluded < 0.9 and min(self.pose_error_deg, self.coarsen, self.shift) >= 0):
-            raise ConfigError(f"{self}: errors are 0 or more, and at most 0.9 of a photo may be occluded")
-
-    @property
-    def name(self) -> str:
-        parts = [
-            f"pose {self.pose_error_deg:g} deg" if self.pose_error_deg else "",
-            f"{self.occluded:.0%} occluded" if self.occluded else "",
-            f"DEM of {self.coarsen:g} m" if self.coarsen else "",
-            f"DEM shifted {self.shift:g} m" if self.shift else "",
-            f"without {self.without}" if self.without else "",
-        ]
-        return ", ".join(part for part in parts if part) or "exact"
-
-    def dem(self, dem: Dem) -> Dem:
-        """The DEM of this condition."""
-        geometry, elevation = dem.geometry, dem.elevation
-        if self.coarsen:
-            n = max(1, round(self.coarsen / geometry.resolution))
-            rows, cols = geometry.height // n, geometry.width // n
-            blocks = elevation[: rows * n, : cols * n].reshape(rows, n, cols, n)
-            elevation = blocks.mean(axis=(1, 3)).astype(np.float32)
-            geometry = GridGeometry(geometry.x_min, geometry.y_max, geometry.resolution * n, cols, rows, geometry.crs)
-        return Dem(elevation, geometry.translated(self.shift * 0.8, -self.shift * 0.6))
-
-    def pose(self, pose: Pose, rng: np.random.Generator) -> Pose:
-        """A pose wrong by `pose_error_deg`."""
-        azimuth, pitch, roll = pose.angles_deg
-        angle = rng.uniform(0, 2 * np.pi)
-        across, up = self.pose_error_deg * np.cos(angle), self.pose_error_deg * np.sin(angle)
-        return Pose.from_angles(pose.position, azimuth + float(across), pitch + float(up), roll)
-
-    def photo(self, photo: UInt8Array, rng: np.random.Generator) -> tuple[UInt8Array, BoolArray]:
-        """The photo with dark leafy discs over `occluded` of it, and where they are, (H, W)."""
-        hidden = np.zeros(photo.shape[:2], np.uint8)
-        height, width = photo.shape[0], photo.shape[1]
-        while hidden.mean() < self.occluded:
-            centre = int(rng.uniform(0, width)), int(rng.uniform(0, height))
-            cv2.circle(hidden, centre, int(height * rng.uniform(0.04, 0.14)), 1, -1)
-        if not hidden.any():
-            return photo, hidden.astype(np.bool_)
-        leaves = rng.normal(45, 18, (*hidden.shape, 1)) * np.array([0.8, 1.0, 0.5])
-        seen = np.where(hidden[..., None] > 0, np.clip(leaves, 0, 255), photo).astype(np.uint8)
-        return seen, hidden.astype(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -104,14 +35,15 @@ class SourceScore:
 
 
 @dataclass(frozen=True)
-class ConditionScore:
-    """All sources under one condition, on the same pixels: those where every source has a depth. `verdicts`: frames by
-    verdict. `checked`: frames with enough far crests to tell a wrong pose by. `beyond`: share of the fused depths that
-    are off by more than three of their sigmas. `coverage`: share of the pixels of true
-    finite depth that traced and fused depth cover.
+class DepthEvaluationScore:
+    """All sources with poses wrong by `pose_error_deg`, on the pixels for which every source has a depth.
+
+    `verdicts`: frames by verdict. `checked`: frames with enough far ridges to detect a wrong pose. `beyond`: share of
+    the fused depths that are off by more than three of their standard deviations. `coverage`: share of the pixels of
+    finite true depth that each source covers.
     """
 
-    condition: Condition
+    pose_error_deg: float
     frames: int
     verdicts: Mapping[str, int]
     checked: int
@@ -146,12 +78,15 @@ class Given:
 
 
 class DepthEvaluation:
-    """Scores frames under one condition; `dem` is as given. With a `surface` raster, of what once stood there, its own
-    traced depth is scored too, and fusion gets it. `possible`: ground beyond the DEM; rendered worlds have none."""
+    """Scores frames whose poses are turned by `pose_error_deg` into a random direction.
+
+    With a `surface` raster of earlier vegetation, its own traced depth is scored too, and fusion gets it. `possible`:
+    ground beyond the DEM; rendered worlds have none.
+    """
 
     def __init__(
         self,
-        condition: Condition,
+        pose_error_deg: float,
         dem: Dem,
         classes: ClassPriors,
         bend_curvature: bool = True,
@@ -159,16 +94,13 @@ class DepthEvaluation:
         config: FusionConfig | None = None,
         possible: PossibleGround = NOTHING_BEYOND,
     ) -> None:
-        self.condition = condition
+        if pose_error_deg < 0:
+            raise ConfigError(f"a pose error of {pose_error_deg:g} degrees is negative; give 0 or more")
+        self.pose_error_deg = pose_error_deg
         self._config = FusionConfig() if config is None else config
-        if condition.without:
-            self._config = without(self._config, condition.without)
-            classes = ClassPriors.of(LabelSet.load(), self._config)
         self._classes = classes
-        self._tracer = TerrainTracer(condition.dem(dem), bend_curvature, possible=possible)
-        self._over = None
-        if surface is not None:
-            self._over = TerrainTracer(condition.dem(surface), bend_curvature, possible=possible)
+        self._tracer = TerrainTracer(dem, bend_curvature, possible=possible)
+        self._over = None if surface is None else TerrainTracer(surface, bend_curvature, possible=possible)
         self._tallies: dict[tuple[str, str], DepthTally] = {}
         self._verdicts: Counter[str] = Counter()
         self._checked = 0
@@ -177,20 +109,14 @@ class DepthEvaluation:
         self._true = 0
         self._told = self._beyond = 0
 
-    def seen(self, frame: TruthFrame) -> tuple[UInt8Array, BoolArray]:
-        """The photo that networks get of a frame under this condition, and which pixels of it are hidden."""
-        return self.condition.photo(frame.photo, np.random.default_rng(frame.stamp_ns % 2**32))
-
-    def add(
-        self, frame: TruthFrame, photo: UInt8Array, hidden: BoolArray, given: Given
-    ) -> tuple[FusedDepth, dict[str, Float32Array]]:
-        """Score one frame; its fused depth, and every source at the truth's pixels."""
+    def add(self, frame: TruthFrame, given: Given) -> dict[str, Float32Array]:
+        """Score one frame; return the depth of every source at the truth's pixels."""
         rng = np.random.default_rng(frame.stamp_ns % 2**32 + 1)
-        pose = self.condition.pose(frame.pose, rng)
+        pose = _turned(frame.pose, self.pose_error_deg, rng)
         traced = self._tracer.trace(frame.camera, pose)
         settings = FusionSettings(label_columns=given.label_columns)
         over = None if self._over is None else self._over.trace(frame.camera, pose)
-        fused = fuse(traced, given.network, photo, given.labels, self._classes, settings, over, self._config)
+        fused = fuse(traced, given.network, frame.photo, given.labels, self._classes, settings, over, self._config)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape
         sources = {
             "traced": at_pixels_of(fused.ground, size, shape),
@@ -198,7 +124,7 @@ class DepthEvaluation:
             "network": _network_alone(fused, given.network, frame, size),
             "fused": at_pixels_of(fused.depth, size, shape),
         }
-        true = np.isfinite(frame.surface) & ~at_pixels_of(hidden, size, shape)
+        true = np.isfinite(frame.surface)
         common = true & np.logical_and.reduce([np.isfinite(source) for source in sources.values()])
         with np.errstate(invalid="ignore"):
             before = frame.ground - frame.surface
@@ -223,9 +149,9 @@ class DepthEvaluation:
         self._verdicts[fused.verdict.value] += 1
         self._checked += fused.pose.checked
         self._inliers.append(fused.inlier_ratio)
-        return fused, sources
+        return sources
 
-    def score(self) -> ConditionScore:
+    def score(self) -> DepthEvaluationScore:
         rows = [
             SourceScore(source, group, tally.scores())
             for (source, group), tally in self._tallies.items()
@@ -235,9 +161,17 @@ class DepthEvaluation:
         frames = sum(self._verdicts.values())
         inliers = float(np.mean(self._inliers)) if self._inliers else float("nan")
         beyond = self._beyond / max(self._told, 1)
-        return ConditionScore(
-            self.condition, frames, dict(self._verdicts), self._checked, inliers, beyond, coverage, rows
+        return DepthEvaluationScore(
+            self.pose_error_deg, frames, dict(self._verdicts), self._checked, inliers, beyond, coverage, rows
         )
+
+
+def _turned(pose: Pose, error_deg: float, rng: np.random.Generator) -> Pose:
+    """Return a pose whose viewing direction is wrong by `error_deg`."""
+    azimuth, pitch, roll = pose.angles_deg
+    angle = rng.uniform(0, 2 * np.pi)
+    across, up = error_deg * np.cos(angle), error_deg * np.sin(angle)
+    return Pose.from_angles(pose.position, azimuth + float(across), pitch + float(up), roll)
 
 
 def upsampled_labels(labels: UInt8Array, size: tuple[int, int]) -> UInt8Array:
@@ -256,20 +190,23 @@ def _network_alone(fused: FusedDepth, network: NetworkDepth, frame: TruthFrame, 
     return np.asarray(1.0 / np.maximum(inverse, 1.0 / farthest), np.float32)
 
 
-def conditions(
-    pose_errors: Iterable[float] = (),
-    occlusions: Iterable[float] = (),
-    coarsen: Iterable[float] = (),
-    shifts: Iterable[float] = (),
-    stages: Iterable[str] = (),
-) -> list[Condition]:
-    """The exact condition and each error by itself."""
-    exact = Condition()
-    return [
-        exact,
-        *(replace(exact, pose_error_deg=value) for value in pose_errors if value),
-        *(replace(exact, occluded=value) for value in occlusions if value),
-        *(replace(exact, coarsen=value) for value in coarsen if value),
-        *(replace(exact, shift=value) for value in shifts if value),
-        *(replace(exact, without=stage) for stage in stages),
-    ]
+def fit_to_truth(values: Float32Array, truth: Float32Array, kind: DepthKind) -> Float32Array:
+    """`values` (H, W) as metres: scale and shift by least squares over the pixels of finite truth.
+
+    The protocol by which networks of relative depth are compared (Ranftl et al. 2020, "Towards robust monocular depth
+    estimation", section 6): inverse depth is fitted in inverse depth, and the result is held below the largest true
+    depth. Metric values come back as they are. Raises ImageError on different shapes.
+    """
+    if values.shape != truth.shape:
+        raise ImageError(f"depth of {values.shape} cannot be fitted to truth of {truth.shape}")
+    both = np.isfinite(values) & np.isfinite(truth) & (truth > 0)
+    if kind == "metric" or both.sum() < 2:
+        return values
+    inverse = kind == "relative_inverse"
+    x, y = values[both].astype(np.float64), truth[both].astype(np.float64)
+    scale, shift = np.linalg.lstsq(np.column_stack([x, np.ones_like(x)]), 1 / y if inverse else y, rcond=None)[0]
+    fitted = scale * values.astype(np.float64) + shift
+    farthest = y.max()
+    if inverse:
+        fitted = 1 / np.maximum(fitted, 1 / farthest)
+    return np.asarray(np.clip(fitted, 0, farthest), np.float32)

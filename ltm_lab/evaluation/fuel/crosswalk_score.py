@@ -15,7 +15,7 @@ from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
-from ltm_lab.evaluation.fuel.map_score import Share
+from ltm_core.scoring.fuel_change import Share
 
 UNBOUND: Final[Mapping[str, Mapping[int, int]]] = {
     "dry": {101: 1, 102: 5, 103: 3, 104: 3, 105: 3, 106: 3, 107: 3, 108: 3, 109: 3, 121: 5, 122: 5, 123: 5, 124: 5,

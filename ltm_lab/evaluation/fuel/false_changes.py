@@ -12,7 +12,7 @@ from ltm_core.base.types import BoolArray, Float64Array, Int64Array, UInt8Array
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import FORMS, LifeForm, form_counts
 from ltm_core.fuel.votes import CellVotes
-from ltm_lab.evaluation.fuel.map_score import held_forms
+from ltm_core.scoring.fuel_change import held_forms
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.raster.dem import Dem
+from ltm_core.scoring.fuel_change import MapScore, score_map
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.fuel.map_score import MapScore, score_map
 from ltm_lab.evaluation.fuel.trial import Trial, frames
 from ltm_lab.evaluation.fuel.trial_country import make_world
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.scoring.labels import SegmentationScore, score_labels
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_lab.evaluation.gallery.exhibit import Fact
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore, score_labels
 
 VEGETATION = (Label.GRASS, Label.SHRUB, Label.TREE)
 _SHOWN = 0.005

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.gallery.exhibit import Exhibit, Fact, Section
 from ltm_lab.evaluation.gallery.label_facts import facts_of_areas, facts_of_score, share_called, whole_picture
 from ltm_lab.evaluation.gallery.real_photos_io import NamedPhoto, read_mountains, read_towers
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 
 Progress = Callable[[str], None]
 

@@ -1,4 +1,4 @@
-"""Draws one frame's traced, network and fused depth side by side, with the sources of fusion and the errors."""
+"""Draws the depths of one frame side by side with their errors."""
 
 from __future__ import annotations
 
@@ -8,26 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltm_core.base.types import Float32Array, Float64Array, RgbImage
-from ltm_core.depth.topodepth import DepthSource, FusedDepth
+from ltm_core.pictures import panel, range_legend, with_legend
 from ltm_core.pictures.drawing import metres
-from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, RangeScale, depth_colors, scale_colors
-from ltm_lab.evaluation.pictures.figure import picture_of, swatches
+from ltm_core.pictures.legend import RangeScale, depth_colors, error_colors, error_legend, scale_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Of unknown and sky as in pictures of depth: one legend tells both.
-_SOURCE_COLORS = {
-    DepthSource.UNKNOWN: UNKNOWN_COLOR,
-    DepthSource.TERRAIN: (196, 170, 120),
-    DepthSource.NETWORK: (214, 75, 70),
-    DepthSource.BOTH: (110, 160, 190),
-    DepthSource.SKY: SKY_COLOR,
-}
 _LARGEST = 0.5
 """Relative error at the ends of the colour scale."""
 _ERROR_TICKS = (-0.5, -0.2, -0.05, 0.0, 0.05, 0.2, 0.5)
+_WIDTH = 860
+"""Pixels of one picture of a sheet."""
 _DPI = 100
 _PANEL = 6.4
 """Inches of a picture's width."""
@@ -36,41 +29,22 @@ _FURNITURE = 0.6
 
 
 def depth_sheet(
-    title: str,
-    photo: RgbImage,
-    sources: Mapping[str, Float32Array],
-    truth: Float32Array,
-    fused: FusedDepth,
+    title: str, photo: RgbImage, sources: Mapping[str, Float32Array], truth: Float32Array | None
 ) -> RgbImage:
-    """A sheet of three columns. `sources`: traced, network and fused depth at the pixels of `truth` (h, w)."""
-    return picture_of(depth_figure(title, photo, sources, truth, fused))
-
-
-def depth_figure(
-    title: str,
-    photo: RgbImage,
-    sources: Mapping[str, Float32Array],
-    truth: Float32Array,
-    fused: FusedDepth,
-) -> Figure:
-    """That sheet as a figure: photo, truth and what was fused; then the depths; then their errors."""
-    scale = RangeScale.of(truth)
-    figure, rows = frame_figure(3, truth.shape)
-    show_picture(rows[0][0], photo, title)
-    show_depth(rows[0][1], truth, scale, "true depth of the visible surface")
-    order = list(_SOURCE_COLORS)
-    colors = np.zeros((len(DepthSource), 3), np.uint8)
-    colors[order] = list(_SOURCE_COLORS.values())
-    show_picture(rows[0][2], colors[fused.source], "what depth is fused from")
-    names = swatches([source.name.lower() for source in order], colors[order])
-    rows[0][2].legend(handles=names, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=len(names), frameon=False)
-    for axes, name in zip(rows[1], ("traced", "network", "fused"), strict=True):
-        show_depth(axes, sources[name], scale, f"{name} depth")
-    for axes, name in zip(rows[2], ("traced", "network", "fused"), strict=True):
-        show_error(axes, sources[name], truth, f"error of {name} depth")
-    depth_bar(figure, [*rows[0], *rows[1]], scale)
-    error_bar(figure, rows[2])
-    return figure
+    """Draw photo and true depth, then each source of depth (h, w) in the same colours and its error."""
+    arrays = [*sources.values(), *([] if truth is None else [truth])]
+    scale = RangeScale.of(np.concatenate([array[::4, ::4].ravel() for array in arrays]))
+    cells: list[tuple[str, RgbImage]] = [(title, photo)]
+    if truth is not None:
+        cells.append(("true depth of the visible surface", depth_colors(truth, scale)))
+    for name, depth in sources.items():
+        cells.append((f"{name} depth", depth_colors(depth, scale)))
+        if truth is not None:
+            both = np.isfinite(depth) & np.isfinite(truth)
+            middle = np.median(np.abs(depth[both] - truth[both])) if both.any() else np.nan
+            cells.append((f"error of {name} depth, median {middle:.1f} m", error_colors(depth, truth)))
+    sheet = panel(cells, 2, _WIDTH)
+    return with_legend(sheet, range_legend(sheet.shape[1], scale), error_legend(sheet.shape[1]))
 
 
 def frame_figure(rows: int, shape: tuple[int, ...]) -> tuple[Figure, list[list[Axes]]]:

@@ -1,24 +1,27 @@
-"""Scores a segmenter on labelled frames, and times it on photos."""
+"""Scores label networks on labelled frames."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.scoring.confidence import CalibrationScore
+from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.scoring.overlays_io import LabelledPhoto
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmentation, Segmenter
-from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
 from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline
-from ltm_lab.training.labelled_frames import Frame
 
 _LAND_AND_SKY = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
 _SKYLINE_WIDTH = 512  # pixels, to which skyline errors are brought
+
+
+Photo = TypeVar("Photo", bound=LabelledPhoto)
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,7 @@ class LabelScore:
 
     labels: SegmentationScore
     calibration: CalibrationScore
-    risk: RiskCoverage
     land_calibration: CalibrationScore
-    land_risk: RiskCoverage
     skyline: SkylineScore
     milliseconds: float
     macro: tuple[int, ...] = _LAND_AND_SKY
@@ -72,18 +73,12 @@ class LabelScore:
             "accuracy": _known(score.accuracy),
             "unlabelled": _known(score.unlabelled),
             "ece": _known(self.calibration.ece),
-            "risk": _known(self.risk.risk()),
-            "risk_at_80": _known(self.risk.risk(0.8)),
+            "risk": _known(self.calibration.risk()),
+            "risk_at_80": _known(self.calibration.risk(0.8)),
             "land": {
                 "ece": _known(self.land_calibration.ece),
-                "risk": _known(self.land_risk.risk()),
-                "risk_at_80": _known(self.land_risk.risk(0.8)),
-                "risk_by_coverage": [[c / 20, _known(self.land_risk.risk(c / 20))] for c in range(1, 21)],
-                "reliability": {
-                    "pixels": self.land_calibration.pixels.tolist(),
-                    "right": self.land_calibration.right.tolist(),
-                    "confidence": self.land_calibration.confidence.tolist(),
-                },
+                "risk": _known(self.land_calibration.risk()),
+                "risk_at_80": _known(self.land_calibration.risk(0.8)),
             },
             "milliseconds": self.milliseconds,
             "confusion": score.confusion.tolist(),
@@ -92,16 +87,16 @@ class LabelScore:
 
 def score_frames(
     segmenter: Segmenter,
-    frames: Sequence[Frame],
+    frames: Sequence[Photo],
     zoom: float = 1.0,
     macro: tuple[int, ...] = _LAND_AND_SKY,
-    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+    look: Callable[[Photo, Segmentation], None] = lambda frame, found: None,
 ) -> LabelScore:
     """Label each frame and compare with its truth, where that is known. `macro`: classes of the mean F1; `look` gets
     each answer, to draw it."""
     classes = len(segmenter.labels)
     labels, calibration, tally = SegmentationScore.empty(classes), CalibrationScore.empty(), SkylineTally()
-    risk, land_risk, land_calibration = RiskCoverage.empty(), RiskCoverage.empty(), CalibrationScore.empty()
+    land_calibration = CalibrationScore.empty()
     times = []
     for frame in frames:
         start = time.perf_counter()
@@ -109,10 +104,8 @@ def score_frames(
         times.append((time.perf_counter() - start) * 1e3)
         labels = labels.plus(frame.labels, found.labels)
         calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
-        risk = risk.plus(frame.labels, found.labels, found.confidence, classes)
         land = np.where(frame.labels == Label.SKY, np.uint8(UNLABELLED), frame.labels)
         land_calibration = land_calibration.plus(land, found.labels, found.confidence, classes)
-        land_risk = land_risk.plus(land, found.labels, found.confidence, classes)
         look(frame, found)
         scale, step = np.float32(_SKYLINE_WIDTH / frame.labels.shape[1]), _truth_step(frame.labels)
         sampled = frame.labels[::step, ::step]
@@ -121,7 +114,7 @@ def score_frames(
         half = np.float32((step - 1) / 2)  # the tally's own offset, which must not be scaled
         tally.add(scale * (skyline(found.labels == Label.SKY) + half) - half, scale * truth, step)
     milliseconds = float(np.median(times))
-    return LabelScore(labels, calibration, risk, land_calibration, land_risk, tally.score(), milliseconds, macro)
+    return LabelScore(labels, calibration, land_calibration, tally.score(), milliseconds, macro)
 
 
 def _truth_step(labels: UInt8Array) -> int:

@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.storage.photo_io import read_rgb
 from ltm_lab.evaluation.sim2real.distribution import (
     FEATURES,
     Estimate,
@@ -18,12 +20,14 @@ from ltm_lab.evaluation.sim2real.distribution import (
     mean_with_interval,
     with_interval,
 )
-from ltm_lab.evaluation.sim2real.lpips import Backbone, Lpips
-from ltm_lab.evaluation.sim2real.perceptual_io import INCEPTION_SIZE, Inception, read_lpips
-from ltm_lab.evaluation.sim2real.picture_folder_io import read_square
+from ltm_lab.evaluation.sim2real.perceptual_io import INCEPTION_SIZE, Inception, Lpips
 
 PAPER = {"SSIM": 0.3614, "LPIPS": 0.4437, "FID": 354.3967}
 """Table "Sim-to-real evaluation" of the paper: pairs not aligned, N, weights and pairing not stated."""
+
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+_NOT_PICTURES = ("_labels", "_mask", "_depth")
+"""Ends of names (before the suffix) that simulator and graph give to rasters that are no pictures."""
 
 Pair = tuple[Path, Path]
 Progress = Callable[[str, int, int], None]
@@ -70,7 +74,6 @@ def compare(
     pairs: int = 300,
     side: int = 256,
     seed: int = 0,
-    backbone: Backbone = "alexnet",
     progress: Progress = lambda what, done, total: None,
 ) -> tuple[list[Comparison], Pairing]:
     """All four metrics over two lists of pictures, each picture's middle square.
@@ -82,7 +85,7 @@ def compare(
         raise ImageError(f"{len(real)} real and {len(simulated)} simulated pictures: at least 4 of each are needed")
     pairing = pair_up(real, simulated, pairs, seed)
     among_real = [(a, b) for a, b in _drawn(real, real, pairs, seed + 1) if a != b]
-    lpips = Lpips(read_lpips(backbone))
+    lpips = Lpips.open()
     of_pairs = _pairwise(pairing.pairs, lpips, side, lambda i, n: progress("pairs", i, n))
     of_real = _pairwise(among_real, lpips, side, lambda i, n: progress("pairs of real pictures", i, n))
     network = Inception()
@@ -101,7 +104,7 @@ def compare(
             paired, weights, better, PAPER[name],
         )
         for i, (name, weights, better) in enumerate(
-            (("SSIM", "none", "higher"), ("LPIPS", f"{backbone}, v0.1 linear", "lower"))
+            (("SSIM", "none", "higher"), ("LPIPS", "AlexNet, v0.1 linear", "lower"))
         )
     ]  # fmt: skip
     for name, distance in (("FID", frechet_distance), ("KID", kernel_distance)):
@@ -140,6 +143,28 @@ def ssim(a: UInt8Array, b: UInt8Array) -> float:
     )
 
 
+def pictures_below(folder: Path) -> list[Path]:
+    """Return the JPEG and PNG pictures of a folder and its subfolders, by name. Raises ImageError if there are none."""
+    found = sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in _SUFFIXES and not path.stem.endswith(_NOT_PICTURES) and path.is_file()
+    )
+    if not found:
+        raise ImageError(f"{folder} holds no picture: JPEG and PNG files are read")
+    return found
+
+
+def middle_square(picture: UInt8Array, side: int) -> UInt8Array:
+    """Return the middle square of a picture (H, W, 3) at `side` x `side` pixels, by area means if it shrinks."""
+    height, width = picture.shape[:2]
+    edge = min(height, width)
+    top, left = (height - edge) // 2, (width - edge) // 2
+    square = np.ascontiguousarray(picture[top : top + edge, left : left + edge])
+    method = cv2.INTER_AREA if side < edge else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(square, (side, side), interpolation=method), np.uint8)
+
+
 def _drawn(first: Sequence[Path], second: Sequence[Path], count: int, seed: int) -> tuple[Pair, ...]:
     total = len(first) * len(second)
     chosen = np.random.default_rng(seed).choice(total, min(count, total), replace=False)
@@ -150,7 +175,7 @@ def _pairwise(pairs: Sequence[Pair], lpips: Lpips, side: int, progress: Callable
     """(2, N): SSIM and LPIPS of each pair."""
     values = np.empty((2, len(pairs)))
     for i, (a, b) in enumerate(pairs):
-        first, second = read_square(a, side), read_square(b, side)
+        first, second = (middle_square(read_rgb(path), side) for path in (a, b))
         values[:, i] = ssim(first, second), lpips.distance(first, second)
         progress(i + 1, len(pairs))
     return values
@@ -163,6 +188,6 @@ def _features(
     rows = []
     for start in range(0, len(paths), batch):
         part = paths[start : start + batch]
-        rows.append(network.features(np.stack([read_square(path, INCEPTION_SIZE) for path in part])))
+        rows.append(network.features(np.stack([middle_square(read_rgb(path), INCEPTION_SIZE) for path in part])))
         progress(min(start + batch, len(paths)), len(paths))
     return np.concatenate(rows)

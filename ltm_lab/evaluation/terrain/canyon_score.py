@@ -14,6 +14,7 @@ from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import fuse
 from ltm_core.raster.dem import Dem
+from ltm_core.scoring.depth import at_pixels_of
 from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.observation import DepthFrame
@@ -22,7 +23,6 @@ from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.metrics.change import ChangeScore, score_change
-from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_lab.evaluation.metrics.heights import SurfaceScore, score_surface
 from ltm_lab.evaluation.terrain.canyon_io import PHOTOS, Canyon
 

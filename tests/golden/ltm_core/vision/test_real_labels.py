@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ltm_core.label_heads.labelled_frames import read_frames, without_classes
 from ltm_core.storage.photo_io import read_rgb
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.segmentation.network_score import score_frames
-from ltm_lab.training.labelled_frames import read_frames, without_classes
 
 
 def test_towers_without_any_teaching(shared_data: Path) -> None:
@@ -36,4 +36,4 @@ def test_near_plants_by_the_head_for_them(shared_data: Path) -> None:
     score = score_frames(Segmenter.open(head="near"), frames, macro=counted)
     assert score.macro_f1 >= 0.70  # 0.74; without the head 0.67
     assert score.land_calibration.ece <= 0.08
-    assert score.land_risk.risk(0.8) <= 0.8 * score.land_risk.risk()
+    assert score.land_calibration.risk(0.8) <= 0.8 * score.land_calibration.risk()

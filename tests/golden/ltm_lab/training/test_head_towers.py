@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from ltm_core.label_heads.head_trial import teach_head
+from ltm_core.label_heads.labelled_frames import read_frames, read_polygons
 from ltm_core.vision.areas import POLYGONS_FILE, labels_of
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.training.head_trial import teach_head
-from ltm_lab.training.labelled_frames import read_frames, read_polygons
 
 
 def test_polygons_and_pictures_of_the_same_areas_agree(shared_data: Path) -> None:
@@ -36,5 +36,5 @@ def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: 
     assert after[Label.SKY] >= 0.985
     assert trial.after.calibration.ece <= 0.08
     assert trial.after.land_calibration.ece <= 0.08
-    assert trial.after.land_risk.risk(0.8) <= 0.8 * trial.after.land_risk.risk()
+    assert trial.after.land_calibration.risk(0.8) <= 0.8 * trial.after.land_calibration.risk()
     assert trial.sites == ("highpoint", "redmtn", "santaynez")

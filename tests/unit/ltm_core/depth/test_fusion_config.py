@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scenes.depth_scene import depth_scene
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.fusion_config import FusionConfig, fusion_path, load_fusion_config, write_fusion_config
-from ltm_core.depth.topodepth import fuse
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_lab.evaluation.depth.ablation import STAGES, without
 
 
 def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:
@@ -59,19 +53,3 @@ def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_p
     copy = tmp_path / "other.yaml"
     copy.write_text((manifest.folder / f"{manifest.name}.yaml").read_text().replace(manifest.name, "other", 1))
     assert load_fusion_config(NetworkManifest.load(copy)) == FusionConfig()
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_that_is_left_out_is_gone_and_fusion_still_works(stage: str) -> None:
-    scene, labels = depth_scene(), LabelSet.load()
-    config = without(FusionConfig(), stage)
-    assert config != FusionConfig()
-    given = scene.traced, scene.network(), scene.photo, scene.labels
-    fused = fuse(*given, ClassPriors.of(labels, config), config=config)
-    whole = fuse(*given, ClassPriors.of(labels))
-    assert np.isfinite(fused.depth).mean() == pytest.approx(np.isfinite(whole.depth).mean(), abs=0.05)
-
-
-def test_a_stage_that_is_none_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ConfigError, match=r"no stage 'magic'; there are: cover; "):
-        without(FusionConfig(), "magic")

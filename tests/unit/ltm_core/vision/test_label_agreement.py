@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
+from ltm_core.label_heads.temperature_scaling import fit_exponent
 from ltm_core.vision.label_rules import LabelAgreement, agreed
-from ltm_lab.training.temperature_scaling import fit_exponent
 
 
 def probabilities() -> Float32Array:

@@ -12,12 +12,12 @@ from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.scoring.labels import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
 from ltm_core.vision.onnx_model import input_tensor
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.tensors import upsampled_winner
-from ltm_lab.evaluation.metrics.segmentation import score_labels
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
 

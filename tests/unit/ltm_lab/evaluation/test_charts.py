@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ltm_core.base.errors import RasterError
-from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import RangeScale, depth_colors
-from ltm_core.raster.dem import Dem
-from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
-from ltm_lab.evaluation.pictures.depth_sheet import depth_figure
+from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
 from ltm_lab.evaluation.pictures.figure import picture_of
-from ltm_lab.evaluation.pictures.height_legend import height_legend_figure
 from ltm_lab.evaluation.pictures.surface_change import KIND_COLORS, SCORE_COLORS, surface_figure
-from ltm_lab.evaluation.segmentation.diagram_io import confidence_figure
 from ltm_lab.training.curve_io import training_figure
 
 GRID = GridGeometry(-50.0, 80.0, 10.0, 13, 9)
@@ -51,38 +44,6 @@ def test_a_training_that_has_just_begun_has_a_chart() -> None:
     assert [len(line.get_xdata()) for line in axes.lines] == [0]
     (axes,) = training_figure("tiny", [2.0, 1.0], []).axes
     assert axes.lines[1].get_xydata().tolist() == [[1.5, 1.5]]
-
-
-def test_confidence_by_hand() -> None:
-    confidence = np.array([[51] * 4, [51] * 4, [204] * 4], np.uint8)  # 0.2 and 0.8
-    right = np.array([[1, 1, 0, 0], [0, 0, 0, 0], [1, 1, 1, 1]], np.uint8)
-    of = np.zeros_like(right), 1 - right, confidence, 2
-    score = SimpleNamespace(
-        land_calibration=CalibrationScore.empty().plus(*of), land_risk=RiskCoverage.empty().plus(*of)
-    )
-    reliability, risk = confidence_figure({"tiny": score}).axes  # type: ignore[dict-item]
-    np.testing.assert_allclose(reliability.lines[0].get_xydata(), [[0.2, 0.25], [0.8, 1.0]])
-    assert reliability.lines[1].get_xydata().tolist() == [[0, 0], [1, 1]]
-    coverage, wrong = risk.lines[0].get_data()
-    assert wrong[coverage <= 0.3].max() == 0  # the surest third is right
-    assert (coverage[-1], wrong[-1]) == pytest.approx((1.0, 0.5))
-    # Of two thirds of the pixels 0.05 too sure, of one third 0.2 not sure enough.
-    assert names(reliability.figure.legends[0]) == ["tiny: 0.10", "as sure as right: 0"]
-
-
-def test_heights_and_their_tints() -> None:
-    heights = np.linspace(300, 812, 9 * 13, dtype=np.float32).reshape(9, 13)
-    for width in (500, 1313):
-        figure = height_legend_figure(Dem(heights, GRID), width)
-        assert picture_of(figure).shape[1] == width
-    bar = bar_of(figure, "height (m)")
-    low, high = np.percentile(heights, [1, 99])
-    ticks = [tick for tick in bar.get_xticks() if low <= tick <= high]
-    assert bar.get_xlim() == pytest.approx((low, high))
-    assert len(ticks) >= 3
-    assert all(tick % 50 == 0 for tick in ticks)
-    level = height_legend_figure(Dem(np.full((9, 13), 1234.0, np.float32), GRID), 400)
-    assert picture_of(level).shape[1] == 400
 
 
 def surface(**changed: Any) -> dict[str, Any]:
@@ -150,28 +111,14 @@ def test_a_sheet_of_changes_without_truth_or_without_change() -> None:
 
 
 def test_a_sheet_of_depths() -> None:
-    truth = np.full((4, 7), 400.0, np.float32)
-    truth[0] = np.inf
+    truth = np.full((40, 70), 400.0, np.float32)
+    truth[:10] = np.inf
     traced, network = truth * np.float32(1.1), truth * np.float32(0.6)
-    network[3, 0] = np.nan
-    source = np.full(truth.shape, DepthSource.BOTH, np.uint8)
-    source[0], source[1] = DepthSource.SKY, DepthSource.TERRAIN
-    photo = np.zeros((8, 14, 3), np.uint8)
-    depths = {"traced": traced, "network": network, "fused": truth}
-    figure = depth_figure("oak", photo, depths, truth, SimpleNamespace(source=source))  # type: ignore[arg-type]
-    scale = RangeScale.of(truth)
-    shown = [axes.images[0].get_array() for axes in figure.axes[:9]]
-    for place, depth in ((1, truth), (3, traced), (4, network), (5, truth)):
-        np.testing.assert_array_equal(shown[place], depth_colors(depth, scale))
-    for place, error in ((6, 0.1), (7, -0.4), (8, 0.0)):
-        np.testing.assert_allclose(shown[place][1:3], error, atol=1e-6)
-        assert shown[place][0].mask.all()
-    assert shown[7].mask[3, 0]
-    assert names(figure.axes[2].get_legend()) == ["unknown", "terrain", "network", "both", "sky"]
-    swatches = [np.array(patch.get_facecolor()[:3]) * 255 for patch in figure.axes[2].get_legend().get_patches()]
-    np.testing.assert_allclose(shown[2][2, 3], swatches[3])
-    assert bar_of(figure, "depth along the optical axis").get_ylim() == pytest.approx((scale.near, scale.far))
-    errors = bar_of(figure, "error / true depth\n(red too far, blue too near)")
-    assert [tick.get_text() for tick in errors.get_yticklabels()] == [
-        "-50%", "-20%", "-5%", "0", "+5%", "+20%", "+50%",
-    ]  # fmt: skip
+    network[30] = np.nan
+    photo = np.full((80, 140, 3), 90, np.uint8)
+    sources = {"traced": traced, "network": network, "fused": truth}
+    sheet = depth_sheet("oak", photo, sources, truth)
+    smaller = depth_sheet("oak", photo, {"fused": truth}, truth)
+    alone = depth_sheet("oak", photo, {"fused": truth}, None)
+    assert sheet.shape[0] > smaller.shape[0] > alone.shape[0]
+    assert sheet.shape[1:] == alone.shape[1:]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.geometry.camera import Camera
-from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
-from ltm_lab.evaluation.metrics.depth_fit import at_pixels_of, fit_to_truth
+from ltm_core.base.errors import ImageError
+from ltm_core.scoring.depth import at_pixels_of
+from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
+from ltm_lab.evaluation.depth.fused_depth import fit_to_truth
 
 TRUTH = np.array([[40.0, 80.0, np.inf], [100.0, 250.0, 500.0]], np.float32)
 
@@ -47,78 +46,33 @@ def test_pixels_of_a_sampled_truth() -> None:
         at_pixels_of(depth, (10, 18), (4, 5))
 
 
-def read(folder: DepthMapFolder, camera: str, stamp: int) -> np.ndarray | None:
-    return folder.of_frame(camera, stamp, (1, 3), None)
-
-
 def test_files(tmp_path: Path) -> None:
     depth = np.array([[1.5, np.inf, 2.25]], np.float32)
     (tmp_path / "north").mkdir()
     np.save(tmp_path / "north/7.npy", depth[None])
-    cv2.imwrite(str(tmp_path / "east_8.tif"), depth)
-    folder = DepthMapFolder.open("unidepth", tmp_path)
-    np.testing.assert_array_equal(read(folder, "north", 7), depth)
-    np.testing.assert_array_equal(read(folder, "east", 8), depth)
-    assert read(folder, "east", 7) is None
-    np.save(tmp_path / "east_9.npy", np.zeros((2, 3, 3)))
-    with pytest.raises(ImageError, match="one number a pixel"):
-        read(folder, "east", 9)
-    (tmp_path / "east_10.npy").write_bytes(b"none")
-    with pytest.raises(ImageError, match=r"east_10\.npy is damaged"):
-        read(folder, "east", 10)
+    np.testing.assert_array_equal(read_depth_map(tmp_path, "north", 7, (1, 3)), depth)
+    with pytest.raises(ImageError, match=r"has no depth map north/8\.npy"):
+        read_depth_map(tmp_path, "north", 8, (1, 3))
+    for values, said in (
+        (np.zeros((2, 3, 3)), "one number"),
+        (np.ones((0, 5)), "one number"),
+        (np.ones((1, 3), int), "float"),
+    ):
+        np.save(tmp_path / "north/9.npy", values)
+        with pytest.raises(ImageError, match=said):
+            read_depth_map(tmp_path, "north", 9, (1, 3))
+    (tmp_path / "north/10.npy").write_bytes(b"none")
+    with pytest.raises(ImageError, match=r"10\.npy is damaged"):
+        read_depth_map(tmp_path, "north", 10, (1, 3))
 
 
-def test_integers_need_a_unit(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "north_7.png"), np.array([[0, 12, 65535]], np.uint16))
-    with pytest.raises(ImageError, match=r"metres_per_unit.*depth_maps.yaml"):
-        read(DepthMapFolder.open("a", tmp_path), "north", 7)
-    (tmp_path / "depth_maps.yaml").write_text("metres_per_unit: 0.5\nkind: affine_invariant\n")
-    folder = DepthMapFolder.open("a", tmp_path)
-    assert folder.config.kind == "affine_invariant"
-    np.testing.assert_array_equal(read(folder, "north", 7), [[np.nan, 6, 32767.5]])
-    (tmp_path / "depth_maps.yaml").write_text("metres: 1\n")
-    with pytest.raises(ConfigError, match="unknown key"):
-        DepthMapFolder.open("a", tmp_path)
-    (tmp_path / "none").mkdir()
-    with pytest.raises(ImageError, match="holds no depth map"):
-        DepthMapFolder.open("a", tmp_path / "none")
-    with pytest.raises(ImageError, match="nowhere: no such folder"):
-        DepthMapFolder.open("a", tmp_path / "nowhere")
-
-
-def test_ranges_along_rays_come_to_the_axis(tmp_path: Path) -> None:
-    camera = Camera.from_fov(12, 8, 70.0)
-    depth = np.full((8, 12), 50.0, np.float32)
-    np.save(tmp_path / "north_7.npy", depth / camera.rays()[..., 2])
-    np.save(tmp_path / "north_8.npy", (depth / camera.rays()[..., 2])[::4, ::4])
-    (tmp_path / "depth_maps.yaml").write_text("along: ray\n")
-    folder = DepthMapFolder.open("lidar", tmp_path)
-    found = folder.of_frame("north", 7, (8, 12), camera)
-    assert found is not None
-    np.testing.assert_allclose(found, depth, rtol=1e-6)
-    smaller = folder.of_frame("north", 8, (8, 12), camera)
-    assert smaller is not None
-    assert smaller.shape == (2, 3)
-    with pytest.raises(ImageError, match="nothing says the camera"):
-        folder.of_frame("north", 7, (8, 12), None)
-    (tmp_path / "depth_maps.yaml").write_text("along: ray\nkind: relative_inverse\n")
-    with pytest.raises(ConfigError, match="along: ray needs kind: metric"):
-        DepthMapFolder.open("lidar", tmp_path)
-
-
-def test_a_map_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
+def test_a_rotated_map_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "north").mkdir()
     for stamp, shape in enumerate([(12, 8), (120, 80), (8, 12), (10, 10), (24, 30)]):
-        np.save(tmp_path / f"north_{stamp}.npy", np.ones(shape, np.float32))
-    folder = DepthMapFolder.open("a", tmp_path)
+        np.save(tmp_path / f"north/{stamp}.npy", np.ones(shape, np.float32))
     for stamp, rows in ((0, 12), (1, 120)):
-        with pytest.raises(ImageError, match=f"{rows} rows of .* lie on their side; the image has 8 of 12"):
-            folder.of_frame("north", stamp, (8, 12), None)
+        with pytest.raises(ImageError, match=f"{rows} x .* are rotated; the image has 8 x 12"):
+            read_depth_map(tmp_path, "north", stamp, (8, 12))
     for stamp in (2, 3, 4):  # any other size is a network's own
-        assert folder.of_frame("north", stamp, (8, 12), None) is not None
-    assert folder.of_frame("north", 0, (12, 12), None) is not None, "a square image has no side"
-
-
-def test_an_empty_map_is_none(tmp_path: Path) -> None:
-    np.save(tmp_path / "north_7.npy", np.ones((0, 5), np.float32))
-    with pytest.raises(ImageError, match=r"one number a pixel, this is \(0, 5\)"):
-        DepthMapFolder.open("a", tmp_path).of_frame("north", 7, (8, 12), None)
+        assert read_depth_map(tmp_path, "north", stamp, (8, 12)).size
+    assert read_depth_map(tmp_path, "north", 0, (12, 12)).size, "a square image has no side"

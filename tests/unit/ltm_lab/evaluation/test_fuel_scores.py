@@ -21,6 +21,7 @@ from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.scoring.fuel_change import score_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.label_confidence import Calibration, load_calibration
 from ltm_core.vision.labels import Label
@@ -28,7 +29,6 @@ from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.false_changes import false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
-from ltm_lab.evaluation.fuel.map_score import score_map
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg

@@ -9,16 +9,17 @@ import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.types import BoolArray
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.depth.fused_depth import Condition, DepthEvaluation, Given, conditions, upsampled_labels
+from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
 from ltm_lab.evaluation.truth_frames_io import TruthFrame
 
 CLASSES = ClassPriors.of(LabelSet.load())
 
 
-def frame(step: int = 2) -> TruthFrame:
+def frame(changed: BoolArray | None = None, step: int = 2) -> TruthFrame:
     scene = depth_scene()
     ground = TerrainTracer(scene.dem).trace(CAMERA, scene.traced.pose).depth()
     sampled = (slice(None, None, step), slice(None, None, step))
@@ -31,17 +32,15 @@ def frame(step: int = 2) -> TruthFrame:
         scene.truth[sampled],
         ground[sampled],
         scene.labels[sampled],
-        np.zeros(scene.truth[sampled].shape, np.bool_),
+        np.zeros(scene.truth[sampled].shape, np.bool_) if changed is None else changed,
     )
 
 
 def test_fused_beats_both_where_trees_stand_and_all_are_scored_on_the_same_pixels() -> None:
     scene, given = depth_scene(), frame()
-    run = DepthEvaluation(Condition(), scene.dem, CLASSES)
-    photo, hidden = run.seen(given)
-    assert not hidden.any()
+    run = DepthEvaluation(0.0, scene.dem, CLASSES)
     labels = upsampled_labels(given.labels, (CAMERA.height, CAMERA.width))
-    run.add(given, photo, hidden, Given(scene.network(), labels))
+    run.add(given, Given(scene.network(), labels))
     score = run.score()
     assert score.verdicts == {"ok": 1}
     counts = {row.source: row.scores[-1].pixels for row in score.rows if row.group == "all"}
@@ -61,14 +60,14 @@ def test_a_raster_of_what_stood_is_scored_and_fused_too() -> None:
     stood = (np.abs(x - 60.0) < 70.0) & (np.abs(y - 330.0) < 45.0)
     felled = (np.abs(x + 120.0) < 40.0) & (np.abs(y - 330.0) < 45.0)
     tops = scene.dem.elevation + np.float32(STAND_HEIGHT) * (stood | felled)
-    run = DepthEvaluation(Condition(), scene.dem, CLASSES, surface=replace(scene.dem, elevation=tops))
+    run = DepthEvaluation(0.0, scene.dem, CLASSES, surface=replace(scene.dem, elevation=tops))
     with np.errstate(invalid="ignore"):
         gone = TerrainTracer(replace(scene.dem, elevation=tops)).trace(CAMERA, scene.traced.pose).depth()[::2, ::2]
         gone = np.isfinite(given.surface) & (gone < 0.95 * given.surface) & (given.surface == given.ground)
     assert gone.sum() > 500
-    changed = replace(given, changed=gone)
+    changed = frame(gone)
     labels = upsampled_labels(given.labels, (CAMERA.height, CAMERA.width))
-    run.add(changed, *run.seen(changed), Given(scene.network(), labels))
+    run.add(changed, Given(scene.network(), labels))
     score = run.score()
     assert [row.source for row in score.rows if row.group == "all"] == ["traced", "surface", "network", "fused"]
     assert score.rmse("surface", "covered") < 0.2 * score.rmse("traced", "covered")
@@ -80,43 +79,15 @@ def test_a_raster_of_what_stood_is_scored_and_fused_too() -> None:
     assert parts[-1] == parts[2] + parts[3]  # covered or changed; here no pixel is both
 
 
-def test_errors_are_as_large_as_asked_for() -> None:
-    scene = depth_scene()
-    pose = scene.traced.pose
-    turned = Condition(pose_error_deg=1.5).pose(pose, np.random.default_rng(1))
-    (a, p, _), (b, q, _) = pose.angles_deg, turned.angles_deg
-    across = (a - b + 180) % 360 - 180
-    assert np.hypot(across, p - q) == pytest.approx(1.5, abs=1e-6)
-    _, hidden = Condition(occluded=0.4).photo(scene.photo, np.random.default_rng(2))
-    assert 0.4 <= hidden.mean() < 0.5
-    coarse = Condition(coarsen=20.0).dem(scene.dem)
-    assert coarse.geometry.resolution == 20.0
-    assert coarse.elevation[3, 7] == pytest.approx(scene.dem.elevation[12:16, 28:32].mean(), abs=1e-3)
-    moved = Condition(shift=10.0).dem(scene.dem).geometry
-    offset = (moved.x_min - scene.dem.geometry.x_min, moved.y_max - scene.dem.geometry.y_max)
-    assert np.hypot(*offset) == pytest.approx(10.0)
+def test_a_negative_pose_error_is_rejected() -> None:
+    with pytest.raises(ConfigError, match="-1"):
+        DepthEvaluation(-1.0, depth_scene().dem, CLASSES)
 
 
 def test_a_wrong_pose_is_counted_and_changes_nothing_else() -> None:
     scene, given = depth_scene(), frame()
-    run = DepthEvaluation(Condition(pose_error_deg=2.0), scene.dem, CLASSES)
-    run.add(given, *run.seen(given), Given(scene.network(), scene.labels))
+    run = DepthEvaluation(2.0, scene.dem, CLASSES)
+    run.add(given, Given(scene.network(), scene.labels))
     score = run.score()
     assert score.verdicts == {"pose_suspected": 1}
     assert score.rmse("fused") == pytest.approx(score.rmse("traced"))
-
-
-def test_hidden_pixels_are_not_scored() -> None:
-    scene, given = depth_scene(), frame()
-    run = DepthEvaluation(Condition(occluded=0.3), scene.dem, CLASSES)
-    photo, hidden = run.seen(given)
-    run.add(given, photo, hidden, Given(scene.network(), None))
-    (pixels,) = {row.scores[-1].pixels for row in run.score().rows if row.group == "all"}
-    assert pixels <= int((np.isfinite(given.surface) & ~hidden[::2, ::2]).sum())
-
-
-def test_one_error_at_a_time() -> None:
-    names = [condition.name for condition in conditions([0.0, 0.5], [0.2], [30.0], [5.0])]
-    assert names == ["exact", "pose 0.5 deg", "20% occluded", "DEM of 30 m", "DEM shifted 5 m"]
-    with pytest.raises(ConfigError, match=r"at most 0\.9 of a photo"):
-        replace(Condition(), occluded=0.95)

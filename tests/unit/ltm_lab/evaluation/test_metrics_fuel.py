@@ -8,7 +8,7 @@ from pyproj import CRS
 
 from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_lab.evaluation.metrics.fuel import score_fuel
+from ltm_core.scoring.fuel import score_fuel
 
 GRID = GridGeometry(15.0, 105.0, 30.0, 3, 2, "EPSG:32611")
 MAPPED = np.array([[1, 2, 255], [2, 0, 1]], np.uint8)

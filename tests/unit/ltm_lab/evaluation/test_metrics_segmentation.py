@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore, score_labels
+from ltm_core.scoring.labels import SegmentationScore, score_labels
 
 TRUTH = np.array([[0, 0, 1, 1, 1], [2, 2, 2, 255, 255]], np.uint8)
 FOUND = np.array([[0, 1, 1, 1, 255], [2, 2, 0, 0, 2]], np.uint8)

@@ -37,7 +37,9 @@ def frames(folder: Path, walks: list[dict[str, Any]] | None = None) -> list[Pose
                 "image": f"{k:04d}.png",
                 "camera_name": "phone",
                 "stamp_ns": photo.stamp_ns,
+                "truth": f"{k:04d}_truth.npz",
                 "camera": camera,
+                "truth_camera": camera,
                 "position": true.position.tolist(),
                 "reported": reported,
                 **dict(zip(names, true.angles_deg, strict=True)),
@@ -45,6 +47,8 @@ def frames(folder: Path, walks: list[dict[str, Any]] | None = None) -> list[Pose
         )
         poses.append(true)
     index = {
+        "scenario": "walk",
+        "curvature": True,
         "crs": FRAME.crs,
         "origin": list(ORIGIN),
         "jpeg_quality": 90,

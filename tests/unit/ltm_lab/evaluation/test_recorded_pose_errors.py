@@ -12,9 +12,9 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
 from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.recorded_pose_errors import recorded_pose_errors
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.demo.pose_errors import recorded_pose_errors
 
 SIGMAS = (4.0, 7.0, 8.2, 1.0, 2.0)
 

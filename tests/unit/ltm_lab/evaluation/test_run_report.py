@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scenes.depth_score import score_depth
 
+from ltm_core.scoring.fuel import FuelScore
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.metrics.fuel import FuelScore
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
-from ltm_lab.evaluation.run_report import (
+from ltm_ros.demo.report import (
     NOTHING,
     CameraPictures,
     ReportData,

@@ -21,18 +21,19 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.scoring.fuel_change import Share
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.cli.eval.score_table import print_table
 from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.depth.depth_maps_io import DepthMapFolder
-from ltm_lab.evaluation.fuel.map_score import Share
-from ltm_lab.evaluation.run_score import SHARED, TRUTHS, BagScore, score_bag
-from ltm_lab.evaluation.score_tables import as_json, rich_table, tables
+from ltm_lab.evaluation.run_score import BagScore, score_bag
+from ltm_lab.evaluation.score_tables import as_json, tables
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.demo.score import SHARED, TRUTHS
 from ltm_ros.recordings.recorded_run import Recorded
 
 CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)
@@ -145,64 +146,41 @@ def test_changes_of_the_prior_map(tmp_path: Path) -> None:
     assert as_json(score)["fuel"]["changes"]["false_flips"] == {"count": 1, "of": 9}
 
 
-def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded, tmp_path: Path) -> None:
-    half = depth_image() + 9
-    half[:, 8:] = np.nan
-    (tmp_path / "half/north").mkdir(parents=True)
-    np.save(tmp_path / f"half/north/{5 * SECOND}.npy", half)  # of one of the two frames
-    score = score_bag(recorded, [DepthMapFolder.open("half", tmp_path / "half")])
-    rows = {row.source: row for row in score.depth if row.against == SHARED}
-    assert set(rows) == {"traced", "fused", "half"}
-    for source, bias in (("traced", 3), ("fused", -1), ("half", 9)):
+def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded) -> None:
+    rows = {row.source: row for row in score_bag(recorded).depth if row.against == SHARED}
+    assert set(rows) == {"traced", "fused"}
+    for source, bias in (("traced", 3), ("fused", -1)):
         whole = rows[source].scores[-1]
-        assert (whole.pixels, whole.bias) == (4 * 4, pytest.approx(bias, abs=1e-4))
+        assert (whole.pixels, whole.bias) == (2 * 4 * 9, pytest.approx(bias, abs=1e-4))
 
 
-def test_depth_maps_of_others(recorded: Recorded, tmp_path: Path) -> None:
-    folder = tmp_path / "maps"
-    (folder / "north").mkdir(parents=True)
-    np.save(folder / f"north/{5 * SECOND}.npy", depth_image() + 7)
-    np.save(folder / f"east_{6 * SECOND}.npy", depth_image() + 7)
-    ranges, relative, foreign = tmp_path / "ranges", tmp_path / "relative", tmp_path / "foreign"
-    for other in (ranges, relative, foreign):
-        other.mkdir()
-    np.save(ranges / f"north_{5 * SECOND}.npy", depth_image() / CAMERA.rays()[..., 2])
-    (ranges / "depth_maps.yaml").write_text("along: ray\n")
-    np.save(relative / f"north_{5 * SECOND}.npy", np.where(np.isinf(depth_image()), 0, 40 / depth_image() + 2))
-    (relative / "depth_maps.yaml").write_text("kind: relative_inverse\n")
-    np.save(foreign / "south_7.npy", depth_image())
-    folders = [DepthMapFolder.open(p.name, p) for p in (folder, ranges, relative, foreign)]
-    score = score_bag(recorded, folders)
-    rows = {row.source: row for row in score.depth if row.against == "visible surface"}
-    assert (rows["maps"].frames, rows["maps"].scores[-1].bias) == (2, pytest.approx(7, abs=1e-4))
-    assert rows["ranges"].scores[-1].rmse == pytest.approx(0, abs=1e-3)
-    assert rows["relative"].scores[-1].rmse == pytest.approx(0, abs=0.05)
-    assert f"depth, ranges: {ranges} has maps of 1 of the {score.frames} frames with truth" in score.lacking
-    missed = next(reason for reason in score.lacking if reason.startswith("depth, foreign: "))
-    assert f"no map of any frame with truth; the first would be north/{5 * SECOND}.npy" in missed
-
-
-def test_depth_maps_without_numbers_are_named_and_tell_nothing(recorded: Recorded, tmp_path: Path) -> None:
-    np.save(tmp_path / f"north_{5 * SECOND}.npy", np.full((10, 18), np.nan))
-    score = score_bag(recorded, [DepthMapFolder.open("hollow", tmp_path)])
-    assert "depth, hollow: its 1 maps have no number where a true depth is known" in score.lacking
-    assert not [row for row in score.depth if row.source == "hollow"]
-    assert not [row for row in score.depth if row.against == SHARED], "nothing is shared with no number"
+def test_sources_without_a_common_pixel_are_reported(recorded: Recorded, tmp_path: Path) -> None:
+    """Traced depth in the left half, fused in the right."""
+    left = depth_image()
+    left[:, 9:] = np.nan
+    right = depth_image()
+    right[:, :9] = np.nan
+    with BagWriter(tmp_path / "halves") as bag:
+        for topic, message in {
+            "camera_info": camera_to_msg(CAMERA, 5, "c"),
+            "pose": pose_to_msg(POSE, 5),
+            "truth/camera_info": camera_to_msg(CAMERA.scaled(STEP), 5, "c"),
+            "truth/depth": depth_to_msg(depth_image()[::STEP, ::STEP], 5, "c"),
+            "depth/image": depth_to_msg(left, 5, "c"),
+            "fused/depth": depth_to_msg(right, 5, "c"),
+        }.items():
+            bag.write(f"/ridge/north/{topic}", message, 5)
+    score = score_bag(Recorded.find(tmp_path / "halves", recorded.site_path, tmp_path))
+    assert {row.source for row in score.depth} == {"traced", "fused"}
+    assert not [row for row in score.depth if row.against == SHARED]
     assert any(reason.startswith("depth, shared: no pixel") for reason in score.lacking)
-
-
-@pytest.mark.parametrize("name", ["traced", "mine"])
-def test_two_sources_of_one_name_are_refused(recorded: Recorded, tmp_path: Path, name: str) -> None:
-    np.save(tmp_path / f"north_{5 * SECOND}.npy", depth_image())
-    given = [part for other in (name, "mine") for part in ("--depth-maps", f"{other}={tmp_path}")]
-    result = CliRunner().invoke(cli, ["eval", "bag", str(recorded.bag), *given])
-    assert "another source is called" in str(result.exception)
 
 
 def test_tables_and_json(recorded: Recorded) -> None:
     score = score_bag(recorded)
     console = Console(width=200, record=True)
-    console.print(rich_table(tables(score), "scores"))
+    for table in tables(score):
+        print_table(console, table.title, table.columns, table.rows, table.note)
     text = console.export_text()
     for word in (
         "traced, surface",
@@ -261,8 +239,6 @@ def test_command(recorded: Recorded, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "lacking depth, network" in " ".join(result.output.split())
     assert json.loads(out.read_text())["frames_with_truth"] == 4
-    wrong = CliRunner().invoke(cli, ["eval", str(recorded.bag), "--depth-maps", "unnamed"])
-    assert "give NAME=FOLDER" in str(wrong.exception)
 
 
 def test_site_is_found_or_asked_for(recorded: Recorded, tmp_path: Path) -> None:

@@ -12,13 +12,13 @@ from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.label_heads.labelled_frames import read_frames
+from ltm_core.label_heads.temperature_scaling import balanced, fit_temperature
+from ltm_core.scoring.confidence import CalibrationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli import main
-from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
 from ltm_lab.evaluation.segmentation.network_score import score_frames
-from ltm_lab.training.labelled_frames import read_frames
-from ltm_lab.training.temperature_scaling import balanced, fit_temperature
 
 
 def _frame(folder: Path, name: str, shift: int = 0) -> None:
@@ -155,17 +155,9 @@ def test_risk_at_a_coverage_is_that_of_the_surest_pixels() -> None:
     truth = np.array([[1, 1, 1, 1, 1, 1, 1, 1, 1, UNLABELLED]], np.uint8)
     given = np.array([[1, 1, 1, 1, 2, 1, 2, 2, UNLABELLED, 2]], np.uint8)
     sure = np.array([[250, 250, 200, 200, 100, 100, 50, 50, 0, 255]], np.uint8)
-    risk = RiskCoverage.empty().plus(truth, given, sure, 7)
+    risk = CalibrationScore.empty().plus(truth, given, sure, 7)
     assert risk.risk(1.0) == pytest.approx(3 / 8)
     assert risk.risk(0.5) == 0.0
     assert risk.risk(0.75) == pytest.approx(1 / 6)
     assert risk.risk(0.625) == pytest.approx(0.1)  # of two pixels alike in confidence, one wrong: half of each counts
-    assert np.isnan(RiskCoverage.empty().risk(0.8))
-
-
-def test_a_diagram_shows_each_network_s_confidence(tmp_path: Path) -> None:
-    _frame(tmp_path / "near", "0001")
-    command = ["eval", "segmentation", str(tmp_path / "near"), "--model", str(write_classifier(tmp_path, stride=1))]
-    result = CliRunner().invoke(main.cli, [*command, "--confidence", "0.9", "--diagram", str(tmp_path / "d.png")])
-    assert result.exit_code == 0, result.output
-    assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 800
+    assert np.isnan(CalibrationScore.empty().risk(0.8))

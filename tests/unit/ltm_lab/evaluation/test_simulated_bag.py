@@ -25,6 +25,7 @@ from ltm_msgs_py.stamp import LATEST_NS, stamp_of
 CAMERA = Camera(30, 18, 25.0, 26.0, 14.0, 9.0, (-0.1, 0.02, 0.0, 0.001, 0.0))
 STEP = 4
 STAMP = 1_700_000_000_123_456_789
+SCENE = {"scenario": "ridge", "crs": "EPSG:32611", "origin": [0.0, 0.0], "curvature": True}
 
 
 @pytest.fixture
@@ -45,7 +46,10 @@ def simulated(tmp_path: Path) -> Path:
             range_ground=surface + 7,
             labels=np.arange(np.prod(shape)).reshape(shape).astype(np.uint8) % 7,
         )
-        camera = {k: getattr(CAMERA, k) for k in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+        camera, sampled = (
+            {k: getattr(c, k) for k in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+            for c in (CAMERA, CAMERA.scaled(STEP))
+        )
         entries.append(
             {
                 "image": f"{number:04d}.png",
@@ -53,13 +57,14 @@ def simulated(tmp_path: Path) -> Path:
                 "camera_name": name,
                 "stamp_ns": STAMP + number,
                 "camera": camera,
+                "truth_camera": sampled,
                 "position": [10.0, 20.0, 300.0],
                 "azimuth_deg": 214.0,
                 "pitch_deg": -4.0,
                 "roll_deg": 1.5,
             }
         )
-    (folder / "frames.json").write_text(json.dumps({"truth_step": STEP, "frames": entries}))
+    (folder / "frames.json").write_text(json.dumps(SCENE | {"truth_step": STEP, "frames": entries}))
     return folder
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.types import UInt8Array
+from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import Label
 from ltm_lab.training.augment import Lent, augmented
 from ltm_lab.training.borrow import photo_skies, photo_sky, with_ground, with_lake
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.training_frames import TrainingFrame
 
 SIZE = (64, 96)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from ltm_core.label_heads.labelled_frames import UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.augment import augmented
 from ltm_lab.training.config import AugmentConfig
-from ltm_lab.training.labelled_frames import UNKNOWN
 from ltm_lab.training.structures import with_structures
 from ltm_lab.training.training_frames import TrainingFrame
 

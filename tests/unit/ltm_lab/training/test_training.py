@@ -12,11 +12,11 @@ import pytest
 from scenes.tiny_training import COLORS, SIZE, TINY, drawn_frame, with_steps, write_drawn
 
 from ltm_core.base.errors import ConfigError, ImageError, RecordingError
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.augment import Lent, augmented, photo_looks
 from ltm_lab.training.config import AugmentConfig, OptimiserConfig, SplitConfig, TrainingConfig
-from ltm_lab.training.labelled_frames import LAND, UNKNOWN
 from ltm_lab.training.training_frames import TrainingFrame, read_split, read_training_frames
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ import numpy as np
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 from ltm_core.vision.labels import UNLABELLED
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.training.labelled_frames import Frame
 
 SITES_FILE: Final = "sites.csv"
 FOLDS: Final = 4

@@ -1,12 +1,36 @@
-"""Depth errors by range bin, summed frame by frame in bounded memory, however many frames there are."""
+"""Depth errors against truth by range bin, summed frame by frame in bounded memory."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array
-from ltm_lab.evaluation.metrics.depth import RANGE_BINS, DepthScore
+
+Value = TypeVar("Value", bound=np.generic)
+
+RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
+"""Edges of the range bins that depth is scored in, metres of true depth."""
+
+
+@dataclass(frozen=True)
+class DepthScore:
+    """Errors of one range bin, metres; NaN where no pixel counts."""
+
+    near: float
+    far: float
+    pixels: int
+    rmse: float
+    mae: float
+    median: float
+    """Median absolute error."""
+    bias: float
+    """Mean of estimate minus truth."""
+
 
 # Sizes of error, metres, in bins 0.6 % wide: a median read from them is off by less than half of that.
 _SMALLEST, _LARGEST, _PER_DECADE = 1e-4, 1e6, 400
@@ -88,3 +112,26 @@ def _median(sizes: Int64Array) -> float:
         return _LARGEST
     low, high = _EDGES[place - 1], _EDGES[place]
     return float(low + share * (high - low))
+
+
+def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Value]:
+    """`depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th from 0.
+
+    An array of any other size is taken to cover the same field of view and is read at the nearest pixel. Raises
+    ImageError where truth is no such sampling.
+    """
+    step = max(1, round(image[1] / shape[1]))
+    if (-(-image[0] // step), -(-image[1] // step)) != tuple(shape):
+        raise ImageError(f"truth of {shape} is no sampling of an image of {image}")
+    if depth.shape == shape:
+        return depth
+    if depth.shape == image:
+        return depth[::step, ::step]
+    rows = _nearest(np.arange(shape[0]) * step, image[0], depth.shape[0])
+    cols = _nearest(np.arange(shape[1]) * step, image[1], depth.shape[1])
+    return np.asarray(depth[rows[:, None], cols])
+
+
+def _nearest(places: Int64Array, size: int, other: int) -> Int64Array:
+    """The pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
+    return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

@@ -9,8 +9,8 @@ import numpy as np
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
-    from ltm_lab.training.head_trial import HeadScore
+    from ltm_core.label_heads.head_trial import HeadScore
+    from ltm_core.scoring.labels import SegmentationScore
 
 
 def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: str) -> Table:
@@ -32,8 +32,8 @@ def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: 
         ("share of pixels unlabelled", [s.labels.unlabelled for s in each]),
         ("calibration error (ECE)", [s.calibration.ece for s in each]),
         ("calibration error on land", [s.land_calibration.ece for s in each]),
-        ("risk on land", [s.land_risk.risk() for s in each]),
-        ("risk on land at 80 % coverage", [s.land_risk.risk(0.8) for s in each]),
+        ("risk on land", [s.land_calibration.risk() for s in each]),
+        ("risk on land at 80 % coverage", [s.land_calibration.risk(0.8) for s in each]),
     ):
         table.add_row(label, *(_text(value) for value in values))
     return table

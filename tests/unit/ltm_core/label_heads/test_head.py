@@ -14,16 +14,16 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ImageError, ModelError, RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
+from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, fit_head
+from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
+from ltm_core.label_heads.head_trial import teach_head
+from ltm_core.label_heads.labelled_frames import Frame, read_frames
 from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.cli.main import cli
 from ltm_lab.training.decoder_maps import with_decoder_maps
-from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
-from ltm_lab.training.head_samples import PhotoSamples, by_area, photo_samples, sites_of
-from ltm_lab.training.head_trial import teach_head
-from ltm_lab.training.labelled_frames import Frame, read_frames
 
 
 def _samples(features: list[list[float]], labels: list[int], shares: list[float]) -> PhotoSamples:

@@ -14,10 +14,10 @@ import numpy as np
 from ltm_core.base.types import Float32Array, Int64Array, RgbImage, UInt8Array
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
 from ltm_core.pictures.drawing import ClassPalette
-from ltm_lab.evaluation.metrics.depth import DepthScore
-from ltm_lab.evaluation.metrics.fuel import FuelScore
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
-from ltm_lab.evaluation.page import render_page
+from ltm_core.scoring.depth import DepthScore
+from ltm_core.scoring.fuel import FuelScore
+from ltm_core.scoring.labels import SegmentationScore
+from ltm_ros.pages.render import render_page
 from ltm_ros.runtime.diagnostics import NodeRow
 
 MAX_WIDTH = 1280

@@ -10,18 +10,18 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, fit_head
+from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
+from ltm_core.label_heads.labelled_frames import Frame
+from ltm_core.label_heads.temperature_scaling import balanced, fit_exponent
+from ltm_core.scoring.confidence import CalibrationScore
+from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.label_confidence import Calibration
 from ltm_core.vision.label_head import LabelHead, LabelHeadFile
 from ltm_core.vision.label_rules import LabelAgreement
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmentation, Segmenter
-from ltm_lab.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
-from ltm_lab.evaluation.metrics.segmentation import SegmentationScore
-from ltm_lab.training.head_fit import FittedHead, HeadFitConfig, fit_head
-from ltm_lab.training.head_samples import PhotoSamples, by_area, photo_samples, sites_of
-from ltm_lab.training.labelled_frames import Frame
-from ltm_lab.training.temperature_scaling import balanced, fit_exponent
 
 AGREEMENT: Final = LabelAgreement(reach=0.006)
 """Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
@@ -31,13 +31,12 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class HeadScore:
-    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration` and `land_risk`
-    leave out the pixels that are sky in truth, which are many and easy."""
+    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration`
+    leaves out the pixels that are sky in truth, which are many and easy."""
 
     labels: SegmentationScore
     calibration: CalibrationScore
     land_calibration: CalibrationScore
-    land_risk: RiskCoverage
     macro: tuple[int, ...]
 
     @property
@@ -55,7 +54,7 @@ class HeadScore:
             "accuracy": self.labels.accuracy,
             "unlabelled": self.labels.unlabelled,
             "ece": self.calibration.ece,
-            "land": {"ece": self.land_calibration.ece, "risk": self.land_risk.risk()},
+            "land": {"ece": self.land_calibration.ece, "risk": self.land_calibration.risk()},
             "confusion": self.labels.confusion.tolist(),
         }
 
@@ -170,7 +169,7 @@ def score_photos(
 ) -> HeadScore:
     """Label each frame with the segmenter at its place and compare with the truth; `look` gets each answer."""
     classes = len(segmenters[0].labels)
-    labels, risk = SegmentationScore.empty(classes), RiskCoverage.empty()
+    labels = SegmentationScore.empty(classes)
     calibration = land_calibration = CalibrationScore.empty()
     for segmenter, frame in zip(segmenters, frames, strict=True):
         found = segmenter.segment(frame.image)
@@ -178,9 +177,8 @@ def score_photos(
         labels = labels.plus(frame.labels, found.labels)
         calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
         land_calibration = land_calibration.plus(land, found.labels, found.confidence, classes)
-        risk = risk.plus(land, found.labels, found.confidence, classes)
         look(frame, found)
-    return HeadScore(labels, calibration, land_calibration, risk, macro)
+    return HeadScore(labels, calibration, land_calibration, macro)
 
 
 def _judged_by_others(

@@ -10,9 +10,9 @@ from ltm_core.fire.scenario import FireScenario
 from ltm_core.fuel.export.kmz_io import write_kmz
 from ltm_core.pictures import to_png
 from ltm_core.pictures.fire_maps import arrival_overlay, fire_sheet
-from ltm_lab.evaluation.figures_io import write_figures
-from ltm_lab.evaluation.fire_before_after import FireResult, MapPair
-from ltm_lab.evaluation.page import render_page
+from ltm_ros.fire.before_after import FireResult, MapPair
+from ltm_ros.pages.figures_io import write_figures
+from ltm_ros.pages.render import render_page
 
 FILES = ("index.html", "fire.png", "fire.tif", "fire.kmz", "fire.json")
 NO_FORECAST = (

@@ -14,7 +14,7 @@ from scipy import optimize
 from ltm_core.base.errors import ImageError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
-from ltm_lab.training.head_samples import PhotoSamples
+from ltm_core.label_heads.head_samples import PhotoSamples
 
 _LAST_RIDGE: Final = 0.02
 _BIAS_RIDGE: Final = 0.1

@@ -1,0 +1,1 @@
+"""Scores of depth, labels, skylines and fuel maps against truth."""

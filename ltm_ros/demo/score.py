@@ -1,0 +1,217 @@
+"""Scores a recorded run against truth: depth by source, labels, and the fuel map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.base.errors import LtmError, RecordingError
+from ltm_core.base.resources import config_path
+from ltm_core.base.types import UInt8Array
+from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.pipeline.site_fuel import site_evidence_map
+from ltm_core.scoring.depth import DepthScore, DepthTally, at_pixels_of
+from ltm_core.scoring.fuel import FuelScore, on_grid, score_fuel
+from ltm_core.scoring.fuel_change import MapScore, score_map
+from ltm_core.scoring.labels import SegmentationScore
+from ltm_core.site.site import Site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.pointcloud import msg_to_votes
+from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
+from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map
+from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, TRUTH_LABELS
+
+DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
+TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
+SHARED = "visible surface, shared pixels"
+"""The pixels of frames for which every source has a depth: sources are compared on them."""
+
+
+@dataclass(frozen=True)
+class DepthRow:
+    """One source of depth against one truth; `scores`: by range, then over all. `coverage`: see DepthTally."""
+
+    source: str
+    against: str
+    frames: int
+    coverage: float
+    scores: Sequence[DepthScore]
+
+
+@dataclass(eq=False)
+class RunScore:
+    """The scores of a recorded run; `lacking` lists what could not be scored, with the reason."""
+
+    bag: Path
+    site: Site
+    class_names: tuple[str, ...]
+    frames: int = 0
+    depth: list[DepthRow] = field(default_factory=list)
+    labels: SegmentationScore | None = None
+    fuel: FuelScore | None = None
+    fuel_vote: FuelScore | None = None
+    """The paper's majority vote of the same frames' votes, on the same cells."""
+    fuel_prior: FuelScore | None = None
+    """The map that the system started from, on the same cells."""
+    fuel_changes: MapScore | None = None
+    """What has changed of that map, on the same cells."""
+    lacking: list[str] = field(default_factory=list)
+
+
+class RunTally:
+    """Adds the frames of a recorded run to its scores."""
+
+    def __init__(self, recorded: Recorded, stream: FrameStream) -> None:
+        self._recorded, self._stream = recorded, stream
+        self._label_set = LabelSet.load(config_path(recorded.site.labels))
+        self._expected = sum(stream.has(name) for name in DEPTH_SOURCES)
+        self._tallies = {(name, against): DepthTally() for name in DEPTH_SOURCES for against in (*TRUTHS, SHARED)}
+        self._labels = SegmentationScore.empty(len(self._label_set))
+        self._fuel = FuelTally(recorded)
+        self._frames = 0
+
+    def add(self, frame: StreamedFrame) -> None:
+        """Score one frame."""
+        self._fuel.add(frame)
+        if "truth_depth" not in frame:
+            return
+        self._frames += 1
+        image = image_shape(frame, self._recorded.site)
+        for against, part in TRUTHS.items():
+            truth = frame.take(part)
+            if truth is None:
+                continue
+            depths = {
+                name: at_pixels_of(frame.take(name), image, truth.shape) for name in DEPTH_SOURCES if name in frame
+            }
+            for name, metres in depths.items():
+                self._tallies[name, against].add(metres, truth)
+            if part == "truth_depth" and len(depths) == self._expected > 1:
+                everywhere = np.all([np.isfinite(metres) for metres in depths.values()], axis=0)
+                for name, metres in depths.items():
+                    self._tallies[name, SHARED].add(np.where(everywhere, metres, np.float32(np.nan)), truth)
+        truth_labels, given = frame.take("truth_labels"), frame.take("labels")
+        if truth_labels is not None and given is not None:
+            self._labels = self._labels.plus(truth_labels, at_pixels_of(given, image, truth_labels.shape))
+
+    def score(self) -> RunScore:
+        """Return the scores of all frames added so far."""
+        score = RunScore(self._recorded.bag, self._recorded.site, self._label_set.names, self._frames)
+        score.depth = [
+            DepthRow(name, against, tally.frames, tally.coverage, tally.scores())
+            for (name, against), tally in self._tallies.items()
+            if tally.coverage > 0
+        ]
+        score.labels = self._labels if self._labels.pixels else None
+        fuels = self._fuel.scores()
+        score.fuel, score.fuel_vote, score.fuel_prior = fuels.fuel, fuels.vote, fuels.prior
+        score.fuel_changes = fuels.changes
+        score.lacking = self._lacking(score)
+        return score
+
+    def _lacking(self, score: RunScore) -> list[str]:
+        have = {part for _, part in self._stream.counts}
+        lacking = []
+        if score.frames == 0:
+            lacking.append(
+                "all that is scored on frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)"
+            )
+        for name, topic in DEPTH_SOURCES.items():
+            if name not in have:
+                lacking.append(f"depth, {name}: the bag has no {topic.name}")
+        if len({row.source for row in score.depth}) > 1 and not any(row.against == SHARED for row in score.depth):
+            lacking.append("depth, shared: no pixel of a frame has a depth of every source")
+        if score.labels is None:
+            absent = [t.name for p, t in (("labels", LABELS_IMAGE), ("truth_labels", TRUTH_LABELS)) if p not in have]
+            lacking.append(f"labels: the bag has no {' and no '.join(absent) or 'frame with both labels and truth'}")
+        if self._fuel.lacking is not None:
+            lacking.append(self._fuel.lacking)
+        return lacking
+
+
+@dataclass(frozen=True)
+class FuelScores:
+    """Scores over the cells that a recorded frame voted in; None if the bag or the site lacks the data.
+
+    `vote`: the majority vote of the same votes. `prior`: the map that the system started from. `changes`: what the map
+    has changed of it."""
+
+    fuel: FuelScore | None = None
+    vote: FuelScore | None = None
+    prior: FuelScore | None = None
+    changes: MapScore | None = None
+
+
+class FuelTally:
+    """Counts the votes of a bag's frames, and scores the last map of the bag. `lacking`: why it cannot be scored."""
+
+    def __init__(self, recorded: Recorded) -> None:
+        self._recorded = recorded
+        self.lacking: str | None = None
+        self._votes: MajorityFuelMap | None = None
+        self._counted = 0
+        try:
+            self._classes, self._geometry, self._labels = last_fuel_map(recorded.bag, recorded.site)
+        except RecordingError:
+            self.lacking = "fuel cells: the bag has no fuel_map"
+            return
+        if recorded.life_forms is None:
+            self.lacking = f"fuel cells: no {FUEL_TRUTH} in {recorded.truth}; name its folder with --truth"
+            return
+        self._votes = MajorityFuelMap(recorded.site.in_map(self._geometry), len(self._labels))
+
+    def add(self, frame: StreamedFrame) -> None:
+        """Count the votes of one frame, if it has any. A frame whose votes cannot be read ends the scoring of fuel."""
+        message = frame.take("votes") if self._votes is not None else None
+        if message is None or self._votes is None:
+            return
+        try:
+            self._votes.add(msg_to_votes(message, self._votes.geometry, self._labels.names, frame.camera_name))
+            self._counted += 1
+        except LtmError as error:
+            self._votes, self.lacking = None, f"fuel cells: {error}"
+
+    def scores(self) -> FuelScores:
+        """Return the scores of all frames added so far."""
+        file = self._recorded.life_forms
+        if self._votes is None or file is None:
+            return FuelScores()
+        try:
+            truth, grid = read_fuel_map(file)
+            classes, vote, prior, changes = self._classes, None, None, None
+
+            def scored(values: UInt8Array) -> FuelScore:
+                return score_fuel(values, self._geometry, truth, grid, len(self._labels))
+
+            if self._counted:
+                majority = self._votes.classes()
+                unseen = majority == UNSEEN
+                classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
+                vote = scored(majority)
+                empty = self._untouched()
+                if empty.prior is not None:
+                    prior = scored(np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8))
+                    true = on_grid(truth, grid, self._geometry)
+                    changes = score_map("fuel map", self._classes, true, empty.prior.codes, ~unseen)
+            return FuelScores(scored(classes), vote, prior, changes)
+        except LtmError as error:
+            self.lacking = f"fuel cells: {error}"
+            return FuelScores()
+
+    def _untouched(self) -> EvidenceMap:
+        site = self._recorded.site
+        return site_evidence_map(site, site.in_map(self._geometry), self._labels)
+
+
+def score_run(recorded: Recorded) -> RunScore:
+    """Score all frames that carry truth. Raises LtmError if the bag cannot be read."""
+    stream = recorded.stream()
+    tally = RunTally(recorded, stream)
+    for frame in stream.frames():
+        tally.add(frame)
+    return tally.score()
