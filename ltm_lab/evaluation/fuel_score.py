@@ -19,7 +19,6 @@ from ltm_core.scoring.fuel import on_grid
 from ltm_core.scoring.fuel_change import MapScore, score_map
 from ltm_core.site.networks import site_label_errors
 from ltm_core.vision.labels import LabelSet
-from ltm_lab.evaluation.fuel.false_changes import FalseRegion, false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
 
@@ -33,7 +32,6 @@ class FuelBagScore:
 
     `unjustified`: cells that only the repetitions changed. `errors`: what was known of the network. `correlation`: of
     its errors in this recording; `lacking` says why it is not known. `cells`: by [true form, commonest label].
-    `false`: what the evidence changed falsely.
     """
 
     frames: int
@@ -43,7 +41,6 @@ class FuelBagScore:
     correlation: LabelCorrelation | None
     lacking: str
     cells: Int64Array | None
-    false: list[FalseRegion]
 
 
 def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScore:
@@ -83,9 +80,8 @@ def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScor
         correlation, cells = label_correlation(frames, truth, label_forms(labels), errors, reach)
     except LtmError as error:
         lacking = str(error)
-    false = false_regions(layers, truth, frames, label_forms(labels))
     maps = [score_map(name, forms, truth, prior, seen) for name, forms in shown.items()]
-    return FuelBagScore(len(frames), maps, unjustified, errors, correlation, lacking, cells, false)
+    return FuelBagScore(len(frames), maps, unjustified, errors, correlation, lacking, cells)
 
 
 def _counted(evidence: EvidenceMap, frames: Sequence[CellVotes]) -> EvidenceMap:

@@ -10,16 +10,12 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_lab.cli.eval.bag import bag
-from ltm_lab.cli.eval.canopy import canopy
-from ltm_lab.cli.eval.crosswalk import crosswalk
 from ltm_lab.cli.eval.depth import depth
 from ltm_lab.cli.eval.fuel import fuel
 from ltm_lab.cli.eval.gallery import gallery
 from ltm_lab.cli.eval.locate import locate
-from ltm_lab.cli.eval.mount import mount
 from ltm_lab.cli.eval.pose import pose
 from ltm_lab.cli.eval.pose_watch import pose_watch
-from ltm_lab.cli.eval.recorded_poses import recorded_poses
 from ltm_lab.cli.eval.segmentation import segmentation
 from ltm_lab.cli.eval.sim2real import sim2real
 from ltm_lab.cli.eval.terrain import terrain
@@ -40,15 +36,11 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
-evaluate.command()(canopy)
-evaluate.command()(crosswalk)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
 evaluate.command()(pose)
 evaluate.command()(pose_watch)
-evaluate.command()(mount)
-evaluate.command()(recorded_poses)
 evaluate.command()(locate)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)

@@ -26,7 +26,6 @@ from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial_clumping import Clumping, clumping_of, correlation_of
 from ltm_lab.evaluation.fuel.trial_country import CAMERA, REACH, SUBCELLS, View, World, tower_views
-from ltm_lab.evaluation.fuel.trial_pictures import TrialPictures
 
 TUNING_SEEDS = (101, 102)
 """Of the countries on which the constants of `FusionRules` were chosen; scores are of others."""
@@ -43,16 +42,14 @@ class Trial:
     """Errors and conditions of a trial.
 
     `pose_deg`: root mean square of the rotation by which a pose is wrong, about any axis; half of its variance is the
-    same in all frames of a view. `refined`: each frame's pose is first sought in its picture. `clumping`: of the
-    network's errors; None: as its correlations, which are known, say. `network_error`: relative, by which the
-    network differs in the field from what is known of it. `prior_wrong`: share of the prior's cells, in patches.
-    `near`: one more camera low among the plants, with errors of its own, each third pixel taken for trees. `hours`:
-    when each view is taken. `telling`: whether labels that are wrong are less confident.
+    same in all frames of a view. `clumping`: of the network's errors; None: as its known correlations say.
+    `network_error`: relative difference of the network in the field from what is known of it. `prior_wrong`: share of
+    wrong cells of the prior, in patches. `near`: one more camera, low among the plants, which takes each third pixel
+    for trees. `hours`: when each view is taken. `telling`: wrong labels are less confident.
     """
 
     name: str
     pose_deg: float = 0.0
-    refined: bool = False
     clumping: Clumping | None = MODERATE
     network_error: float = 0.15
     prior_wrong: float = 0.05
@@ -72,7 +69,6 @@ class Trial:
 TRIALS = (
     Trial("exact poses"),
     Trial("pose 1 deg", pose_deg=1.0),
-    Trial("pose 1 deg, refined", pose_deg=1.0, refined=True),
     Trial("stands mislabelled", clumping=SYSTEMATIC),
     Trial("stands mislabelled as surely", clumping=SYSTEMATIC, telling=False),
     Trial("slopes mislabelled", clumping=SLOPES),
@@ -81,7 +77,6 @@ TRIALS = (
     Trial("outdated prior", prior_wrong=0.2),
     Trial("no prior", has_prior=False),
     Trial("all of it", pose_deg=1.0, clumping=SYSTEMATIC, near=True, prior_wrong=0.1),
-    Trial("all of it, refined", pose_deg=1.0, refined=True, clumping=SYSTEMATIC, near=True, prior_wrong=0.1),
     Trial(
         "all of it, a week",
         pose_deg=1.0,
@@ -104,10 +99,6 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
     covariance = np.diag([0.0, 0.0, 0.0, sigma**2, sigma**2, sigma**2]) if sigma else None
     lasting = rng.normal(0, each / np.sqrt(2), (len(views), 3))
     network = _Network(world, trial, errors, rng)
-    pictures = None
-    if trial.refined:
-        places = list(dict.fromkeys(position for _, position, _, _ in views))
-        pictures = TrialPictures(world, tracer.bend, np.random.default_rng([seed, 78]), places)
     for hour in trial.hours:
         for view, (name, position, azimuth, pitch) in enumerate(views):
             passing = rng.normal(0, each / np.sqrt(2), 3)
@@ -116,21 +107,11 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
             true = Pose.from_angles(position, azimuth + turn[0], pitch + turn[1], turn[2]) if sigma else believed
             shown = tracer.trace(CAMERA, true)
             label, confidence = network.labels(shown.points(), name)
-            pose, known = believed, covariance
-            if pictures is not None:
-                pose, known = pictures.refined(believed, true, each, label)
-            ranges = shown if pose is true else tracer.trace(CAMERA, pose)
+            ranges = (shown if believed is true else tracer.trace(CAMERA, believed)).range
+            stamp_ns = int(BEGIN_NS + hour * 3600e9)
             yield caster.cast(
-                ranges.range,
-                CAMERA,
-                pose,
-                label,
-                int(BEGIN_NS + hour * 3600e9),
-                name,
-                confidence,
-                known,
-                along_axis=False,
-            )
+                ranges, CAMERA, believed, label, stamp_ns, name, confidence, covariance, along_axis=False
+            )  # fmt: skip
 
 
 class _Network:

@@ -1,42 +1,56 @@
-"""Runs one trial and scores the evidence map and the majority vote on it."""
+"""Runs trials and scores the evidence map and the majority vote on them."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.base.types import BoolArray
 from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.rules import FusionRules
+from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
-from ltm_core.scoring.fuel_change import MapScore, score_map
+from ltm_core.scoring.fuel_change import score_map
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial import Trial, frames
 from ltm_lab.evaluation.fuel.trial_country import make_world
 
+RARE = 0.01
+"""Share of cells that truly change in a year or two, at which reports of change are judged too."""
+
+
+@dataclass(frozen=True)
+class FuelJob:
+    """A trial on one seed, with `level` times the wrong labels of a network. `terrain`: None for a synthetic one."""
+
+    trial: Trial
+    seed: int
+    level: float
+    errors: LabelErrors
+    terrain: Path | None
+
 
 @dataclass(frozen=True)
 class TrialScore:
-    """Of one trial and seed; shares of cells that any pixel votes in.
+    """Scores of one trial and seed, as shares of the cells that any pixel votes in.
 
-    `flipped`: of the patch's cells, those that became trees; `flipped_well_seen`: of those among them with evidence
+    `flipped`: of the patch's cells, those that became trees; `flipped_well_seen`: the same of those with evidence
     enough for a change. `false_flips`: of all other cells, those that changed to a wrong life form. `code_kept`: of
-    unchanged cells and cells that nobody saw, those with the prior's code. `ours`, `vote`, `prior`: cells of the right
-    life form. `vote_in_patch`: the same of the vote, in the patch. `add_ms`: processor time a frame. `changes`: of the
-    patch and of what else the prior has wrong, by the map's life forms; None without a prior.
+    unchanged and unseen cells, those with the prior's code. `ours`, `vote`, `prior`: cells of the right life form.
+    `add_ms`: processor time of a frame. Of the reported changes (NaN without a prior): `changed`, the share of cells
+    that truly changed; `found`, the producer's accuracy; `users`, the user's accuracy, and that at a share of RARE.
     """
 
     trial: str
     seed: int
+    level: float
     frames: int
-    seen_cells: int
-    patch_cells: int
     flipped: float
     flipped_well_seen: float
     false_flips: float
@@ -44,19 +58,18 @@ class TrialScore:
     ours: float
     vote: float
     prior: float
-    vote_in_patch: float
     add_ms: float
-    changes: MapScore | None
+    changed: float
+    found: float
+    users: float
+    users_rare: float
 
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
-
-def run_trial(
-    trial: Trial, seed: int, errors: LabelErrors, labels: LabelSet, rules: FusionRules, dem: Dem | None = None
-) -> TrialScore:
-    """One country, one set of frames, and both maps made of them."""
-    world = make_world(seed, trial.prior_wrong, dem)
+def run_fuel_job(job: FuelJob) -> list[TrialScore]:
+    """Make a country and its frames, and score both maps that are made of them."""
+    trial, seed, rules, labels = job.trial, job.seed, FusionRules(), LabelSet.load()
+    errors = job.errors.scaled(job.level)
+    world = make_world(seed, trial.prior_wrong, _ground(job.terrain))
     known = trial.known(errors)
     prior = world.prior if trial.has_prior else None
     ours = EvidenceMap(world.geometry, prior, labels, rules, known)
@@ -68,37 +81,45 @@ def run_trial(
         ours.add(votes)
         spent += time.process_time() - begin
         count += 1
-    layers = ours.layers()
-    voted = vote.classes()
+    layers, voted = ours.layers(), vote.classes()
     before = EvidenceMap(world.geometry, world.prior, labels, rules, known).layers().life_form
     seen = voted != UNSEEN
     patch = world.patch & seen
-    elsewhere = seen & ~world.patch
     flipped = layers.changed & (layers.life_form == LifeForm.TREE)
-    wrong = layers.changed & (layers.life_form != world.truth)
-
-    def right(forms: UInt8Array, cells: BoolArray) -> float:
-        return float((forms == world.truth)[cells].mean()) if cells.any() else float("nan")
-
     kept = (layers.code == layers.prior)[~layers.changed] if trial.has_prior else np.ones(1, bool)
-    return TrialScore(
-        trial=trial.name,
-        seed=seed,
-        frames=count,
-        seen_cells=int(seen.sum()),
-        patch_cells=int(patch.sum()),
-        flipped=_share(flipped, patch),
-        flipped_well_seen=_share(flipped, patch & (layers.evidence >= rules.min_evidence)),
-        false_flips=_share(wrong, elsewhere),
-        code_kept=float(kept.mean()),
-        ours=right(layers.life_form, seen),
-        vote=right(voted, seen),
-        prior=right(before, seen),
-        vote_in_patch=right(voted, patch),
-        add_ms=1e3 * spent / max(count, 1),
-        changes=None if prior is None else score_map(trial.name, layers.life_form, world.truth, prior.codes, seen),
-    )
+    score = score_map(trial.name, layers.life_form, world.truth, None if prior is None else prior.codes, seen)
+    accuracy = score.prevalence, score.found.value, score.users_accuracy(), score.users_accuracy(RARE)
+    changed, found, users, users_rare = accuracy if prior is not None else [float("nan")] * 4
+    right, vote_right, prior_right = (_share(forms == world.truth, seen) for forms in (layers.life_form, voted, before))
+    return [
+        TrialScore(
+            trial.name,
+            seed,
+            job.level,
+            count,
+            _share(flipped, patch),
+            _share(flipped, patch & (layers.evidence >= rules.min_evidence)),
+            _share(layers.changed & (layers.life_form != world.truth), seen & ~world.patch),
+            float(kept.mean()),
+            right,
+            vote_right,
+            prior_right,
+            1e3 * spent / max(count, 1),
+            changed,
+            found,
+            users,
+            users_rare,
+        )
+    ]
 
 
 def _share(chosen: BoolArray, among: BoolArray) -> float:
     return float(chosen[among].mean()) if among.any() else float("nan")
+
+
+def _ground(path: Path | None) -> Dem | None:
+    if path is None:
+        return None
+    opened = Dem.open(path)
+    x_min, y_min, x_max, y_max = opened.geometry.bounds
+    return opened.in_frame(SiteFrame(str(opened.geometry.crs), (x_min + x_max) / 2, (y_min + y_max) / 2))

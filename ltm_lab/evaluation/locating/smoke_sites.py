@@ -1,4 +1,4 @@
-"""Sites for smoke trials: the ground as it is, a terrain model with errors of a stated sigma, towers on summits."""
+"""Sites for smoke trials: the true ground, a terrain model with errors of a stated sigma, and towers."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from ltm_core.raster.dem import Dem
 MAST = 12.0
 """Metres of a camera above the true ground."""
 TOWERS = 30
+_LEAST_CLEARANCE = 1.0
+"""Smallest height of a given camera above the true ground, metres."""
 _APART = 2_000.0
 _CORRELATION = 2.0  # cells: of the model's error
 _AROUND = 1_000.0  # metres: a summit stands above the mean of what is so near
@@ -32,10 +34,11 @@ class SmokeSite:
     towers: Float64Array
 
 
-def smoke_site(name: str, dem: Dem, error: float, seed: int) -> SmokeSite:
-    """The DEM is the model; the truth is it and a correlated error of `error` metres, sigma.
+def smoke_site(name: str, dem: Dem, error: float, seed: int, towers: Float64Array | None = None) -> SmokeSite:
+    """Return a site whose model is the DEM, and whose truth differs by correlated errors of `error` metres (sigma).
 
-    Raises ConfigError where no three towers have room.
+    `towers` are (T, 3) places of cameras; by default they are found on summits. Raises ConfigError if there is no room
+    for three.
     """
     rng = np.random.default_rng([seed, 1])
     x, y = round(dem.geometry.x_min / 1000) * 1000.0, round(dem.geometry.y_min / 1000) * 1000.0
@@ -43,11 +46,16 @@ def smoke_site(name: str, dem: Dem, error: float, seed: int) -> SmokeSite:
     model = Dem(dem.elevation, GridGeometry(g.x_min, g.y_max, g.resolution, g.width, g.height))
     noise = ndimage.gaussian_filter(rng.standard_normal(dem.elevation.shape, np.float32), _CORRELATION)
     truth = Dem(dem.elevation + noise * np.float32(error / noise.std()), model.geometry)
-    return SmokeSite(name, truth, model, _towers(truth, rng, name))
+    if towers is None:
+        towers = _towers(truth, rng, name)
+    else:
+        towers = towers - (x, y, 0.0)
+        towers = towers[towers[:, 2] - truth.elevation_at(towers[:, 0], towers[:, 1]) > _LEAST_CLEARANCE]
+    return SmokeSite(name, truth, model, towers)
 
 
 def _towers(truth: Dem, rng: np.random.Generator, name: str) -> Float64Array:
-    """Greedily the places that stand highest above what is around them, each with room around it."""
+    """Return the summits that stand highest above their surroundings, each with room around it."""
     g = truth.geometry
     known = np.isfinite(truth.elevation)
     heights = np.where(known, truth.elevation, 0.0)

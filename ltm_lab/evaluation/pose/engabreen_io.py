@@ -1,4 +1,4 @@
-"""A real photo with surveyed control points (Engabreen): its pose found without them, from starts that are far off."""
+"""Trials on a real photo with surveyed control points (Engabreen): its pose is found without them, from far off."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_io import read_control_points
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -26,10 +26,20 @@ from ltm_core.raster.dem import Dem
 from ltm_core.storage.text_io import read_text
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import read_photo
+from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.pose.pose_trial import Angles, three
 
 _FRAME = SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0)
 STARTS = 12
-AZIMUTH_OFF_DEG, PITCH_OFF_DEG, ROLL_OFF_DEG = 10.0, 3.0, 1.0
+_OFF_DEG = 10.0, 3.0, 1.0
+"""Errors of the starts' azimuth, pitch and roll."""
+VARIANTS = {
+    "place and focal length of the control points": (0.0, False),
+    "focal length as stated (2.8 % off), fitted": (0.0, True),
+    "place 30 m off, fitted": (30.0, False),
+}
+"""Metres by which the place of the starts is off, and whether the focal length is the stated one."""
 
 
 class _Stated(BaseModel):
@@ -43,7 +53,7 @@ class _Stated(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class RealPhoto:
-    """The photo, its DEM, and the pose and camera that its control points give."""
+    """The photo, its DEM, the pose and camera that its control points give, and the camera that is stated."""
 
     photo: UInt8Array
     terrain: SearchTerrain
@@ -51,24 +61,34 @@ class RealPhoto:
     stated: Camera
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RealTrial:
-    """Of one start: error (3) of azimuth, pitch and roll from the control points' pose, degrees; metres between the
-    camera's places; the focal length over the points'; RMSE and median, metres on the ground, of control points."""
+    """One start. `error`: of azimuth, pitch and roll from the control points' pose, degrees; `moved`: metres between
+    the two places; `focal`: found focal length over the points'; `rmse`, `median`: metres on the ground, of the control
+    points on ground that the DEM shows; `seconds`: processor time."""
 
-    start: tuple[float, float, float]
+    variant: str
+    start: Angles
     verdict: str
-    error: tuple[float, float, float]
+    error: Angles
     moved: float
     focal: float
     rmse: float
     median: float
     seconds: float
-    search: PictureSearch
+
+
+@dataclass(frozen=True)
+class RealJob:
+    """One of the VARIANTS on the photo of a folder, with the labels of a network."""
+
+    folder: Path
+    model: str
+    variant: str
 
 
 def read_real_photo(folder: Path) -> RealPhoto:
-    """Raises RecordingError for a folder that is another, and what its files raise."""
+    """Read the photo's folder. Raises RecordingError for any other folder."""
     place = folder / "camera_stated.json"
     try:
         stated = _Stated.model_validate(json.loads(read_text(place, 1 << 16, RecordingError)))
@@ -85,67 +105,63 @@ def read_real_photo(folder: Path) -> RealPhoto:
     return RealPhoto(read_photo(folder / stated.image, camera), SearchTerrain(dem, bend), fitted, camera)
 
 
+def run_real_job(job: RealJob) -> list[RealTrial]:
+    """Run the trials of a variant."""
+    real = read_real_photo(job.folder)
+    trials = run_real_trials(real, Segmenter.open(job.model).segment(real.photo).labels, *VARIANTS[job.variant])
+    return [replace(trial, variant=job.variant) for trial in trials]
+
+
 def run_real_trials(
-    real: RealPhoto,
-    labels: UInt8Array,
-    position_off: float = 0.0,
-    focal_free: bool = False,
-    config: PicturePoseConfig = PicturePoseConfig(),
+    real: RealPhoto, labels: UInt8Array, position_off: float = 0.0, focal_free: bool = False
 ) -> list[RealTrial]:
-    """Search the pose from 12 starts, 10 deg of azimuth and 3 of pitch off each way, with the calibration of the
-    control points; `focal_free`: with the stated focal length, to be fitted. `position_off`: metres that the start's
-    place is off, in as many directions; it is then fitted too.
+    """Search the pose from 12 starts, with the calibration of the control points.
+
+    `focal_free`: with the stated focal length, which is fitted. `position_off`: metres by which the start's place is
+    off, in as many directions; it is then fitted.
     """
-    true, camera = real.points.pose, real.points.camera
+    true, camera, config = real.points.pose, real.points.camera, PicturePoseConfig()
     if focal_free:
         camera = replace(camera, fx=real.stated.fx, fy=real.stated.fy)
     evidence = picture_evidence(real.photo, labels, camera, config)
-    tracer = TerrainTracer(real.terrain.dem)
+    dem, tracer = real.terrain.dem, TerrainTracer(real.terrain.dem)
     trials = []
     for k in range(STARTS):
-        off = (
-            AZIMUTH_OFF_DEG * (1 if k % 2 else -1),
-            PITCH_OFF_DEG * (1 if k // 2 % 2 else -1),
-            ROLL_OFF_DEG * (k // 4 - 1),
-        )
+        off = np.multiply(_OFF_DEG, (1 if k % 2 else -1, 1 if k // 2 % 2 else -1, k // 4 - 1))
         angle = 2 * math.pi * k / STARTS
-        away = position_off * np.array([math.cos(angle), math.sin(angle), 0.0])
-        azimuth, pitch, roll = np.add(true.angles_deg, off)
-        place = true.position + away
-        place[2] += real.terrain.dem.elevation_at(*place[:2]) - real.terrain.dem.elevation_at(*true.position[:2])
-        start = Pose.from_angles(place, float(azimuth), float(pitch), float(roll))
-        prior = PosePrior(start, AZIMUTH_OFF_DEG, PITCH_OFF_DEG, ROLL_OFF_DEG, position_off / 1.5, position_off / 6)
+        place = true.position + position_off * np.array([math.cos(angle), math.sin(angle), 0.0])
+        place[2] += dem.elevation_at(*place[:2]) - dem.elevation_at(*true.position[:2])
+        start = Pose.from_angles(place, *three(np.add(true.angles_deg, off)))
         begin = time.process_time()
+        prior = PosePrior(start, *_OFF_DEG, position_off / 1.5, position_off / 6)
         search = find_pose(evidence, real.terrain, prior, config, 0.03 if focal_free else 0.0)
         spent = time.process_time() - begin
         best = search.hypotheses[0].refined if search.hypotheses else None
         pose = start if best is None else best.pose
-        factor = 1.0 if best is None else best.camera.fx / evidence.camera.fx
-        lens = camera.zoomed(factor)
-        error = np.degrees(angles_between(true, pose))
+        lens = camera.zoomed(1.0 if best is None else best.camera.fx / evidence.camera.fx)
         ground = _ground_errors(real.points, pose, lens, tracer)
         trials.append(
             RealTrial(
-                off,
+                "",
+                three(off),
                 search.verdict.word,
-                (float(error[0]), float(error[1]), float(error[2])),
+                three(np.degrees(angles_between(true, pose))),
                 float(np.linalg.norm(pose.position - true.position)),
                 lens.fx / real.points.camera.fx,
                 float(np.sqrt(np.mean(ground**2))) if ground.size else math.nan,
                 float(np.median(ground)) if ground.size else math.nan,
                 spent,
-                search,
             )
         )
     return trials
 
 
 def _ground_errors(points: Resection, pose: Pose, camera: Camera, tracer: TerrainTracer) -> Float64Array:
-    """Horizontal metres (K,) between surveyed points and where their marked pixels are traced to, of those that the
-    true pose traces to within 10 m of them: the others the DEM hides."""
+    """Return the horizontal metres between surveyed points and the places to which their pixels are traced, of the
+    points that the true pose traces to within 10 m: the DEM hides the others."""
 
     def errors(at: Pose, lens: Camera) -> Float64Array:
-        rays = _rays(points.points.pixels, lens) @ at.rotation.T
+        rays = pixel_rays(lens, points.points.pixels) @ at.rotation.T
         ranges = tracer.trace_rays(at.position, rays).astype(np.float64)
         places = at.position + rays * np.where(np.isfinite(ranges), ranges, np.nan)[:, None]
         return np.asarray(np.hypot(*(places - points.points.places)[:, :2].T), np.float64)
@@ -153,12 +169,3 @@ def _ground_errors(points: Resection, pose: Pose, camera: Camera, tracer: Terrai
     shown = errors(points.pose, points.camera) < 10.0
     found = errors(pose, camera)[shown]
     return found[np.isfinite(found)]
-
-
-def _rays(pixels: Float64Array, camera: Camera) -> Float64Array:
-    import cv2
-
-    k1, k2, p1, p2, k3 = camera.distortion
-    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.matrix, np.array([k1, k2, p1, p2, k3])).reshape(-1, 2)
-    rays = np.column_stack([flat, np.ones(len(flat))])
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True), np.float64)

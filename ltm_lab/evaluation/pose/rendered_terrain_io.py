@@ -1,36 +1,121 @@
-"""The ground that a rendered site gives to the search of its pictures' poses."""
+"""Reads rendered sites for trials of poses: the terrain, and the frames with the evidence in their images."""
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
 from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack, with_surface
 from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
-from ltm_lab.evaluation.truth_frames_io import dates, is_curved, open_dem, site_frame
+from ltm_core.vision.segmenter import Segmenter
+from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
+from ltm_lab.evaluation.truth_frames_io import (
+    TruthFrame,
+    dates,
+    is_curved,
+    open_dem,
+    read_truth_frames,
+    site_frame,
+)
 
 
-def rendered_terrain(folder: Path, alone: bool, canopy: bool) -> SearchTerrain:
-    """The site's DEM within those of the range around and of the region to the horizon, at whose end the world ends;
-    `alone`: without them, and nothing is known of what lies beyond. `canopy`: with the true surface raster of the first
-    date. Raises RecordingError where a folder of `ltm-lab simulate` has none of these.
+@dataclass(frozen=True, eq=False)
+class PreparedFrame:
+    """A frame with the evidence in its image. `open_share` is the share of its horizon beyond which land outside the
+    DEM may stand; `seconds` is the processor time of the evidence."""
+
+    number: int
+    frame: TruthFrame
+    evidence: PictureEvidence
+    open_share: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class RenderedSite:
+    """A folder of `ltm-lab simulate` and what the search for poses gets of it.
+
+    `model` names the segmentation network; if it is empty, labels are the true ones. `alone` leaves out the DEM of the
+    surroundings. `canopy` adds the true surface raster. Of the frames each `every`-th is used.
     """
-    frame = site_frame(folder)
-    dem = open_dem(folder)
-    if not alone:
-        levels = [dem]
-        for name in ("dem_around.tif", "dem_region.tif"):
-            if not (folder / name).is_file():
-                raise RecordingError(
-                    f"{folder / name} is missing: `ltm-lab simulate SCENARIO --out {folder} --site-only` writes it"
-                )
-            levels.append(Dem.open(folder / name).in_frame(frame))
-        dem = DemStack(levels)
-    if canopy:
-        named = dates(folder)
-        surface = folder / "truth" / (named[0] if named else "now") / "surface.tif"
-        dem = with_surface(dem, Dem.open(surface).in_frame(frame))
-    return SearchTerrain(dem, ray_bend(is_curved(folder), 0.13), PossibleGround() if alone else NOTHING_BEYOND)
+
+    folder: Path
+    model: str
+    alone: bool = False
+    canopy: bool = False
+    every: int = 1
+
+    @property
+    def config(self) -> PicturePoseConfig:
+        return PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if self.canopy else PicturePoseConfig()
+
+    def terrain(self) -> SearchTerrain:
+        """Return the DEM of the site within those of its surroundings, at whose end the world ends.
+
+        If the site is `alone`, nothing is known of the land beyond. Raises RecordingError if a raster is missing.
+        """
+        frame, dem = site_frame(self.folder), open_dem(self.folder)
+        if not self.alone:
+            levels = [dem]
+            for name in ("dem_around.tif", "dem_region.tif"):
+                if not (self.folder / name).is_file():
+                    raise RecordingError(
+                        f"{self.folder / name} is missing; write it with `ltm-lab simulate SCENARIO --out {self.folder} "
+                        "--site-only`"
+                    )
+                levels.append(Dem.open(self.folder / name).in_frame(frame))
+            dem = DemStack(levels)
+        if self.canopy:
+            date = next(iter(dates(self.folder)), "now")
+            dem = with_surface(dem, Dem.open(self.folder / "truth" / date / "surface.tif").in_frame(frame))
+        return SearchTerrain(
+            dem, ray_bend(is_curved(self.folder), 0.13), PossibleGround() if self.alone else NOTHING_BEYOND
+        )
+
+    def frames(self, terrain: SearchTerrain) -> list[PreparedFrame]:
+        """Return the frames with labels and evidence. Raises RecordingError if there is none."""
+        segmenter = Segmenter.open(self.model) if self.model else None
+        found = []
+        for number, frame in islice(enumerate(read_truth_frames(self.folder)), 0, None, self.every):
+            shape = (frame.camera.height, frame.camera.width)
+            ids = segmenter.segment(frame.photo).labels if segmenter else upsampled_labels(frame.labels, shape)
+            found.append(prepared(number, frame, ids, terrain, self.config))
+        if not found:
+            raise RecordingError(f"{self.folder} has no frame with truth")
+        return found
+
+
+def prepared(
+    number: int, frame: TruthFrame, labels: UInt8Array, terrain: SearchTerrain, config: PicturePoseConfig
+) -> PreparedFrame:
+    """Return a frame with its evidence, from the (H, W) labels that the search gets."""
+    begin = time.process_time()
+    evidence = picture_evidence(frame.photo, labels, frame.camera, config)
+    spent = time.process_time() - begin
+    horizon = terrain.horizon_for(evidence.camera, PosePrior(frame.pose, 1.0), config)
+    half = math.radians(frame.camera.hfov_deg) / 2
+    away = (horizon.azimuths - math.radians(frame.pose.angles_deg[0]) + math.pi) % (2 * math.pi) - math.pi
+    return PreparedFrame(number, frame, evidence, float(horizon.open[np.abs(away) < half].mean()), spent)
+
+
+def by_camera(frames: Iterable[PreparedFrame]) -> dict[str, list[PreparedFrame]]:
+    """Return the frames of each camera, in their order."""
+    cameras: dict[str, list[PreparedFrame]] = {}
+    for frame in frames:
+        cameras.setdefault(frame.frame.camera_name, []).append(frame)
+    return cameras

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +11,17 @@ import rasterio
 from rasterio.warp import Resampling, reproject
 
 from ltm_core.base.errors import RasterError
-from ltm_core.fuel.codes import FuelClimate, FuelSystem
+from ltm_core.fuel.codes import FuelClimate, FuelRegion, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import PriorConfig
+from ltm_core.fuel.prior import FuelPrior, PriorConfig
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_lab.evaluation.fuel.crosswalk_score import score_crosswalk
 
 EARLIER, LATER = "earlier_elmfire_lcc/fbfm40r5.tif", "later_gridfire_utm10/fbfm40.tif"
 
@@ -110,7 +111,26 @@ def test_a_landfire_download(shared_data: Path) -> None:
     np.testing.assert_array_equal(GridTransfer(grid, snapped).layer(codes, 0), codes)
 
 
-@pytest.mark.parametrize("climate", ["dry", "humid"])
+GROUPS = {
+    "grass": (range(101, 110), range(1, 4)),
+    "shrub": (range(141, 150), range(4, 8)),
+    "timber": (range(161, 190), range(8, 11)),
+}
+"""FBFM40 codes of a fuel type, and its FBFM13 codes."""
+
+
+def exported(prior: FuelPrior, region: FuelClimate, own: np.ndarray | None) -> np.ndarray:
+    """FBFM13 of a map that is exported unchanged, where the prior brings its `own`."""
+    layers = layers_of_classes(np.full(prior.codes.shape, 255, np.uint8), prior, region)
+    return surface_codes(layers, replace(prior, fbfm13=own), region, FuelSystem.FBFM13)
+
+
+def within_fuel_type(prior: FuelPrior) -> np.ndarray:
+    assert prior.fbfm13 is not None
+    return np.where(of_one_fuel_type(prior.codes, prior.fbfm13), prior.fbfm13, NODATA).astype(np.int16)
+
+
+@pytest.mark.parametrize("region_name", ["dry", "humid"])
 @pytest.mark.parametrize(
     "name",
     [
@@ -120,40 +140,43 @@ def test_a_landfire_download(shared_data: Path) -> None:
         "fuels_socal_santaana_gridfire/fbfm40.tif",
     ],
 )
-def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, climate: str) -> None:
-    path = shared_data / name
+def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, region_name: str) -> None:
+    path, region = shared_data / name, FuelClimate.named(region_name)
     _, grid = raster(path)
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), grid)
-    scores = {score.way: score for score in score_crosswalk(prior, climate)}
-    both = prior.fbfm13 is not None
-    for way in ("table", "export, its own FBFM13 within the fuel type") if both else ("table",):
-        for kind in ("grass", "shrub", "timber"):
-            kept = scores[way].kept[kind]
-            assert kept.count >= 0.99 * kept.of
-    if both:
-        given, within = (
-            scores[f"export, its own FBFM13 {way}"].agreement for way in ("as given", "within the fuel type")
-        )
-        assert given is not None
-        assert within is not None
-        assert given.count == given.of > 100_000  # LANDFIRE's own codes stay, bit for bit
-        assert within.of - within.count == prior.contradicting > 500
+    cover = None if prior.canopy is None else prior.canopy[0]
+    ways = [region.as_crosswalk().to_fbfm13(prior.codes, cover)]
+    if prior.fbfm13 is not None:
+        ways.append(exported(prior, region, within_fuel_type(prior)))
+        both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
+        assert both.sum() > 100_000
+        same = exported(prior, region, prior.fbfm13) == prior.fbfm13
+        assert same[both].all(), "LANDFIRE's own codes stay, bit for bit"
+        assert (ways[1] != prior.fbfm13)[both].sum() == prior.contradicting > 500
+    for codes in ways:
+        for own, group_of_13 in GROUPS.values():
+            cells = np.isin(prior.codes, list(own))
+            assert np.isin(codes, list(group_of_13))[cells].sum() >= 0.99 * cells.sum()
 
 
 @pytest.mark.parametrize(
-    ("name", "climate", "contradicting"),
-    [("fuels_vermont_landfire/LC22_F40_230.tif", "humid", 593), ("fuels_tubbs_pair/" + LATER, "dry", 47_498)],
+    ("name", "region_name", "contradicting", "by_table", "by_export"),
+    [
+        ("fuels_vermont_landfire/LC22_F40_230.tif", "humid", 593, 0.976, 0.997),
+        ("fuels_tubbs_pair/" + LATER, "dry", 47_498, 0.901, 0.925),
+    ],
 )
-def test_agreement_with_landfires_own_fbfm13_is_never_lower(
-    shared_data: Path, name: str, climate: str, contradicting: int
+def test_agreement_with_landfires_own_fbfm13(
+    shared_data: Path, name: str, region_name: str, contradicting: int, by_table: float, by_export: float
 ) -> None:
-    """Than the table that knew no fuel type. The humid one gains where cover tells SH3 apart; the dry one alone loses
-    what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is brush in the other.
-    """
-    path = shared_data / name
+    """The dry region's table loses what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is
+    brush in the other."""
+    path, region = shared_data / name, FuelRegion.named(region_name)
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), raster(path)[1])
     assert prior.contradicting == contradicting
-    found = {score.way: score.agreement.value for score in score_crosswalk(prior, climate) if score.agreement}
-    before = found["unbound table"]
-    assert found["export, its own FBFM13 within the fuel type"] > before > 0.92
-    assert found["table"] > (before if climate == "humid" else before - contradicting / prior.codes.size)
+    assert prior.fbfm13 is not None
+    both = (prior.codes != NODATA) & (prior.fbfm13 != NODATA)
+    cover = None if prior.canopy is None else prior.canopy[0]
+    table = region.as_crosswalk().to_fbfm13(prior.codes, cover)
+    assert (table == prior.fbfm13)[both].mean() > by_table
+    assert (exported(prior, region, within_fuel_type(prior)) == prior.fbfm13)[both].mean() > by_export

@@ -22,8 +22,8 @@ from ltm_core.vision.label_head import find_label_head, read_label_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.cli.main import cli
 from ltm_lab.training.decoder_maps import with_decoder_maps
+from ltm_ros.cli.main import cli
 
 
 def _samples(features: list[list[float]], labels: list[int], shares: list[float]) -> PhotoSamples:

@@ -13,12 +13,9 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, ImageError, RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.codes import FuelClimate
-from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
-from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.scoring.fuel_change import score_map
@@ -27,7 +24,6 @@ from ltm_core.vision.label_confidence import Calibration, load_calibration
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli
-from ltm_lab.evaluation.fuel.false_changes import false_regions
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_msgs_py.bag.writer import BagWriter
@@ -67,47 +63,6 @@ def test_the_accuracy_of_reported_changes_at_any_prevalence() -> None:
     assert score.users_accuracy(0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
     silent = score_map("prior", np.full((2, 5), 2, np.uint8), truth, prior, np.ones((2, 5), bool))
     assert np.isnan(silent.users_accuracy(0.01))
-
-
-def test_what_false_changes_are() -> None:
-    """A stand that the network mislabels, and cells of right labels beside a felled patch."""
-    grid = GridGeometry(0.0, 240.0, 30.0, 11, 8)
-    prior = FuelPrior(np.full(grid.shape, 165, np.int16), grid)
-    truth = np.full(grid.shape, LifeForm.TREE, np.uint8)
-    truth[4:7, 7:9] = LifeForm.GRASS
-    mapped = truth.copy()
-    mapped[1:3, 1:4], mapped[5, 9] = LifeForm.SHRUB, LifeForm.GRASS
-    mapped[0, 10] = LifeForm.BARE  # nobody has seen it
-    layers = layers_of_classes(mapped, prior, FuelClimate.named("dry"))
-    cells = np.argwhere(np.arange(88).reshape(grid.shape) != 10)
-    rows, cols = cells.T.astype(np.int32)
-    counts = np.zeros((len(cells), len(LABELS)), np.uint32)
-    counts[:, Label.TREE] = 80
-    stand = (mapped[rows, cols] == LifeForm.SHRUB)[:, None] & (np.arange(len(LABELS)) == Label.SHRUB)
-    frames = [
-        CellVotes(
-            grid, rows, cols, np.where(stand, np.uint32(120), counts), np.zeros(len(cells), np.float32), 10**9, "north"
-        ),
-        CellVotes(
-            grid, rows[rows < 4], cols[rows < 4], counts[rows < 4], np.zeros((rows < 4).sum(), np.float32), 2, "east"
-        ),
-    ]
-    first, second = false_regions(layers, truth, frames, FORMS)
-    assert (first.cells, first.true, first.mapped, first.cameras) == (
-        6,
-        LifeForm.TREE,
-        LifeForm.SHRUB,
-        ("east", "north"),
-    )
-    assert first.labels[[LifeForm.SHRUB - 1, LifeForm.TREE - 1]] == pytest.approx([120 / 280, 160 / 280])
-    assert first.labelled_right
-    assert (first.row, first.col, first.beside_change) == (1, 2, False)
-    assert (second.cells, second.row, second.col, second.cameras) == (1, 5, 9, ("north",))
-    assert second.beside_change
-    assert np.isnan(second.footprint)
-    alone, _ = false_regions(layers, truth, frames[:1], FORMS)
-    assert alone.labels[[LifeForm.SHRUB - 1, LifeForm.TREE - 1]].tolist() == [0.6, 0.4]
-    assert not alone.labelled_right
 
 
 def drawn(wrong: np.ndarray, camera: str, second: int) -> CellVotes:

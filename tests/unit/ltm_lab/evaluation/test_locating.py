@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +9,11 @@ import pytest
 from scenes.located import hills
 
 from ltm_core.locating.settings import LocatingConfig
-from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
 from ltm_core.visibility.point_visibility import PointVisibility, project
-from ltm_lab.evaluation.locating.smoke_score import Case, Trial, smoke_trials
+from ltm_lab.evaluation.locating.control_points import PlaceScore
+from ltm_lab.evaluation.locating.smoke_score import Case, SmokeSummary, SmokeTrial, smoke_trials
 from ltm_lab.evaluation.locating.smoke_sites import MAST, ranged_mountains, smoke_site
 from ltm_lab.evaluation.locating.smoke_trials import CAMERA, Plume, PoseErrors, seen_plume, sighting
-from ltm_lab.evaluation.locating.summary import SmokeSummary
-from ltm_lab.evaluation.locating.turned_trials import EXACTLY, NamingScore, TurnedCase, turned_cases
 
 pytestmark = pytest.mark.kernel
 
@@ -61,57 +58,28 @@ def test_sites_differ_from_their_model_by_what_is_asked() -> None:
     assert site.towers[:, 2] - ground == pytest.approx(np.full(len(ground), MAST), abs=1e-3)
 
 
+def test_cameras_that_are_given_are_towers_if_they_stand_above_the_ground() -> None:
+    dem = ranged_mountains(3, 330, 30.0)
+    heights = dem.elevation_at(np.array([3000.0, 6000.0]), np.array([3000.0, 6000.0])) + np.array([20.0, -20.0])
+    site = smoke_site("small", dem, 3.0, 5, np.column_stack([[3000.0, 6000.0], [3000.0, 6000.0], heights]))
+    np.testing.assert_allclose(site.towers, [[3000.0, 3000.0, heights[0]]])
+
+
 def test_trials_are_run_and_summed_up() -> None:
     site = smoke_site("small", ranged_mountains(3, 330, 30.0), 3.0, 5)
     config = LocatingConfig(dem_sigma=3.0)
     trials = list(smoke_trials(site, (Case.ONE,), 3, PoseErrors(0.06), config, False, 1))
     again = list(smoke_trials(site, (Case.ONE,), 3, PoseErrors(0.06), config, False, 1))
-    assert [trial.error for trial in trials] == [trial.error for trial in again]
+    assert [trial.place.error for trial in trials] == [trial.place.error for trial in again]
     trials += smoke_trials(site, (Case.TURNED,), 1, PoseErrors(0.06), config, False, 1)
     assert [bool(trial.wrong) for trial in trials] == [False, False, False, True]
     one = SmokeSummary.of(trials)
-    assert one is not None
     assert one.count == 4
-    assert one.error == pytest.approx(np.median([trial.error for trial in trials]))
-    assert SmokeSummary.of([]) is None
+    assert one.error == pytest.approx(np.median([trial.place.error for trial in trials]))
 
 
 def test_a_refused_answer_counts_as_a_miss() -> None:
-    found = Trial("a", "one camera", False, 2e3, 0.0, 10.0, 9.0, 0.3, True, True, 50.0, 9.0, 1, True, "", "", 8.0)
-    refused = replace(found, error=math.nan, in_50=False, in_95=False, densest=1.0, unlocated="sky")
+    found = SmokeTrial("a", "one camera", False, 2e3, 0.0, "", PlaceScore(10.0, 9.0, 0.3, True, True, 50.0, 9.0))
+    refused = replace(found, place=PlaceScore(unlocated="sky"))
     one = SmokeSummary.of([found, refused])
-    assert one is not None
     assert (one.unlocated, one.error, one.ellipse_95, one.densest_95) == (1, 10.0, 0.5, 0.5)
-
-
-def turned_case(turned: str, *turns_deg: float) -> TurnedCase:
-    """Fires whose marks say that `a` is turned by 2 degrees, or that `b` is by another angle each time."""
-    fires = []
-    for other in turns_deg:
-        off = {"a": TURNS - math.radians(2.0), "b": TURNS - math.radians(other)}
-        ratios = {name: np.logaddexp(15.0 - 0.5 * (at / 0.002) ** 2, -9.0) for name, at in off.items()}
-        fires.append(TurnEvidence(ratios, {"a": 0.001, "b": 0.001}, {}))
-    return TurnedCase("site", turned, 2.0 if turned else 0.0, tuple(fires))
-
-
-def test_naming_is_scored_by_fires() -> None:
-    cases = [turned_case("a", 1.5, 0.3), turned_case("b", 1.5, 0.3), turned_case("", 1.5, 0.3), turned_case("a")]
-    one, two = (NamingScore.of(cases, fires, 0.9) for fires in (1, 2))
-    assert (one.count, one.named, one.wrongly_named, one.suspect) == (4, 0.0, 0.0, 0.25)
-    assert (two.named, two.wrongly_named, two.suspect) == (0.25, 0.5, 0.25)
-    assert two.off_deg == pytest.approx(0.0, abs=0.05)
-    assert [case.told for case in cases] == [True, False, False, False]
-    told = NamingScore.of(cases[:1], 2, 0.9, slips=EXACTLY)
-    assert (told.named, told.off_deg) == (1.0, pytest.approx(0.0, abs=0.01))
-
-
-@pytest.mark.slow
-def test_a_turned_camera_is_named_by_three_fires() -> None:
-    site = smoke_site("seed 1", ranged_mountains(1, 700, 25.0), 2.5, 1)
-    config = LocatingConfig(dem_sigma=2.5)
-    cases = list(turned_cases(site, 2, 3, True, PoseErrors(0.06), config, 1))
-    assert len(cases) == 2
-    assert all(2 <= len(case.fires) <= 3 for case in cases)  # a mark that no ground explains is refused
-    assert NamingScore.of(cases, 3, 0.9).suspect == 1.0
-    none = list(turned_cases(site, 1, 2, False, PoseErrors(0.06), config, 1))
-    assert NamingScore.of(none, 2, 0.9).wrongly_named == 0.0

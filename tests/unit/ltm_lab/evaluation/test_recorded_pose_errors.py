@@ -1,17 +1,14 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes.phone_site import phone_site
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_lab.cli.main import cli
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.demo.pose_errors import recorded_pose_errors
@@ -38,13 +35,5 @@ def test_errors_are_told_minus_true_by_stamp(tmp_path: Path) -> None:
     assert found.unmatched == 1
     np.testing.assert_allclose(found.errors, np.tile([1.0, -2.0, 0.5, 6.0, 1.0, -2.5], (3, 1)), atol=1e-9)
     np.testing.assert_allclose(found.sigmas, np.tile([4.0, 4.0, 7.0, 8.2, 1.0, 2.0], (3, 1)), rtol=1e-9)
-    arguments = ["eval", "recorded-poses", str(tmp_path / "told"), "--true", str(tmp_path / "true")]
-    arguments += ["--site", str(tmp_path / "site.yaml"), "--json", str(tmp_path / "figures.json")]
-    result = CliRunner().invoke(cli, arguments, env={"COLUMNS": "160"}, catch_exceptions=False)
-    assert "3 frames" in result.output
-    assert "1 without a true pose" in result.output
-    figures = json.loads((tmp_path / "figures.json").read_text())
-    assert figures["azimuth, deg"]["mean"] == pytest.approx(6.0)
-    assert figures["azimuth, deg"]["z"] == pytest.approx(1.48 * 6.0 / 8.2)
     with pytest.raises(RecordingError, match="no frame of one stamp in common"):
         recorded_pose_errors(bag(tmp_path / "other", {77: true[1]}, False), tmp_path / "true", site)

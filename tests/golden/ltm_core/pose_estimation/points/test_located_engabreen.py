@@ -25,7 +25,7 @@ def test_surveyed_points_lie_in_their_ellipses(shared_data: Path) -> None:
     camera = Camera(4290, 2856, 5850.0, 5850.0, 2144.5, 1427.5)
     position = np.array([722.0, 671.0, 770.0])
     config = LocatingConfig(dem_sigma=1.5)
-    found = list(located_points(points, camera, position, dem, ray_bend(True, 0.13), config))
+    found = [p.place for p in located_points(points, camera, position, dem, ray_bend(True, 0.13), config)]
     assert len(found) == 14
     assert sum(point.in_95 for point in found) >= 13
     assert np.median([point.likeliest_error for point in found]) < 5.0
