@@ -41,7 +41,7 @@ def print_table(
 
     table = Table(title=title, caption=caption or None)
     for number, column in enumerate(columns):
-        table.add_column(column, justify="right" if number else "left")
+        table.add_column(column, justify="right" if number else "left", overflow="fold")
     for row in rows:
         table.add_row(*(str(value) for value in row))
     console.print(table)

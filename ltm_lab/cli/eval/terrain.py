@@ -166,11 +166,9 @@ def _simulated_frames(
             earlier = list(read_truth_frames(folder, known[0])) * watched if watched else []
             added = read_truth_frames(folder, date)
             score = score_frames(added, ground, before, now, measure, config, looks, gone, earlier)
-        verdicts = ", ".join(f"{verdict} {count}" for verdict, count in score.verdicts.items())
+        console.print(f"{name}: verdicts of the fusion: {dict(score.verdicts)}", highlight=False)
         off = (_shown(share, ".2%") for share in score.tails)
-        rows.append(
-            (f"{name}: {verdicts}", str(score.frames), *_columns(score.change, score.before, score.after), *off)
-        )
+        rows.append((name, str(score.frames), *_columns(score.change, score.before, score.after), *off))
         figures.append({"depth": name, "frames": score.frames, "tails": score.tails, "verdicts": dict(score.verdicts)}
                        | _figures(score.change, score.before, score.after))  # fmt: skip
         if pictures is not None:

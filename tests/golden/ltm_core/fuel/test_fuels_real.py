@@ -11,7 +11,7 @@ import rasterio
 from rasterio.warp import Resampling, reproject
 
 from ltm_core.base.errors import RasterError
-from ltm_core.fuel.codes import FuelClimate, FuelRegion, FuelSystem, of_one_fuel_type
+from ltm_core.fuel.codes import FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
 from ltm_core.fuel.export.landscape import surface_codes
@@ -171,7 +171,7 @@ def test_agreement_with_landfires_own_fbfm13(
 ) -> None:
     """The dry region's table loses what LANDFIRE's two maps contradict each other in, most of it GR2, grass, that is
     brush in the other."""
-    path, region = shared_data / name, FuelRegion.named(region_name)
+    path, region = shared_data / name, FuelClimate.named(region_name)
     prior = load_prior(PriorConfig(path=path.parent, fbfm40=path, own_fbfm13="as_given"), raster(path)[1])
     assert prior.contradicting == contradicting
     assert prior.fbfm13 is not None
