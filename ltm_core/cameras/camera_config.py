@@ -1,7 +1,6 @@
 """How a camera's pose and calibration are written: one set of keys for site files, pose files and CSV columns.
 
-A *partial* model holds what is known of a photo, the other what a camera needs. Former spellings are still read:
-`position: [x, y, z]` for x, y, z and `distortion: [k1, k2, p1, p2, k3]` for its five keys.
+A *partial* model holds what is known of a photo, the other what a camera needs.
 """
 
 from __future__ import annotations
@@ -24,8 +23,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_covariance
 from ltm_core.raster.dem import Dem
 
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-
 
 class PartialCalibration(StrictModel):
     """What is known of a camera's calibration, in pixels of the upright image."""
@@ -46,20 +43,6 @@ class PartialCalibration(StrictModel):
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_distortion(cls, data: Any) -> Any:
-        if not (isinstance(data, dict) and "distortion" in data):
-            return data
-        values = data["distortion"]
-        if not isinstance(values, list | tuple) or len(values) != 5 or data.keys() & set(_DISTORTION):
-            raise ValueError(
-                f"distortion is the former spelling of {', '.join(_DISTORTION)}, a list of these five: give those keys"
-            )
-        return {key: value for key, value in data.items() if key != "distortion"} | dict(
-            zip(_DISTORTION, values, strict=True)
-        )
 
     @model_validator(mode="after")
     def _no_contradiction(self) -> Self:
@@ -150,16 +133,6 @@ class PartialPose(StrictModel):
     azimuth_sigma_deg: float | None = Field(None, gt=0)
     pitch_sigma_deg: float | None = Field(None, gt=0)
     roll_sigma_deg: float | None = Field(None, gt=0)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_position(cls, data: Any) -> Any:
-        if not (isinstance(data, dict) and "position" in data):
-            return data
-        values = data["position"]
-        if not isinstance(values, list | tuple) or len(values) not in (2, 3) or data.keys() & {"x", "y", "z"}:
-            raise ValueError("position is the former spelling of x, y and z, a list of two or three: give those keys")
-        return {key: value for key, value in data.items() if key != "position"} | dict(zip("xyz", values, strict=False))
 
     @model_validator(mode="after")
     def _no_contradiction(self) -> Self:

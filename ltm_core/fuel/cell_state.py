@@ -151,8 +151,6 @@ UNIT: Final = 256
 TILE: Final = 32
 """Cells a side of the tiles in which the state is kept."""
 EVIDENCE_VERSION: Final = 3
-EXTENDED_VERSION: Final = 2
-"""Knew no shares of woody pixels; a store of it is opened with none."""
 
 EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
     "shown": Field(np.uint32, (VIEWS, EPOCHS, FORMS)),  # sum of what the frames say for each form

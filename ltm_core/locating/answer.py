@@ -17,7 +17,7 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.locating.locator import CameraAgreement, Location
 from ltm_core.locating.place import PlaceView, place_views
 from ltm_core.locating.posterior import Ellipse
-from ltm_core.locating.turn_watch import TurnVerdict
+from ltm_core.locating.wrong_camera import TurnVerdict
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
@@ -162,16 +162,16 @@ def agreement_data(agreement: CameraAgreement | None) -> dict[str, Any] | None:
 
 
 def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
-    """The camera that is named as turned: its probability, and by how much its stated azimuths are too great."""
+    """Return the camera that is named as turned, its probability, and by how much its stated azimuths are too great:
+    None for a camera that has marked no fire."""
     if verdict.wrong is None:
         return None
     return {
         "camera": verdict.wrong,
         "probability": round(verdict.suspicion[verdict.wrong], 4),
-        "turned_deg": round(math.degrees(verdict.turn), 3),
-        "sigma_deg": round(math.degrees(verdict.sigma), 3),
+        "turned_deg": round(math.degrees(verdict.turn), 3) if verdict.fires else None,
+        "sigma_deg": round(math.degrees(verdict.sigma), 3) if verdict.fires else None,
         "fires": verdict.fires,
-        "pictures": verdict.pictures,
         "by": list(verdict.by),
     }
 

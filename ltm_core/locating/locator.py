@@ -16,7 +16,7 @@ Mounts slip and encoders lose their zero about the vertical: the camera's slope 
 how far it must be turned for each place says something too. The cameras disagree where the mean of these ratios is
 above `wrong_odds`. The shares of the ratios are then the probabilities of each camera to be the wrong one, and the
 answer is the mixture, by these, of what the others say without it. Which is named is judged by how mounts slip
-(`turn_watch.judged`); of two cameras none is: one fire's marks tell no more than that one is wrong.
+(`wrong_camera.judged`); of two cameras none is: one fire's marks tell no more than that one is wrong.
 
 `misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have.
 """
@@ -38,7 +38,7 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import OTHER_SLOPE
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
 from ltm_core.locating.turn_evidence import TurnEvidence, turn_evidence
-from ltm_core.locating.turn_watch import TurnVerdict, judged
+from ltm_core.locating.wrong_camera import TurnVerdict, judged
 from ltm_core.raster.dem import Dem
 
 MOST_SIGHTINGS = 64
@@ -53,7 +53,7 @@ class CameraAgreement:
     """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
     where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
     one, where they disagree; else empty. `wrong`: the one that is named, `verdict` being sure of it. `turns`: what the
-    marks say of each camera's turn, to be taken together with other fires' (`turn_watch`); `verdict`: of these alone.
+    marks say of each camera's turn, to be taken together with other fires' (`wrong_camera`); `verdict`: of these alone.
     """
 
     statistic: float

@@ -18,7 +18,7 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.locator import CameraAgreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.turn_watch import TurnVerdict, TurnWatch
+from ltm_core.locating.wrong_camera import FireMemory, TurnVerdict
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
@@ -85,12 +85,12 @@ class Tracks:
     of_a_camera: int = 2
     memory_ns: int = DAY_NS
     tracks: list[Track] = field(default_factory=list)
-    watch: TurnWatch = field(init=False)
+    fires: FireMemory = field(init=False)
     _next: int = 1
     _named: str | None = None
 
     def __post_init__(self) -> None:
-        self.watch = TurnWatch(self.locator.config.sure_of_wrong, self.memory_ns)
+        self.fires = FireMemory(self.locator.config.sure_of_wrong, self.memory_ns)
 
     def add(self, seen: SeenAt) -> tuple[Track, Location, str | None]:
         """The track that a sighting belongs to now, where the sighting alone is, and, where it does not agree with a
@@ -118,7 +118,7 @@ class Tracks:
             _, track, location = best
             track.sightings, track.location = self._kept([*track.sightings, seen]), location
             if location.agreement is not None:
-                self.watch.note(track.fire, seen.stamp_ns, location.agreement.turns)
+                self.fires.note(track.fire, seen.stamp_ns, location.agreement.turns)
             self.rename()
             return self._with(seen, track), alone, None
         track = Track(self._next, [seen], alone, self._next)
@@ -126,7 +126,7 @@ class Tracks:
             other, agreement = max(disputes, key=lambda each: len(each[0].cameras))
             track.fire = other.fire
             track.disputed = other.disputed = frozenset(agreement.turns.ratios)
-            self.watch.note(other.fire, seen.stamp_ns, agreement.turns)
+            self.fires.note(other.fire, seen.stamp_ns, agreement.turns)
         self._next += 1
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
         self.rename()
@@ -140,7 +140,7 @@ class Tracks:
         A track that others have marked too goes on by their marks. One that only it has marked stays where it is, and
         takes no more, until it ends.
         """
-        found = self.watch.forget(camera)
+        found = self.fires.forget(camera)
         for track in self.tracks:
             if camera in track.disputed:
                 track.disputed = frozenset()
@@ -160,7 +160,7 @@ class Tracks:
         """Say of each track which of its cameras is wrong, by what is known now, which is returned. Of a camera that is
         newly named, what it had kept apart is put together.
         """
-        verdict = self.watch.verdict
+        verdict = self.fires.verdict
         if verdict.wrong is not None and verdict.wrong != self._named:
             for fire in dict.fromkeys(track.fire for track in self.tracks if verdict.wrong in track.disputed):
                 self._reunite(fire, verdict.wrong)
@@ -200,7 +200,7 @@ class Tracks:
 
     def expire(self, now_ns: int) -> None:
         """End tracks that nobody has seen for long, and forget what was said of cameras long ago."""
-        self.watch.expire(now_ns)
+        self.fires.expire(now_ns)
         self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:

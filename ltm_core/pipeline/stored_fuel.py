@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, EXTENDED_VERSION, TILE
+from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, record
@@ -23,7 +23,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
 from ltm_core.storage.text_io import load_array
 from ltm_core.storage.tile_store import Key, TileStore
-from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile, with_all_fields
+from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord, StoreSchema, Tile
 from ltm_core.surface.change import Changed
 
 STORE_KIND: Final = "fuel"
@@ -42,9 +42,7 @@ def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
 
     The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
     """
-    return StoreSchema(
-        STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), extends=EXTENDED_VERSION
-    )
+    return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 
 
 def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
@@ -53,8 +51,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
     """
     for key, tile in store.tiles():
-        # One of an earlier version, opened for reading, lacks fields.
-        evidence.load_tile(key, with_all_fields(tile, EVIDENCE_FIELDS, TILE))
+        evidence.load_tile(key, tile)
     evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():
@@ -73,7 +70,7 @@ def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileS
     store = TileStore.open_read_only(path, STORE_KIND)
     try:
         schema = fuel_schema(site, empty.geometry)
-        if not schema.grown_from(store.schema) and (differences := schema.differences(store.schema)):
+        if differences := schema.differences(store.schema):
             raise ConfigError(f"{path}: not the store of this site's fuel map: {differences}")
         restore(store, empty)
     except BaseException:

@@ -26,7 +26,6 @@ from ltm_core.storage.tile_store_file import (
     TABLES,
     checked_rows,
     create_store,
-    grow,
     lock_store,
     open_store,
     transaction,
@@ -89,9 +88,9 @@ class TileStore:
     ) -> TileStore:
         """The store in `path`, made where there is none, for this process alone to write.
 
-        One of an earlier version that lacks fields gets them, all 0, in one transaction. Raises ConfigError for a file
-        that is no store, is damaged, or was made for other content or another grid: such a file stays as it is.
-        Raises StoreError where another process writes it, the folder cannot be written or the disk is full.
+        Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
+        a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or the
+        disk is full.
         """
         path = Path(path)
         if not path.parent.is_dir():
@@ -103,16 +102,7 @@ class TileStore:
             database, stored = open_store(path, read_only=False)
             reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             try:
-                if schema.grown_from(stored):
-                    try:
-                        grow(database, stored, schema, str(path))
-                    except StoreError as error:
-                        # Held by a process that was killed; one that ends in order leaves nothing held.
-                        if not wants_room(error) or not reserve.held:
-                            raise
-                        with _lent(reserve, database):
-                            grow(database, stored, schema, str(path))
-                elif differences := schema.differences(stored):
+                if differences := schema.differences(stored):
                     raise ConfigError(
                         f"{path}: not a store of this map: {differences}; move it away or name another file"
                     )

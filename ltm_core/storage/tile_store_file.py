@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import ConfigError, StoreError
-from ltm_core.storage.tile_store_schema import StoreSchema, with_all_fields
+from ltm_core.storage.tile_store_schema import StoreSchema
 
 APPLICATION_ID = 0x4C544D31  # "LTM1"
 LAYOUT = 1
@@ -202,13 +202,3 @@ def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connectio
             if db.in_transaction:
                 db.execute("ROLLBACK")
             raise
-
-
-def grow(db: sqlite3.Connection, stored: StoreSchema, schema: StoreSchema, name: str) -> None:
-    """Make a store of an earlier version, of which `schema` has grown, one of `schema`: all of it or nothing."""
-    with transaction(db, name):
-        for row, col in db.execute("SELECT row, col FROM tiles").fetchall():
-            (content,) = db.execute("SELECT content FROM tiles WHERE row = ? AND col = ?", (row, col)).fetchone()
-            packed = schema.pack((row, col), with_all_fields(stored.unpack(content), schema.fields, schema.tile))
-            db.execute("UPDATE tiles SET content = ? WHERE row = ? AND col = ?", (packed, row, col))
-        db.execute("UPDATE description SET content = ?", (schema.described(),))

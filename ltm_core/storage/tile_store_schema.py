@@ -25,12 +25,6 @@ Tile = dict[str, NDArray[Any]]
 LARGEST_TILE = 64 << 20
 """Bytes of a tile; those of our maps have one or two million."""
 _LEVEL = 1
-_RENAMED = {
-    "witnesses": "camera_hashes",
-    "sheet_variance": "relative_variance",
-    "c_sheet_variance": "c_relative_variance",
-}
-"""Fields by the names that stores of version 0.1 know them by; a field's place in a tile's bytes is not by name."""
 _CHANGE = np.dtype([("row", "<i4"), ("col", "<i4"), ("old", "<i4"), ("new", "<i4")])
 
 
@@ -76,8 +70,6 @@ class StoreSchema:
     tile: int
     fields: Mapping[str, Field]
     terms: str = ""
-    extends: int | None = None
-    """The earliest version to which this one has only added fields, so that what is not in its stores is 0."""
 
     def __post_init__(self) -> None:
         if self.tile < 1 or not self.fields:
@@ -111,10 +103,7 @@ class StoreSchema:
                 content.version,
                 GridGeometry(**asdict(content.geometry)),
                 content.tile,
-                {
-                    _RENAMED.get(name, name): Field(np.dtype(dtype), tuple(shape))
-                    for name, (dtype, shape) in content.fields.items()
-                },
+                {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content.fields.items()},
                 content.terms,
             )
         except ValidationError as error:
@@ -129,12 +118,6 @@ class StoreSchema:
         """What `other` has otherwise; empty where both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
-
-    def grown_from(self, older: StoreSchema) -> bool:
-        """Whether `older` is an earlier version that lacks fields and is otherwise the same (`extends`)."""
-        same = all(getattr(self, n) == getattr(older, n) for n in ("kind", "geometry", "tile", "terms"))
-        known = all(name in self.fields and self.fields[name] == field for name, field in older.fields.items())
-        return same and known and self.extends is not None and self.extends <= older.version < self.version
 
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
         """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
@@ -227,14 +210,6 @@ class Touch:
     frames: int
     first_ns: int
     last_ns: int
-
-
-def with_all_fields(tile: Tile, fields: Mapping[str, Field], size: int) -> Tile:
-    """A tile of an earlier version, `size` cells a side, with all of today's `fields`: what it did not know is 0."""
-    return {
-        name: tile[name] if name in tile else np.zeros((size, size, *spec.shape), np.dtype(spec.dtype))
-        for name, spec in fields.items()
-    }
 
 
 def compressed(content: bytes) -> bytes:

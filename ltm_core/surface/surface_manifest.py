@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -17,8 +16,7 @@ VERSION = r"[0-9a-f]{16}"
 KEPT = 100
 """Versions whose files are kept: frames of months name the surface that they were traced to."""
 FORMAT = 1
-"""Of manifests, the newest that this program reads. A manifest of the first says none, as those before it was counted;
-a later one must say its own, as the number `format`."""
+"""Format of the manifests that this program reads. A later format must state its number as `format`."""
 
 
 class SurfaceVersion(StrictModel):
@@ -68,21 +66,6 @@ class SurfaceManifest(StrictModel):
     versions: tuple[SurfaceVersion, ...] = ()
     history: tuple[CountedVersion, ...] = ()
     forgotten: bool = False
-
-    @model_validator(mode="before")
-    @classmethod
-    def _history_of_parents(cls, content: Any) -> Any:
-        """Manifests of before had none: what counted was a version, its parent, and so on."""
-        if not isinstance(content, dict) or "history" in content or not isinstance(content.get("versions"), list):
-            return content
-        entries = [one for one in content["versions"] if isinstance(one, dict)]
-        known = {one["version"]: one for one in entries if isinstance(one.get("version"), str)}
-        chain, name = [], content.get("current", AS_GIVEN)
-        while isinstance(name, str) and name in known:
-            one = known.pop(name)
-            chain.append({"version": name, "as_of_ns": one.get("as_of_ns")})
-            name = one.get("parent")
-        return content | {"history": chain[::-1], "forgotten": bool(name)}
 
     @model_validator(mode="after")
     def _current_is_listed(self) -> SurfaceManifest:

@@ -7,12 +7,11 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.strict_model import StrictModel
@@ -28,15 +27,9 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.tracing.holes import PossibleGround
 
-_FORMER_POSE = ("position", "crs", "height_above_ground", "azimuth_deg", "pitch_deg", "roll_deg")
-"""Keys of `pose` that stood beside it in former pose files."""
-
 
 class PoseFile(StrictModel):
-    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file.
-
-    In former ones the keys of `pose` stood at the top, and `calibration` was called `camera`; they are still read.
-    """
+    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file."""
 
     pose: PlacedPose
     calibration: CalibrationConfig
@@ -44,18 +37,6 @@ class PoseFile(StrictModel):
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
     """How high the ground may be where the DEM does not know it."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_sections(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        data = dict(data)
-        if "calibration" not in data and "camera" in data:
-            data["calibration"] = data.pop("camera")
-        if "pose" not in data:
-            data["pose"] = {key: data.pop(key) for key in _FORMER_POSE if key in data}
-        return data
 
 
 class PictureConfig(PoseFile):

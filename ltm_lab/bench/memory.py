@@ -105,11 +105,8 @@ def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
     _write(
         folder / "pose.yaml",
         {
-            "position": [x, y],
-            "height_above_ground": MAST_M,
-            "azimuth_deg": east,
-            "pitch_deg": PITCH_DEG,
-            "camera": calibration,
+            "pose": {"x": x, "y": y, "height_above_ground": MAST_M, "azimuth_deg": east, "pitch_deg": PITCH_DEG},
+            "calibration": calibration,
         },
     )
     (folder / "photos").mkdir()

@@ -9,12 +9,12 @@ import numpy as np
 
 from ltm_core.site.site import Site
 from ltm_lab.evaluation.truth_frames_io import TruthFrame
-from ltm_ros.recordings.recorded_run import stream_of
+from ltm_ros.recordings.frame_stream import FrameStream
 
 
 def recorded_truth_frames(bag: Path, site: Site) -> Iterator[TruthFrame]:
     """The frames of a bag that have photo, calibration, pose and truth. Raises RecordingError, ImageError."""
-    for frame in stream_of(bag, site).frames(("pose", "photo", "truth_depth", "truth_ground", "truth_labels")):
+    for frame in FrameStream.open(bag, site).frames(("pose", "photo", "truth_depth", "truth_ground", "truth_labels")):
         camera = frame.take("camera") or frame.take("depth_camera")
         if camera is None:
             continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +13,9 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.pose_covariance import pose_sigmas
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.topics import POSE, camera_topic
+from ltm_ros.recordings.frame_stream import FrameStream
+from ltm_ros.runtime.topics import POSE
 
 PARTS = ("east, m", "north, m", "up, m", "azimuth, deg", "pitch, deg", "roll, deg")
 
@@ -57,11 +57,9 @@ def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseError
 
 def recorded_poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
     """Of all cameras by camera and stamp: the pose in the map frame, and the covariance (6, 6) that it states."""
-    reader = BagReader(bag)
-    names = {camera_topic(site.name, camera, POSE): camera for camera in site.cameras}
-    found = {}
-    for message in reader.messages([name for name in names if name in reader.topics()]):
-        decoded = reader.decode(message)
-        key = names[message.topic], stamp_of(decoded)
-        found[key] = msg_to_pose(decoded, "map"), msg_to_covariance(decoded)
-    return found
+    stream = FrameStream.open(bag, site, {"pose": ((POSE, _stated),)})
+    return {(frame.camera_name, frame.stamp_ns): frame.take("pose") for frame in stream.frames()}
+
+
+def _stated(message: Any) -> tuple[Pose, Float64Array | None]:
+    return msg_to_pose(message, "map"), msg_to_covariance(message)

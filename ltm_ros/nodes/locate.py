@@ -36,7 +36,6 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.pose_correction import msg_to_correction
-from ltm_msgs_py.skyline_turns import msg_to_turns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -50,7 +49,6 @@ from ltm_ros.runtime.topics import (
     LOCATE_REGION,
     LOCATE_TRACKS,
     POSE_CORRECTION,
-    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -120,7 +118,6 @@ class LocateHandler(Handler[LocateConfig]):
             found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
             if self._site.refine_poses is not None:
                 found[self._of(name, POSE_CORRECTION)] = partial(self.on_correction, name)
-                found[self._of(name, POSE_TURNS)] = partial(self.on_turns, name)
             found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
             found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
         return found
@@ -146,10 +143,8 @@ class LocateHandler(Handler[LocateConfig]):
         self._poses[name].add(stamp_of(message), msg_to_pose(message, "map"), covariance)
 
     def on_correction(self, name: str, message: Any) -> None:
-        """Which cameras' pictures say that they look elsewhere. With one whose mount has been fitted anew it begins
-        anew.
-        """
-        correction, lost = msg_to_correction(message), self._tracks.watch.lost
+        """Note whether a camera's pose is known. Evidence from before a new correction is forgotten."""
+        correction, lost = msg_to_correction(message), self._tracks.fires.lost
         before = self._rotations[name]
         if correction.known:
             lost.discard(name)
@@ -163,20 +158,6 @@ class LocateHandler(Handler[LocateConfig]):
         if refitted or named != self._told:
             self._told = named
             self._publish_tracks(stamp_of(message))
-
-    def on_turns(self, name: str, message: Any) -> None:
-        """What a clear picture of a camera says of its being turned."""
-        told = msg_to_turns(message, name)
-        if self._stamps.refuses(f"turns of {name}", told.turns.stamp_ns):
-            return
-        if _apart(told.rotation, self._rotations[name]) > STEP:
-            self.health.note(f"turns_of_another_correction.{name}")
-            return
-        self._tracks.watch.look(name, told.turns)
-        named = self._named()
-        if named != self._told:
-            self._told = named
-            self._publish_tracks(told.turns.stamp_ns)
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
@@ -261,12 +242,9 @@ class LocateHandler(Handler[LocateConfig]):
                 "disagrees": track.wrong,
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
-        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "turned": self._turned(), "features": features}
+        turned = turned_data(self._tracks.fires.verdict)
+        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "turned": turned, "features": features}
         self.outlet.publish(LOCATE_TRACKS, String(data=json.dumps(collection)))
-
-    def _turned(self) -> dict[str, Any] | None:
-        """The camera that is turned by all that fires and pictures have said, if one is named."""
-        return turned_data(self._tracks.watch.verdict)
 
 
 def _apart(one: Float64Array, other: Float64Array) -> float:

@@ -12,13 +12,11 @@ import numpy as np
 from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, StoreError
-from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.site_poses import mount_terms, site_terrain
 from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking
@@ -26,7 +24,6 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.pose_correction import correction_to_msg
-from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture
@@ -36,7 +33,6 @@ from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     POSE_CORRECTION,
     POSE_INFO,
-    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     STATED_POSE,
@@ -51,7 +47,7 @@ class PoseKeepingConfig(JoinConfig):
 class PoseHandler(Handler[PoseKeepingConfig]):
     """Looks at a picture now and then: what it costs is that of a few frames a minute."""
 
-    publications = (POSE_CORRECTION, POSE_INFO, POSE_TURNS)
+    publications = (POSE_CORRECTION, POSE_INFO)
 
     def __init__(self, config: PoseKeepingConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -119,18 +115,11 @@ class PoseHandler(Handler[PoseKeepingConfig]):
             self.health.note(f"mount.{watch.state.value}")
             self._tell(stamp)
             self._keep()
-        self._tell_turns(evidence, stamp, stated, covariance)
         self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
 
     def _tell(self, stamp: int) -> None:
         self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
         self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
-
-    def _tell_turns(self, evidence: PictureEvidence, stamp: int, stated: Pose, covariance: Float64Array) -> None:
-        turns = self._watch.turns(evidence, stamp, stated, covariance)
-        if turns is not None:
-            told = ToldTurns(self.config.camera, self._watch.correction.rotation, turns)
-            self.outlet.publish(POSE_TURNS, turns_to_msg(told))
 
     def _recall(self, seen: Camera | None) -> None:
         """Begin with what is kept. `seen`: the calibration of the pictures, where the site does not state it."""

@@ -7,14 +7,11 @@ from pathlib import Path
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.evenly import evenly
 from ltm_core.base.types import UInt8Array
+from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
 from ltm_core.storage.photo_io import read_rgb
 from ltm_core.vision.masks import Looking, ViewMask
-from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.image import compressed_to_rgb, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.recordings.frame_stream import raw_stamp
-from ltm_ros.runtime.topics import IMAGE_COMPRESSED, IMAGE_RAW, POSE, POSED_POSE, camera_topic
+from ltm_ros.recordings.frame_stream import PARTS, FrameStream
 
 PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
 """Endings of photos; .tif is left out: rasters are called so."""
@@ -41,38 +38,23 @@ def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], l
 def recorded_pictures(
     bag: Path, site: Site, camera: str, most: int, view: ViewMask | None = None
 ) -> tuple[list[str], list[UInt8Array]]:
-    """Names by stamps, and pictures of a camera in a recording, at most so many; `view`: those that look there, by the
-    poses of their stamps. Raises RecordingError, ImageError."""
-    raw = site.camera(camera).image == "raw"
-    topic = camera_topic(site.name, camera, IMAGE_RAW if raw else IMAGE_COMPRESSED)
-    reader = BagReader(bag)
-    stamps = [raw_stamp(message) for message in reader.messages([topic])]
+    """Return names by stamps, and pictures of a camera in a recording, `most` of them at most.
+
+    `view`: only pictures with a pose that looks there; the zoom does not count. Raises RecordingError, ImageError.
+    """
+    site.camera(camera)
+    stream = FrameStream(bag, site.name, [camera], {part: PARTS[part] for part in ("photo", "pose")})
+    if not stream.has("photo"):
+        raise RecordingError(f"{bag}: no image of {camera}; its topics are {stream.topics}")
+    needed = ("photo",) if view is None else ("photo", "pose")
+    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or _looks_at(f.take("pose"), view)]
     if not stamps:
-        raise RecordingError(f"{bag}: no message on {topic}; it has {', '.join(reader.topics())}")
-    numbers = list(range(len(stamps)))
-    if view is not None:
-        there = _looking_there(reader, site, camera, view)
-        numbers = [number for number in numbers if stamps[number] in there]
-        if not numbers:
-            raise RecordingError(f"{bag}: no picture of {camera} has a pose that looks to view {view.name}")
-    wanted = set(evenly(numbers, most))
-    names, pictures = [], []
-    for number, message in enumerate(reader.messages([topic])):
-        if number in wanted:
-            decoded = reader.decode(message)
-            names.append(f"{camera}_{message.log_time_ns}")
-            pictures.append(msg_to_rgb(decoded) if raw else compressed_to_rgb(decoded))
-    return names, pictures
+        raise RecordingError(f"{bag}: no picture of {camera} has a pose that looks to view {view.name if view else ''}")
+    wanted = set(evenly(stamps, most))
+    frames = [(f.stamp_ns, f.take("photo")) for f in stream.frames(needed) if f.stamp_ns in wanted]
+    return [f"{camera}_{stamp}" for stamp, _ in frames], [photo for _, photo in frames]
 
 
-def _looking_there(reader: BagReader, site: Site, camera: str, view: ViewMask) -> set[int]:
-    """Stamps of the camera's poses that look to the view. Of its zoom nothing is asked: pictures of other sizes are
-    told by who compares them."""
-    found = set()
-    for topic in (POSE, POSED_POSE):
-        for message in reader.messages([camera_topic(site.name, camera, topic)]):
-            pose = msg_to_pose(reader.decode(message), "map")
-            azimuth, pitch, _ = pose.angles_deg
-            if Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg:
-                found.add(raw_stamp(message))
-    return found
+def _looks_at(pose: Pose, view: ViewMask) -> bool:
+    azimuth, pitch, _ = pose.angles_deg
+    return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg

@@ -1,4 +1,4 @@
-"""Streams the frames of a bag, joined by camera and stamp, in bounded memory.
+"""The reader of recorded frames: streams the frames of a bag, joined by camera and stamp, in bounded memory.
 
 A first pass over the bag reads stamps alone and counts the messages of each frame; the second gives a frame out as soon
 as its last message has come. So memory holds the frames that overlap in time, however long the bag is.
@@ -16,13 +16,57 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import RecordingError
+from ltm_core.base.types import UInt8Array
+from ltm_core.site.site import Site
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.runtime.handler import Topic
-from ltm_ros.runtime.topics import camera_topic
+from ltm_ros.runtime.topics import (
+    CAMERA_INFO,
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_VOTES,
+    FUSED_DEPTH,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    LABELS_IMAGE,
+    NETWORK_DEPTH,
+    POSE,
+    POSED_POSE,
+    TRUTH_CAMERA_INFO,
+    TRUTH_DEPTH,
+    TRUTH_GROUND_DEPTH,
+    TRUTH_LABELS,
+    camera_topic,
+)
 
 Take = Callable[[Any], Any]
 Parts = Mapping[str, tuple[tuple[Topic, Take], ...]]
 """Name of a part -> the topics that may carry it, each with what turns its message into an array or core type."""
+
+
+def _mono8(message: Any) -> UInt8Array:
+    return msg_to_array(message, ("mono8",))
+
+
+PARTS: Parts = {
+    "camera": ((CAMERA_INFO, msg_to_camera),),
+    "depth_camera": ((DEPTH_CAMERA_INFO, msg_to_camera),),
+    "pose": ((POSE, msg_to_pose), (POSED_POSE, msg_to_pose)),
+    "photo": ((IMAGE_COMPRESSED, compressed_to_rgb), (IMAGE_RAW, msg_to_rgb)),
+    "traced": ((DEPTH_IMAGE, msg_to_depth),),
+    "network": ((NETWORK_DEPTH, msg_to_depth),),
+    "fused": ((FUSED_DEPTH, msg_to_depth),),
+    "labels": ((LABELS_IMAGE, _mono8),),
+    "votes": ((FUEL_VOTES, lambda m: m),),
+    "truth_camera": ((TRUTH_CAMERA_INFO, msg_to_camera),),
+    "truth_depth": ((TRUTH_DEPTH, msg_to_depth),),
+    "truth_ground": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
+    "truth_labels": ((TRUTH_LABELS, _mono8),),
+}
+"""The parts that any of our nodes or importers writes."""
 
 _HEADER = struct.Struct("<4siI")
 
@@ -72,7 +116,7 @@ class FrameStream:
     was logged.
     """
 
-    def __init__(self, bag: Path, site: str, cameras: Collection[str], parts: Parts) -> None:
+    def __init__(self, bag: Path, site: str, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)
         self._topics: dict[str, tuple[str, str, str, Take]] = {}
         for camera in cameras:
@@ -90,6 +134,16 @@ class FrameStream:
             self._parts[camera, stamp].add(part)
             self.counts[camera, part] += 1
             self.latencies_ms[camera, name].append((message.log_time_ns - stamp) / 1e6)
+
+    @classmethod
+    def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> FrameStream:
+        """Open a bag of a site's cameras. Raises RecordingError."""
+        return cls(bag, site.name, list(site.cameras), parts)
+
+    @property
+    def topics(self) -> str:
+        """The bag's topics, for error messages."""
+        return ", ".join(sorted(self._reader.topics())) or "(none)"
 
     def has(self, part: str) -> bool:
         """Whether the bag has this part of any frame."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.resources import config_path, project_path
@@ -18,54 +17,12 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pointcloud import msg_to_votes
-from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.recordings.frame_stream import FrameStream, Parts, StreamedFrame
-from ltm_ros.runtime.topics import (
-    CAMERA_INFO,
-    DEPTH_CAMERA_INFO,
-    DEPTH_IMAGE,
-    FUEL_MAP,
-    FUEL_VOTES,
-    FUSED_DEPTH,
-    IMAGE_COMPRESSED,
-    IMAGE_RAW,
-    LABELS_IMAGE,
-    NETWORK_DEPTH,
-    POSE,
-    POSED_POSE,
-    TRUTH_CAMERA_INFO,
-    TRUTH_DEPTH,
-    TRUTH_GROUND_DEPTH,
-    TRUTH_LABELS,
-    site_topic,
-)
+from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
+from ltm_ros.runtime.topics import FUEL_MAP, site_topic
 
 FUEL_TRUTH = "fuel_truth.tif"
-
-
-def _mono8(message: Any) -> UInt8Array:
-    return msg_to_array(message, ("mono8",))
-
-
-PARTS: Parts = {
-    "camera": ((CAMERA_INFO, msg_to_camera),),
-    "depth_camera": ((DEPTH_CAMERA_INFO, msg_to_camera),),
-    "pose": ((POSE, msg_to_pose), (POSED_POSE, msg_to_pose)),
-    "photo": ((IMAGE_COMPRESSED, compressed_to_rgb), (IMAGE_RAW, msg_to_rgb)),
-    "traced": ((DEPTH_IMAGE, msg_to_depth),),
-    "network": ((NETWORK_DEPTH, msg_to_depth),),
-    "fused": ((FUSED_DEPTH, msg_to_depth),),
-    "labels": ((LABELS_IMAGE, _mono8),),
-    "votes": ((FUEL_VOTES, lambda m: m),),
-    "truth_camera": ((TRUTH_CAMERA_INFO, msg_to_camera),),
-    "truth_depth": ((TRUTH_DEPTH, msg_to_depth),),
-    "truth_ground": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
-    "truth_labels": ((TRUTH_LABELS, _mono8),),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +84,7 @@ class Recorded:
         return now, earlier[0] if earlier else None
 
     def stream(self) -> FrameStream:
-        return stream_of(self.bag, self.site)
-
-
-def stream_of(bag: Path, site: Site) -> FrameStream:
-    """The frames of a bag with all parts that any of our nodes or importers writes."""
-    return FrameStream(bag, site.name, list(site.cameras), PARTS)
+        return FrameStream.open(self.bag, self.site)
 
 
 def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
@@ -140,7 +92,7 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
 
     A frame is handed out as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
     """
-    stream = stream_of(bag, site)
+    stream = FrameStream.open(bag, site)
     for camera in site.cameras:
         for frame in stream.frames(("depth_camera", "pose", "photo", "traced", "labels"), [camera]):
             parts = (frame.take(part) for part in ("depth_camera", "pose", "photo", "traced", "labels", "fused"))

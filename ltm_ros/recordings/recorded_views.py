@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,9 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
 from ltm_core.visibility.viewshed import PosedCamera
-from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_ros.runtime.topics import CAMERA_INFO, POSE, camera_topic
+from ltm_ros.recordings.frame_stream import PARTS, FrameStream
+from ltm_ros.runtime.topics import POSE
 
 _MOST = 12
 """Views of a camera that are kept."""
@@ -26,22 +26,16 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
 
     Raises RecordingError where it has none of them.
     """
-    reader = BagReader(bag)
-    kinds = {
-        camera_topic(site.name, name, topic): (name, topic) for name in site.cameras for topic in (CAMERA_INFO, POSE)
-    }
+    stream = FrameStream.open(bag, site, {"camera": PARTS["camera"], "pose": ((POSE, _map_pose),)})
     cameras: dict[str, Camera] = {}
     poses: dict[str, list[Pose]] = {name: [] for name in site.cameras}
-    for message in reader.messages([topic for topic in kinds if topic in reader.topics()]):
-        name, topic = kinds[message.topic]
-        try:
-            decoded = reader.decode(message)
-            if topic == CAMERA_INFO:
-                cameras.setdefault(name, msg_to_camera(decoded))
-            elif len(poses[name]) < _MOST:
-                _add(poses[name], decoded)
-        except LtmError:
-            continue  # a replay counts what is damaged
+    for frame in stream.frames():
+        with suppress(LtmError):  # a replay counts what is damaged
+            if frame.camera_name not in cameras and "camera" in frame:
+                cameras[frame.camera_name] = frame.take("camera")
+        with suppress(LtmError):
+            if len(poses[frame.camera_name]) < _MOST and "pose" in frame:
+                _add(poses[frame.camera_name], frame.take("pose"))
     for name, config in site.cameras.items():
         if config.calibration is not None:
             cameras[name] = config.calibration.camera()
@@ -49,13 +43,16 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     if not views:
         raise RecordingError(
             f"{bag}: holds no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); its "
-            f"topics are {', '.join(sorted(reader.topics())) or '(none)'}"
+            f"topics are {stream.topics}"
         )
     return views
 
 
-def _add(poses: list[Pose], message: Any) -> None:
-    pose = msg_to_pose(message, "map")
+def _map_pose(message: Any) -> Pose:
+    return msg_to_pose(message, "map")
+
+
+def _add(poses: list[Pose], pose: Pose) -> None:
     azimuth, pitch, _ = pose.angles_deg
     for other in poses:
         turned = abs((azimuth - other.angles_deg[0] + 180) % 360 - 180)

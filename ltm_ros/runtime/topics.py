@@ -28,8 +28,6 @@ STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
 POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
 """A rotation about the map's axes by which stated poses are turned, and the covariance of their angles then."""
 POSE_INFO = Topic("pose/info", String, latched=True)
-POSE_TURNS = Topic("pose/turns", String)
-"""How likely each clear picture is by the angle by which its camera is turned from the pose it is published with."""
 
 DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
@@ -97,7 +95,6 @@ RECORDED = (
             POSED_POSE,
             POSE_CORRECTION,
             POSE_INFO,
-            POSE_TURNS,
             DEPTH_IMAGE,
             DEPTH_CAMERA_INFO,
             DEPTH_INFO,

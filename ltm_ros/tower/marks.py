@@ -69,22 +69,20 @@ class _Feature(_Told):
 class _Turned(_Told):
     camera: str
     probability: float
-    turned_deg: float
-    sigma_deg: float
+    turned_deg: float | None
+    sigma_deg: float | None
     fires: int
-    pictures: int = Field(0, ge=0)
-    by: tuple[Literal["marks", "pictures"], ...] = ("marks",)
+    by: tuple[Literal["marks", "pictures"], ...]
 
     def in_words(self) -> str:
-        evidence = {
-            "marks": f"the marks of {self.fires} {'fire' if self.fires == 1 else 'fires'}",
-            "pictures": "the skyline in its pictures" if self.pictures else "its pictures",
-        }
+        marks = f"the marks of {self.fires} {'fire' if self.fires == 1 else 'fires'}"
+        evidence = " and ".join({"marks": marks, "pictures": "its images"}[what] for what in self.by)
+        turned = ""
+        if self.turned_deg is not None:
+            turned = f" Stated azimuths are {abs(self.turned_deg):.1f} degrees too "
+            turned += f"{'great' if self.turned_deg > 0 else 'small'} (sigma {self.sigma_deg:.1f})."
         return (
-            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by "
-            f"{' and '.join(evidence[what] for what in self.by)} its "
-            f"stated azimuths are {abs(self.turned_deg):.1f} degrees too {'great' if self.turned_deg > 0 else 'small'} "
-            f"(sigma {self.sigma_deg:.1f}); look after its mount"
+            f"camera {self.camera} is probably turned ({self.probability:.0%}), by {evidence}.{turned} Check its mount."
         )
 
 

@@ -31,7 +31,7 @@ class Trial:
     candidate: str
     copy: str
     """Folder with the copy of the stores as `former` left them; empty: there was none."""
-    watched_s: int = 600
+    watched_s: int
     """From its first start on, after which nobody watches any more whether it gets ready: then the guard looks."""
 
 
@@ -112,11 +112,10 @@ class Releases:
     @property
     def trial(self) -> Trial | None:
         try:
-            former, candidate, copy, *more = (self._trial / "release").read_text(encoding="utf-8").split("\n")
+            former, candidate, copy, watched_s = (self._trial / "release").read_text(encoding="utf-8").splitlines()
+            return Trial(former, candidate, copy, int(watched_s))
         except (OSError, ValueError):
             return None
-        told = [int(line) for line in more[:1] if line.isdecimal()]  # a release of before has not written it
-        return Trial(former, candidate, copy, *told)
 
     def begin_trial(self, trial: Trial) -> None:
         """Before the switch: from here on a second start of the service is one too many."""

@@ -31,7 +31,6 @@ from fuzz.target import Target
 from ltm_core.base.errors import LtmError
 from ltm_core.fuel.votes import VoteCaster
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.surface.change import Changed
 from ltm_core.surface.surface_manifest import AS_GIVEN, SurfaceManifest
 from ltm_core.vision.labels import LabelSet
@@ -43,7 +42,6 @@ from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
-from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
@@ -397,12 +395,10 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
     point.point.x, point.point.y = 24.0, 25.0
     found = PoseCorrection(np.zeros(3), np.eye(3) * 1e-6, 0.01, np.array([0.0, 0.0, 0.0, 1e-6]))
     correction = correction_to_msg(found, stamp_of(parts["info"]))
-    turns = SkylineTurns(stamp_of(parts["info"]), 1.0, 0.9, np.linspace(0.0, 9.0, len(SKYLINE_TURNS)))
     messages = [
         (f"/{NAME}/tower/posed/camera_info", parts["info"]),
         (f"/{NAME}/tower/posed/pose", parts["pose"]),
         (f"/{NAME}/tower/pose/correction", correction),
-        (f"/{NAME}/tower/pose/turns", turns_to_msg(ToldTurns("tower", np.zeros(3), turns))),
         (f"/{NAME}/tower/locate/region", region),
         (f"/{NAME}/tower/locate/point", point),
     ]

@@ -103,14 +103,11 @@ def _polygons(folder: Path) -> list[bytes]:
 
 
 _PICTURE = """
-position: [480300.0, 4150300.0]
-height_above_ground: 12.5
-azimuth_deg: 31.0
-pitch_deg: -4.0
-camera: {width: 64, height: 48, fx: 70.0, fy: 70.0, cx: 31.5, cy: 23.5, distortion: [0.1, 0.0, 0.0, 0.0, 0.0]}
+pose: {x: 480300.0, y: 4150300.0, height_above_ground: 12.5, azimuth_deg: 31.0, pitch_deg: -4.0}
+calibration: {width: 64, height: 48, fx: 70.0, fy: 70.0, cx: 31.5, cy: 23.5, k1: 0.1}
 """
-_ABOVE = _PICTURE.replace("height_above_ground: 12.5", "crs: EPSG:4326").replace(
-    "[480300.0, 4150300.0]", "[-117.2, 37.5, 900.0]"
+_ABOVE = _PICTURE.replace("height_above_ground: 12.5", "z: 900.0, crs: EPSG:4326").replace(
+    "x: 480300.0, y: 4150300.0", "x: -117.2, y: 37.5"
 )
 
 _MOUNT = """
@@ -219,8 +216,8 @@ TEXT_FILES = (
     _yaml(
         "poses_yaml",
         _texts(
-            "- {name: a.jpg, lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true,\n"
-            "   stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, x: 1, y: 2, k1: 0.1}\n"
+            "- {name: a.jpg, pose: {lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true},\n"
+            "   stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, pose: {x: 1, y: 2}, calibration: {k1: 0.1}}\n"
         ),
         read_pose_file,
     ),

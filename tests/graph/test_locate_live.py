@@ -15,12 +15,12 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.located import CAMERA, hills, sighting
 from scenes.waiting import wait_for
 
-from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
+from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
@@ -32,7 +32,7 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
-    POSE_TURNS,
+    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -87,8 +87,8 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         for name in TOWERS:
             bystander.listen(of(name, LOCATE_ESTIMATE), LOCATE_ESTIMATE.type)
             bystander.listen(of(name, LOCATE_GEOJSON), LOCATE_GEOJSON.type)
-            for topic in (POSED_CAMERA_INFO, POSED_POSE, POSE_TURNS, LOCATE_REGION, LOCATE_POINT):
-                bystander.open(of(name, topic), topic.type)
+            for topic in (POSED_CAMERA_INFO, POSED_POSE, POSE_CORRECTION, LOCATE_REGION, LOCATE_POINT):
+                bystander.open(of(name, topic), topic.type, latched=topic.latched)
         bystander.wait_for_wiring(1)
 
         def mark(name: str, stamp: int, frame: str | None = None) -> PolygonStamped:
@@ -152,13 +152,11 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         # Smoke is asked for here: who sees the place and where to turn them stands in the track.
         assert {view["camera"] for view in told()["cameras"]} == set(TOWERS)
 
-        # North's skyline, as its node `pose` tells it, lies two degrees beside where it should be.
-        logs = np.maximum(-0.5 * ((np.degrees(SKYLINE_TURNS) - 2.0) / 0.2) ** 2, -40.0)
+        # The node `pose` of north reports that the camera's direction is no longer known.
+        unknown = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 4.0), stamp + SECOND)
 
         def named() -> Any:
-            for direction in range(3):
-                turns = SkylineTurns(stamp + (1 + direction) * SECOND, 2.0 * direction, 1.0, logs)
-                bystander.send(of("north", POSE_TURNS), turns_to_msg(ToldTurns("north", np.zeros(3), turns)))
+            bystander.send(of("north", POSE_CORRECTION), unknown)
             return json.loads(bystander.heard[tracks][-1].data)["turned"]
 
         wait_for(named, "north to be named by its pictures")

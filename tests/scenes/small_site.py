@@ -199,7 +199,7 @@ def write_small_site(folder: Path, recording: bool = True) -> SmallSite:
                 "image": "raw",
                 "calibration": {
                     **{name: getattr(MAST, name) for name in ("width", "height", "fx", "fy", "cx", "cy")},
-                    "distortion": list(MAST.distortion),
+                    **dict(zip(("k1", "k2", "p1", "p2", "k3"), MAST.distortion, strict=True)),
                 },
                 "pose": {
                     "x": 480_330.0,

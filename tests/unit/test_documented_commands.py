@@ -276,7 +276,7 @@ def test_yaml_keys_exist(page: Path) -> None:
         given = yaml.safe_load(block.text)
         if not isinstance(given, dict):
             continue
-        if "position" in given or {"pose", "calibration"} <= given.keys():
+        if {"pose", "calibration"} <= given.keys():
             PictureConfig.model_validate(given)
         elif "towers" in given:
             RegionConfig.model_validate(given)

@@ -107,8 +107,8 @@ class _Memory(StrictModel):
     reason: str = Field(max_length=2000)
     rotation: tuple[_Angle, _Angle, _Angle]
     angles: tuple[_Three, _Three, _Three] | None
-    tilt_zero: _Angle = 0.0
-    tilt_covariance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    tilt_zero: _Angle
+    tilt_covariance: tuple[float, float, float, float]
 
 
 def memory_file(folder: Path, camera: str) -> Path:

@@ -1,12 +1,4 @@
-"""Keep the pose of a mounted camera by its photos, and detect when it has turned.
-
-Whether a camera whose pose is known may have been turned: its skyline is asked about some degrees to either side,
-for the angle that is clearly likelier, or for how likely each is.
-
-A fit from the known pose does not tell. It reaches a tooth of the skyline or two, and the hill that it then lies on
-holds it on the wrong side.
-
-Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
+"""Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
 
 A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
 zero. It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog
@@ -32,7 +24,6 @@ from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import fit_ptz_mount
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
@@ -44,59 +35,20 @@ from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, sky
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
-_STEP_DEG, _STEPS = 0.25, 8
-"""To either side."""
-_NEAR = 2
-"""Steps within which a fit from the known pose gets by itself."""
-_CLEARLY = 2.0
-"""By how much a turn must cost less than none."""
-
-
-def clearer_turn(
-    skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
-) -> Pose | None:
-    """The turned pose of which the skyline of an undistorted camera speaks clearly more than of the known one."""
-    azimuth, pitch, roll = known.pose.angles_deg
-    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
-    turns = math.radians(_STEP_DEG) * np.arange(-_STEPS, _STEPS + 1)
-    azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
-    found = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config)
-    best = int(np.argmin(found.cost))
-    if abs(best - _STEPS) < _NEAR or found.cost[best] > found.cost[_STEPS] - _CLEARLY:
-        return None
-    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
-    return Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
-
-
-def skyline_turns(
-    evidence: PictureEvidence, stamp_ns: int, known: PosePrior, horizon: TerrainHorizon, config: PicturePoseConfig
-) -> SkylineTurns | None:
-    """Of an undistorted picture, about the pose that its camera is said to have; None where too little of a skyline
-    fits at any angle: fog, or no sky.
-    """
-    if evidence.skyline is None:
-        return None
-    camera = evidence.camera
-    azimuth, pitch, roll = known.pose.angles_deg
-    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
-    azimuths = np.asarray(math.radians(azimuth) - SKYLINE_TURNS[::-1], np.float64)  # they must rise
-    found = search_azimuths(evidence.skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config.skyline)
-    best = int(np.argmin(found.cost))
-    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
-    there = Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
-    if skyline_fit(there, camera, evidence, horizon, config).support < config.verdict.clear_support:
-        return None
-    return SkylineTurns(stamp_ns, math.radians(azimuth), math.radians(camera.hfov_deg), -found.cost[::-1])
-
-
 _KEPT = 16
 """Horizons: as many as a PTZ head has presets."""
-_WATCH_STEP_DEG = 2.0
+_STEP_DEG = 2.0
 """Directions that differ by less share a horizon."""
 _TRACKING = (*ROUNDS[::2], ROUNDS[-1])
 """Rounds of the fit in a picture of a mount that is known: it begins close by."""
 _TRACKED_SIGMA_DEG = 1.0
 """Of each angle, within which a picture of a mount that is known may say otherwise."""
+_TURN_STEP_DEG, _TURN_STEPS = 0.25, 8
+"""Turns to either side of a known pose at which the skyline is tried."""
+_TURN_NEAR = 2
+"""Steps within which a fit that starts at the known pose finds the turn itself."""
+_TURN_GAIN = 2.0
+"""Least difference of cost between a turned and the known pose."""
 
 
 class MountState(Enum):
@@ -156,14 +108,6 @@ class MountWatch:
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
         return self._gather(evidence, self._prior(stated, covariance))
-
-    def turns(
-        self, evidence: PictureEvidence, stamp_ns: int, stated: Pose, covariance: Float64Array
-    ) -> SkylineTurns | None:
-        """What a picture says of a turn of the camera from the pose that it is published with: `stated`, corrected."""
-        pose, _ = self.correction.applied(stated, covariance)
-        prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
-        return skyline_turns(evidence, stamp_ns, prior, self._horizon(evidence, prior)[0], self._search)
 
     def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
         if self.state is not MountState.SLIPPED:
@@ -280,13 +224,13 @@ class MountWatch:
 
     def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
         """About the prior direction, of the last few that were asked for, with its ridges."""
-        azimuth = round(prior.pose.angles_deg[0] / _WATCH_STEP_DEG) * _WATCH_STEP_DEG
+        azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
         reach = search_reach(prior, self._search)
         key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
         if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
-            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _WATCH_STEP_DEG)
+            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
             horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
             self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
             if len(self._horizons) > _KEPT:
@@ -297,3 +241,22 @@ class MountWatch:
 def unknown_angles() -> Float64Array:
     """(3, 3): the covariance of angles by which nothing shall be placed."""
     return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
+
+
+def clearer_turn(
+    skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
+) -> Pose | None:
+    """Return the turned pose that fits the skyline of an undistorted camera clearly better than the known pose, if any.
+
+    A fit that starts at the known pose cannot find it: it ends on the nearest hill of the skyline.
+    """
+    azimuth, pitch, roll = known.pose.angles_deg
+    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
+    turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
+    azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
+    found = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config)
+    best = int(np.argmin(found.cost))
+    if abs(best - _TURN_STEPS) < _TURN_NEAR or found.cost[best] > found.cost[_TURN_STEPS] - _TURN_GAIN:
+        return None
+    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
+    return Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import StrictModel
@@ -18,14 +18,12 @@ from ltm_core.storage.config_io import checked, read_yaml
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
-_FORMER = {"pose": ("position",), "calibration": ("distortion",)}
 
 
 class PhotoPose(StrictModel):
     """What is known of one photo. What is left out comes from the site file's camera, or from EXIF.
 
-    `pose` and `calibration` are those of a site file. In a CSV, and in former YAML files, their keys stand beside
-    `name`.
+    `pose` and `calibration` are those of a site file. In a CSV their keys are columns beside `name`.
     """
 
     name: str = Field(min_length=1)
@@ -35,18 +33,6 @@ class PhotoPose(StrictModel):
     """ISO 8601; UTC unless it names a zone."""
     pose: PartialPose = PartialPose()
     calibration: PartialCalibration = PartialCalibration()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _gathered(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        rest, sections = dict(data), {}
-        for section, model in _SECTIONS.items():
-            keys = data.keys() & {*model.model_fields, *_FORMER[section]}
-            if section not in data and keys:
-                sections[section] = {key: rest.pop(key) for key in data if key in keys}
-        return rest | sections
 
 
 def columns() -> list[str]:
@@ -110,10 +96,19 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
             place = f"{path}, row {number}"
             if None in row or None in row.values():
                 raise ConfigError(f"{place}: has more or fewer values than the header's {len(header)} columns")
-            rows.append((place, {name: value.strip() for name, value in row.items() if value.strip()}))
+            rows.append((place, _sectioned({name: value.strip() for name, value in row.items() if value.strip()})))
         return rows
     except csv.Error as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
+
+
+def _sectioned(row: dict[str, str]) -> dict[str, Any]:
+    """Gather the columns of a row into its sections."""
+    content: dict[str, Any] = {name: value for name, value in row.items() if name in PhotoPose.model_fields}
+    for section, model in _SECTIONS.items():
+        if values := {name: value for name, value in row.items() if name in model.model_fields}:
+            content[section] = values
+    return content
 
 
 def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:

@@ -46,21 +46,10 @@ def test_a_section_is_the_same_in_every_file(tmp_path: Path) -> None:
     assert picture.calibration.camera() == listed[1].calibration.camera_of(64, 40, 0.0) == CAMERA
 
 
-def test_former_spellings_are_read(tmp_path: Path) -> None:
-    former = {"position": [402_310.0, 3_787_120.0, 912.5], "azimuth_deg": 214.0, "pitch_deg": -4.0, "roll_deg": 1.5}
-    lens = {"width": 64, "height": 40, "fx": 81.0, "cx": 30.0, "cy": 21.0, "distortion": [-0.1, 0, 0, 0.002, 0]}
-    new = PictureConfig.model_validate({"pose": POSE, "calibration": CALIBRATION})
-    assert PictureConfig.model_validate({**former, "camera": lens}) == new
-    assert PictureConfig.model_validate({"pose": former, "calibration": lens}) == new
-    (tmp_path / "photos.yaml").write_text(yaml.safe_dump([{"name": "a.jpg", **POSE, "fx": 81.0}]))
-    assert read_pose_file(tmp_path / "photos.yaml")["a.jpg"].pose == PartialPose.model_validate(POSE)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"pose": POSE | {"position": [1, 2]}}, "position is the former spelling of x, y and z"),
-        ({"calibration": CALIBRATION | {"distortion": [0] * 5}}, "distortion is the former spelling of k1, k2"),
+        ({"pose": POSE | {"position": [1, 2]}}, "pose.position: unknown key"),
         ({"calibration": CALIBRATION | {"hfov_deg": 50}}, "either hfov_deg or fx, not both"),
         ({"calibration": {"width": 64, "height": 40}}, "either hfov_deg or fx, not neither"),
         ({"calibration": {"fx": 40}}, "calibration.width: missing"),

@@ -9,7 +9,6 @@ from scenes.located import hills, sighting
 from ltm_core.base.errors import RegionError
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.tracks import SeenAt, Tracks
-from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 
 pytestmark = pytest.mark.kernel
 
@@ -45,7 +44,7 @@ def test_a_turned_camera_is_told_and_does_not_move_the_track() -> None:
     assert wrong == fire.wrong == "c"
     assert turned is not fire
     assert fire.location.posterior.mean == before
-    verdict = tracks.watch.verdict
+    verdict = tracks.fires.verdict
     assert (verdict.wrong, verdict.fires) == ("c", 1)
     assert np.degrees(verdict.turn) == pytest.approx(2.0, abs=0.3)
     # What the next fire's cameras agree about is of another fire, and no camera is told for it.
@@ -62,7 +61,7 @@ def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
     assert wrong == "c"
     assert not tracks.forget("d")
     assert tracks.forget("c")
-    assert (tracks.watch.verdict.wrong, shared.wrong, turned.wrong) == (None, None, None)
+    assert (tracks.fires.verdict.wrong, shared.wrong, turned.wrong) == (None, None, None)
     assert shared.location.posterior.mean == alone
     stays = turned.location
     # From the mount as it is fitted now: with the marks of the others, and not with its own of before.
@@ -72,7 +71,7 @@ def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
     assert tracks.forget("a")
     assert shared.cameras == ["b", "c"]
     assert shared.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
-    assert tracks.watch.verdict.fires == 0
+    assert tracks.fires.verdict.fires == 0
     assert not tracks.forget("a")
 
 
@@ -84,11 +83,8 @@ def test_what_a_turned_camera_kept_apart_is_one_track_once_it_is_named() -> None
     tracks.add(seen("b", valley, 1))
     tracks.add(seen("c", valley, 2))
     assert [track.cameras for track in tracks.tracks] == [["a", "b"], ["c"]]
-    assert tracks.watch.verdict.wrong is None
-    tracks.watch.lost.add("a")  # as its pictures say
-    for direction in range(3):
-        logs = -0.5 * ((np.degrees(SKYLINE_TURNS) - 0.6) / 0.2) ** 2
-        tracks.watch.look("a", SkylineTurns(3 * MINUTE, 2.0 * direction, 1.0, logs))
+    assert tracks.fires.verdict.wrong is None
+    tracks.fires.lost.add("a")  # as its pictures say
     assert tracks.rename().wrong == "a"
     by_number = sorted(tracks.tracks, key=lambda track: track.number)
     assert [(track.number, {*track.cameras}) for track in by_number] == [(1, {"b", "c"}), (2, {"a"})]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,12 @@ from scenes.small_site import SmallSite, write_small_site
 
 from ltm_core.base.types import Float32Array
 from ltm_core.fuel.canopy import stand_heights
-from ltm_core.fuel.cell_state import EVIDENCE_FIELDS, EXTENDED_VERSION
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_canopy, site_evidence_map
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, given_terrain, open_stored_surface
-from ltm_core.pipeline.stored_fuel import fuel_schema, open_stored_map, restore
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface import Reference, SurfaceMap
 from ltm_core.surface.tile_pool import TILE, schema_of
@@ -121,31 +118,3 @@ def test_a_terrain_of_another_grid_is_told_and_the_export_goes_on(small: SmallSi
     assert "heights of trees are not from the terrain map" in found.note
     assert np.isnan(found.seen.height).all()
     assert np.isfinite(found.seen.cover[CELL])
-
-
-def test_a_store_of_the_version_before_is_read_and_gains_what_it_lacked(small: SmallSite, tmp_path: Path) -> None:
-    evidence = wooded(small)
-    grid, path = evidence.geometry, tmp_path / "fuel_map.ltm"
-    schema = fuel_schema(small.site, grid)
-    known = {name: field for name, field in EVIDENCE_FIELDS.items() if not name.startswith("woody")}
-    tile = evidence.tile_state((0, 0))
-    with TileStore.open(path, replace(schema, version=EXTENDED_VERSION, fields=known)) as store:
-        store.commit({(0, 0): {name: tile[name] for name in known}})
-
-    def check(found: LivingFuelMap) -> None:
-        state = found.tile_state((0, 0))
-        for name in known:
-            np.testing.assert_array_equal(state[name], tile[name])
-        assert not state["woody"].any()
-
-    reader = site_evidence_map(small.site, grid, LABELS)
-    open_stored_map(path, small.site, reader).close()
-    check(reader)
-    writer = site_evidence_map(small.site, grid, LABELS)
-    with TileStore.open(path, schema) as store:
-        restore(store, writer)
-        store.commit({(0, 0): tile})
-    check(writer)
-    again = site_evidence_map(small.site, grid, LABELS)
-    open_stored_map(path, small.site, again).close()
-    np.testing.assert_array_equal(again.tile_state((0, 0))["woody"], tile["woody"])

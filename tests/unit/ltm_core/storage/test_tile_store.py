@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.storage.tile_store_file import grow
-from ltm_core.storage.tile_store_schema import Field, FrameRecord, StoreSchema, Tile, Touch
+from ltm_core.storage.tile_store_schema import FrameRecord, Tile, Touch
 
 
 def assert_same(found: Tile | None, expected: Tile) -> None:
@@ -213,108 +211,8 @@ def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
         assert store.keys() == []
 
 
-def test_a_store_that_knows_its_fields_by_their_former_names_is_read(tmp_path: Path) -> None:
-    """Stores of 0.1 say `witnesses` and `sheet_variance`; a field's place in a tile's bytes is not by name."""
-    fields = {"count": Field(np.uint32), "camera_hashes": Field(np.uint32, (3, 2))}
-    schema = StoreSchema("fuel", 1, SCHEMA.geometry, 8, fields)
-    rng = np.random.default_rng(5)
-    arrays = {name: rng.integers(0, 99, (8, 8, *spec.shape)).astype(spec.dtype) for name, spec in fields.items()}
-    with TileStore.open(tmp_path / "map.ltm", schema) as store:
-        store.commit({(0, 1): arrays}, [FrameRecord("a", 1)])
-    with sqlite3.connect(tmp_path / "map.ltm") as db:
-        db.execute("UPDATE description SET content = replace(content, 'camera_hashes', 'witnesses')")
-    db.close()
-    with TileStore.open(tmp_path / "map.ltm", schema) as store:
-        assert_same(store.read((0, 1)), arrays)
-
-
-def test_a_store_whose_growth_is_cut_short_is_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a disk that fills up: the next attempt, with room again, finds all of it."""
+def test_a_store_of_another_version_is_not_opened(tmp_path: Path) -> None:
     path = tmp_path / "map.ltm"
-    with TileStore.open(path, SCHEMA) as store:
-        store.commit({(1, 2): tile(1), (0, 1): tile(2)}, [FrameRecord("north", 5)])
-    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (3,))}
-    grown = replace(SCHEMA, version=SCHEMA.version + 1, fields=more, extends=SCHEMA.version)
-    packed = []
-
-    def no_room_for_a_second(schema: StoreSchema, *arguments: Any) -> bytes:
-        packed.append(arguments)
-        if len(packed) > 1:
-            raise sqlite3.OperationalError("database or disk is full")
-        return pack(schema, *arguments)
-
-    pack = StoreSchema.pack
-    with monkeypatch.context() as patched:
-        patched.setattr(StoreSchema, "pack", no_room_for_a_second)
-        with pytest.raises(ConfigError, match="disk is full"):
-            TileStore.open(path, grown)
-    with TileStore.open(path, SCHEMA) as store:
-        assert_same(store.read((1, 2)), tile(1))
-    with TileStore.open(path, grown) as store:
-        assert_same(store.read((0, 1)), tile(2) | {"snow": np.zeros((8, 8, 3), np.uint16)})
-
-
-def test_a_store_grows_on_a_full_disk_in_the_room_that_was_held(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What a killed process held beside it is there still, and serves; without it, or with no more room then either,
-    the store is as it was."""
-    path, held = tmp_path / "map.ltm", tmp_path / ".map.ltm.reserve"
-    keys = [(row, col) for row in range(2) for col in range(3)]
-    with TileStore.open(path, SCHEMA) as store:
-        store.commit({key: tile(number) for number, key in enumerate(keys)}, [FrameRecord("north", 5)])
-    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (300,))}
-    grown = replace(SCHEMA, version=SCHEMA.version + 1, fields=more, extends=SCHEMA.version)
-    pack, room = StoreSchema.pack, 0
-    rng = np.random.default_rng(8)
-
-    def incompressible(schema: StoreSchema, key: Any, arrays: Any) -> bytes:
-        if "snow" in arrays:
-            arrays = arrays | {"snow": rng.integers(0, 2**16, arrays["snow"].shape).astype(np.uint16)}
-        return pack(schema, key, arrays)
-
-    def grow_on_a_full_disk(db: sqlite3.Connection, *arguments: Any) -> None:
-        (pages,) = db.execute("PRAGMA page_count").fetchone()
-        db.execute(f"PRAGMA max_page_count = {pages if held.exists() else pages + room}")
-        grow(db, *arguments)
-
-    monkeypatch.setattr(StoreSchema, "pack", incompressible)
-    monkeypatch.setattr("ltm_core.storage.tile_store.grow", grow_on_a_full_disk)
-    for kept, room in ((False, 0), (True, 0), (True, 1000)):
-        held.unlink(missing_ok=True)
-        if kept:
-            held.write_bytes(bytes(1 << 20))
-        if room:
-            break
-        with pytest.raises(StoreError, match=r"SQLITE_FULL.*make room"):
-            TileStore.open(path, grown)
-        assert held.exists() == kept
-        with TileStore.open(path, SCHEMA) as store:
-            assert store.keys() == keys
-    with TileStore.open(path, grown) as store:
-        assert store.schema == grown
-        found = store.read((1, 2))
-        assert found is not None
-        assert_same({name: found[name] for name in SCHEMA.fields}, tile(5))
-
-
-def test_a_store_of_an_earlier_version_gets_the_fields_that_it_lacks(tmp_path: Path) -> None:
-    path = tmp_path / "map.ltm"
-    with TileStore.open(path, SCHEMA) as store:
-        frames, journal = [FrameRecord("north", 5)], [changes("class", 5, [(1, 1, 0, 2)])]
-        store.commit({(1, 2): tile(1), (0, 1): tile(2)}, frames, journal)
-    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (3,))}
-    later = replace(SCHEMA, version=SCHEMA.version + 1, fields=more)
+    TileStore.open(path, SCHEMA).close()
     with pytest.raises(ConfigError, match="version is 3, here 5"):
-        TileStore.open(path, replace(later, version=5))
-    grown = replace(later, extends=SCHEMA.version)
-    with TileStore.open(path, grown) as store:
-        assert store.schema == grown
-        for key, number in (((1, 2), 1), ((0, 1), 2)):
-            assert_same(store.read(key), tile(number) | {"snow": np.zeros((8, 8, 3), np.uint16)})
-        assert store.counted("north", 5)
-        assert len(list(store.changes("class"))) == 1
-    with TileStore.open_read_only(path, SCHEMA.kind) as store:
-        assert store.schema == later, "once and for all"
-    with pytest.raises(ConfigError, match="version is 4, here 3"):
-        TileStore.open(path, SCHEMA)
+        TileStore.open(path, replace(SCHEMA, version=5))

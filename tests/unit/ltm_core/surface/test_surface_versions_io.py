@@ -63,15 +63,6 @@ def test_a_surface_that_returns_follows_what_counted_meanwhile(versions: Surface
     assert [versions.take_back().current for _ in range(3)] == [second.version, first.version, ""]
 
 
-def test_a_manifest_without_a_history_is_read_by_its_parents(versions: SurfaceVersions) -> None:
-    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
-    path = versions.folder / MANIFEST
-    content = json.loads(path.read_text())
-    del content["history"], content["forgotten"]
-    path.write_text(json.dumps(content))
-    assert [versions.manifest().at(moment) for moment in (None, 1_500, 500)] == [second, first, None]
-
-
 def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: SurfaceVersions) -> None:
     for number in (1, 2):
         entry = versions.add(felled(101.0), 1_000, 9)

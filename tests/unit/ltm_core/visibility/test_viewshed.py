@@ -137,11 +137,8 @@ cameras:
   roving: {}
 """
 POSE = """
-position: [400060.0, 3799930.0]
-height_above_ground: 12
-azimuth_deg: 100
-pitch_deg: -10
-camera: {width: 320, height: 200, hfov_deg: 60}
+pose: {x: 400060.0, y: 3799930.0, height_above_ground: 12, azimuth_deg: 100, pitch_deg: -10}
+calibration: {width: 320, height: 200, hfov_deg: 60}
 """
 
 

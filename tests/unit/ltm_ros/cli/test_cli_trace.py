@@ -16,10 +16,8 @@ from ltm_core.raster.dem import Dem
 from ltm_ros.cli.trace import trace
 
 POSE = """
-position: [400060.5, 3799930.25, {z}]
-azimuth_deg: {azimuth}
-pitch_deg: -12
-camera: {{width: 96, height: 60, hfov_deg: 55}}
+pose: {{x: 400060.5, y: 3799930.25, z: {z}, azimuth_deg: {azimuth}, pitch_deg: -12}}
+calibration: {{width: 96, height: 60, hfov_deg: 55}}
 """
 
 

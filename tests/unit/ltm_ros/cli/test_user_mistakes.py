@@ -66,11 +66,12 @@ def fuels(**bands: float) -> Change:
     return write
 
 
-def pose_file(**changes: Any) -> Change:
+def pose_file(width: int = 64, height: int = 40, **changes: Any) -> Change:
     def write(folder: Path) -> None:
-        camera = {"width": 64, "height": 40, "hfov_deg": 60}
-        pose = {"position": [X, Y], "height_above_ground": 30, "azimuth_deg": 48, "pitch_deg": -12, "camera": camera}
-        (folder / "pose.yaml").write_text(yaml.safe_dump(pose | changes))
+        pose = {"x": X, "y": Y, "height_above_ground": 30, "azimuth_deg": 48, "pitch_deg": -12}
+        lens = {"width": width, "height": height, "hfov_deg": 60}
+        content = {"pose": pose | changes, "calibration": lens}
+        (folder / "pose.yaml").write_text(yaml.safe_dump(content))
 
     return write
 
@@ -84,7 +85,7 @@ def portrait(folder: Path) -> None:
     (folder / "photos").mkdir()
     image.save(folder / "photos/a.jpg", exif=exif.tobytes())
     (folder / "poses.csv").write_text(f"name,x,y,height_above_ground,azimuth_deg,fx\na.jpg,{X},{Y},30,48,210\n")
-    pose_file(camera={"width": MAST.width, "height": MAST.height, "hfov_deg": 60})(folder)
+    pose_file(MAST.width, MAST.height)(folder)
 
 
 def former_result(folder: Path) -> None:
@@ -195,7 +196,7 @@ MISTAKES = [
         TRACE,
         (f"({X:.0f}, {Y:.0f}) in EPSG:26910, that is (-", "x 480015 to 481215", "check position and crs"),
     ),
-    Mistake("latitude first", pose_file(position=[37.5, -117.2], crs="EPSG:4326"), TRACE, ("37.5", "longitude first")),
+    Mistake("latitude first", pose_file(x=37.5, y=-117.2, crs="EPSG:4326"), TRACE, ("37.5", "longitude first")),
     Mistake(
         "a photo that EXIF turns, traced",
         portrait,

@@ -16,17 +16,14 @@ import yaml
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.located import CAMERA, hills, sighting
 from scenes.outlets import Kept
-from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionError
 from ltm_core.locating.sighting import Sighting
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
-from ltm_core.pose_estimation.mount.skyline_turns import SKYLINE_TURNS, SkylineTurns
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg
-from ltm_msgs_py.skyline_turns import ToldTurns, turns_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.locate import LocateConfig, LocateHandler
@@ -40,7 +37,6 @@ from ltm_ros.runtime.topics import (
     LOCATE_REGION,
     LOCATE_TRACKS,
     POSE_CORRECTION,
-    POSE_TURNS,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -207,15 +203,6 @@ def turned_says(running: Running, marks: dict[str, Sighting], second: int) -> di
     return said
 
 
-def skyline(
-    running: Running, camera: str, turn_deg: float, second: int, azimuth_deg: float = 0.0, sigma_deg: float = 0.2
-) -> None:
-    """A clear picture that says so."""
-    logs = np.maximum(-0.5 * ((np.degrees(SKYLINE_TURNS) - turn_deg) / sigma_deg) ** 2, -40.0)
-    turns = SkylineTurns(STAMP + second * SECOND, np.radians(azimuth_deg), 1.0, logs)
-    running.send(camera, POSE_TURNS, turns_to_msg(ToldTurns(camera, np.zeros(3), turns)))
-
-
 def three_of(turned_deg: float) -> tuple[dict[str, tuple[float, float, float]], dict[str, Sighting]]:
     """Towers, and what they mark; north is turned."""
     towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
@@ -225,64 +212,39 @@ def three_of(turned_deg: float) -> tuple[dict[str, tuple[float, float, float]], 
     }
 
 
+def lost(running: Running, camera: str, second: int) -> None:
+    """The watch of the mount says that the camera's pose is not known any more."""
+    unknown = PoseCorrection(np.zeros(3), np.eye(3) * 4.0)
+    running.send(camera, POSE_CORRECTION, correction_to_msg(unknown, STAMP + second * SECOND))
+
+
 def test_pictures_count_with_marks(tmp_path: Path) -> None:
-    """What skylines say makes it surer, or speaks against it."""
     towers, marks = three_of(1.0)
     running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
     said = turned_says(running, marks, 0)
     assert said is not None
-    assert (said["camera"], said["fires"], said["pictures"], said["by"]) == ("north", 1, 0, ["marks"])
+    assert (said["camera"], said["fires"], said["by"]) == ("north", 1, ["marks"])
     assert said["turned_deg"] == pytest.approx(1.0, abs=0.15)
-    assert not running.of("north", POSE_TURNS).latched
-    skyline(running, "north", 1.0, 1)
-    skyline(running, "east", 0.0, 1)
-    surer = turned_says(running, marks, 10)
-    assert surer is not None
-    assert (surer["camera"], surer["pictures"]) == ("north", 1)
+    lost(running, "north", 1)
+    surer = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
+    assert (surer["camera"], surer["by"]) == ("north", ["marks", "pictures"])
     assert surer["probability"] > said["probability"]
-
-    calm = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    for direction in range(3):
-        skyline(calm, "north", 0.0, 11, 120.0 * direction)
-    other = turned_says(calm, marks, 11)  # its marks fit as well where another one is turned
-    assert other is None or other["camera"] != "north"
 
 
 def test_pictures_name_a_camera_before_anything_is_marked(tmp_path: Path) -> None:
     towers, _ = three_of(0.0)
     running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
     running.node.start()
-    for second, name in enumerate(towers):
-        for direction in range(3):
-            skyline(running, name, 2.0 if name == "east" else 0.0, second, 120.0 * direction)
+    lost(running, "east", 1)
     said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
     assert (said["camera"], said["fires"], said["by"]) == ("east", 0, ["pictures"])
-    assert said["turned_deg"] == pytest.approx(2.0, abs=0.4)
+    assert said["turned_deg"] is None
     told = len(running.kept.on(LOCATE_TRACKS))
-    skyline(running, "east", 2.0, 9)  # as before: nothing to tell anew
+    lost(running, "east", 9)  # nothing has changed
     assert len(running.kept.on(LOCATE_TRACKS)) == told
     found = PoseCorrection(np.radians([0.0, 0.0, 2.0]), np.eye(3) * 1e-6)
     running.send("east", POSE_CORRECTION, correction_to_msg(found, STAMP + 10 * SECOND))
     assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-    skyline(running, "east", 2.0, 11)  # from the pose that it had before: too late
-    assert running.health.summary()["noted.turns_of_another_correction.east"] == "1"
-    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
-
-
-def test_a_camera_that_looks_elsewhere_by_its_node_is_named(tmp_path: Path) -> None:
-    """Its skyline says little by itself; what its node `pose` says by several pictures counts."""
-    towers, _ = three_of(0.0)
-    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
-    unsure = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 4.0), STAMP)
-    for direction in range(2):
-        skyline(running, "north", 0.6, 1, 120.0 * direction, sigma_deg=1.5)
-    assert not running.kept.on(LOCATE_TRACKS)
-    running.send("north", POSE_CORRECTION, unsure)
-    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
-    assert (said["camera"], said["by"]) == ("north", ["pictures"])
-    message = String(data="{}")
-    with pytest.raises(MessageError, match="what the node `pose` tells"):
-        running.send("north", POSE_TURNS, message)
 
 
 def places(running: Running) -> list[dict[str, Any]]:
@@ -299,14 +261,14 @@ def test_a_mount_that_is_fitted_again_begins_anew(tmp_path: Path) -> None:
     said = turned_says(running, marks, 0)
     assert said is not None
     assert said["camera"] == "north"
-    told = len(running.kept.on(LOCATE_TRACKS))
 
     def correct(yaw_deg: float, variance: float) -> None:
         found = PoseCorrection(np.radians([0.0, 0.0, yaw_deg]), np.eye(3) * variance)
         running.send("north", POSE_CORRECTION, correction_to_msg(found, STAMP + 5 * SECOND))
 
     correct(0.0, 4.0)  # it has slipped: by how much is not known yet
-    assert len(running.kept.on(LOCATE_TRACKS)) == told  # it is named as before
+    said = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
+    assert (said["camera"], said["by"]) == ("north", ["marks", "pictures"])
     correct(1.0, 1e-6)
     assert running.health.summary()["noted.refitted.north"] == "1"
     assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None

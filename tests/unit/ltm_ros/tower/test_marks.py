@@ -116,7 +116,7 @@ def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: 
     assert graph.sent == []
 
 
-TURNED = {"camera": "east", "probability": 0.9712, "turned_deg": -2.04, "sigma_deg": 0.06, "fires": 3}
+TURNED = {"camera": "east", "probability": 0.9712, "turned_deg": -2.04, "sigma_deg": 0.06, "fires": 3, "by": ["marks"]}
 
 
 def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
@@ -142,11 +142,11 @@ def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: 
     assert marks.wrong() == []
     hear(tracks(5, turned=TURNED))
     (said,) = marks.wrong()
-    assert "camera east seems to be turned (97%): by the marks of 3 fires its" in said
-    hear(tracks(5, turned=TURNED | {"pictures": 4, "by": ["marks", "pictures"]}))
-    (said,) = marks.wrong()
-    assert "(97%): by the marks of 3 fires and the skyline in its pictures its" in said
+    assert "camera east is probably turned (97%), by the marks of 3 fires. Stated" in said
     assert "2.0 degrees too small (sigma 0.1)" in said
+    hear(tracks(5, turned=TURNED | {"by": ["pictures"], "fires": 0, "turned_deg": None, "sigma_deg": None}))
+    (said,) = marks.wrong()
+    assert said == "camera east is probably turned (97%), by its images. Check its mount."
     hear(tracks(6))
     assert marks.wrong() == []
 

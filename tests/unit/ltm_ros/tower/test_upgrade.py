@@ -118,11 +118,12 @@ def test_a_map_whose_tiles_have_grown_fields_is_put_aside_for_a_release_that_doe
     state.mkdir()
     grid = GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611")
     former = StoreSchema("map", 1, grid, 2, {"seen": Field("f4")})
-    grown = StoreSchema("map", 2, grid, 2, {"seen": Field("f4"), "hidden": Field("f4")}, extends=1)
+    grown = StoreSchema("map", 2, grid, 2, {"seen": Field("f4"), "hidden": Field("f4")})
     TileStore.open(state / "map.ltm", former).close()
     copy = copy_stores(state, tmp_path / "copies", "1.0")
     assert copy is not None
     assert return_stores(state, copy, aside) == []
+    (state / "map.ltm").unlink()
     TileStore.open(state / "map.ltm", grown).close()
     assert return_stores(state, copy, aside) == [copy / "map.ltm"]
     TileStore.open(state / "map.ltm", former).close()
@@ -377,7 +378,7 @@ def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_ret
         return tower.asked.removeprefix(begun)
 
     assert start() == start() == "", "nothing is on trial"
-    tower.releases.begin_trial(Trial("1.0", "2.0", ""))
+    tower.releases.begin_trial(Trial("1.0", "2.0", "", 600))
     assert start() == "", "its first start"
     assert re.fullmatch(r".*/releases/1\.0/bin/ltm rollback --unconfirmed\n", start())
     assert tower.upgrade.return_unconfirmed() == "1.0"
@@ -392,7 +393,7 @@ def test_a_trial_whose_former_release_is_gone_does_not_keep_the_tower_from_start
     """Else the service's start would fail every ten seconds, for good."""
     tower.install(write_package(tmp_path, "2.0"))
     guard = Guard(tower, tmp_path / "systemd")
-    tower.releases.begin_trial(Trial("1.0", "2.0", ""))
+    tower.releases.begin_trial(Trial("1.0", "2.0", "", 600))
     guard.runs()
     shutil.rmtree(tower.releases.folder("1.0"))
     assert guard.runs() == []
@@ -418,13 +419,6 @@ def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: 
     assert tower.releases.trial is not None, "the second start returns"
     assert guard.runs("late", state="active") == []
     assert not (tower.releases.root / "trial").exists(), "it is ready: taken"
-
-
-def test_a_trial_of_a_release_that_did_not_say_how_long_it_is_watched(tower: Tower, tmp_path: Path) -> None:
-    tower.releases.begin_trial(Trial("1.0", "2.0", "copy"))
-    (tower.releases.root / "trial/release").write_text("1.0\n2.0\ncopy\n")
-    assert tower.releases.trial == Trial("1.0", "2.0", "copy")
-    assert "--on-active=600" in Guard(tower, tmp_path / "systemd").runs()[1]
 
 
 @pytest.mark.parametrize(("hangs", "asked"), [(True, ["stop", "kill", "stop"]), (False, ["stop", "stop"])])

@@ -392,9 +392,8 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
 
 
 GUESS = """
-position: [400120.5, 3799880.25]
-height_above_ground: 30
-camera: {width: 320, height: 200, fx: 260}
+pose: {x: 400120.5, y: 3799880.25, height_above_ground: 30}
+calibration: {width: 320, height: 200, fx: 260}
 """
 
 
@@ -456,7 +455,7 @@ def test_the_command_writes_a_pose_that_trace_reads(
 
 
 def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
-    (tmp_path / "guess.yaml").write_text("position: [1, 2, 3]\ncamera: {width: 320, height: 200, fx: 260}\n")
+    (tmp_path / "guess.yaml").write_text("pose: {x: 1, y: 2, z: 3}\ncalibration: {width: 320, height: 200, fx: 260}\n")
     with pytest.raises(ConfigError, match="--crs"):
         pose_command(gcps=tmp_path / "no.csv", pose_guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
 

@@ -11,9 +11,8 @@ from scenes.located import plain, sighting
 
 from ltm_core.base.types import Float64Array
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.slips import slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence, TurnProfile, turn_evidence
-from ltm_core.locating.turn_watch import NOBODY, TurnWatch, judged
+from ltm_core.locating.wrong_camera import NONE_TURNED, FireMemory, judged, slip_density
 
 DEG = math.radians(1.0)
 SIGMA = 0.06 * DEG
@@ -71,7 +70,7 @@ def test_of_angles_that_explain_alike_the_likelier_slip_counts() -> None:
     lost = judged(fires, 0.7, lost={"c"})
     total = sum(weighed.values())
     assert lost.suspicion == pytest.approx({name: one / total for name, one in weighed.items()}, rel=0.03)
-    assert lost.wrong == "c"
+    assert (lost.wrong, lost.by) == ("c", ("pictures",))
 
 
 def test_of_two_cameras_one_fire_names_none() -> None:
@@ -79,13 +78,37 @@ def test_of_two_cameras_one_fire_names_none() -> None:
     once, twice = judged([marks], 0.75), judged([marks, marks], 0.75)
     assert once.suspicion["a"] > 0.99
     assert (once.suspect, once.wrong) == ("a", None)
-    assert twice.wrong == "a"
+    assert (twice.wrong, twice.by) == ("a", ("marks",))
+    both = judged([marks, marks], 0.75, lost={"a"})
+    assert (both.wrong, both.by) == ("a", ("marks", "pictures"))
+    assert judged([marks], 0.75, lost={"a"}).wrong == "a"
+
+
+def test_a_lost_camera_is_named_before_anything_is_marked() -> None:
+    verdict = judged([], 0.9, lost={"b"})
+    assert (verdict.wrong, verdict.fires, verdict.by) == ("b", 0, ("pictures",))
+    assert judged([], 0.9, lost={"a", "b"}).wrong is None
+
+
+def test_a_lost_camera_is_named_although_it_has_marked_fires_correctly() -> None:
+    right = fire(a=peak(0.0), b=peak(0.0), c=peak(0.0))
+    verdict = judged([right] * 5, 0.9, lost={"a"})
+    assert (verdict.wrong, verdict.by) == ("a", ("pictures",))
+    assert verdict.sigma > DEG  # by how much it is turned is not known
+
+
+def test_fires_of_the_morning_do_not_protect_a_camera_that_slipped_at_noon() -> None:
+    hour = 3_600_000_000_000
+    noon = np.logaddexp(16.0 - 0.5 * ((TURNS - 2 * DEG) / (0.1 * DEG)) ** 2, -4.0)
+    fires = [fire(a=peak(0.0), b=peak(0.0))] * 2 + [fire(a=noon, b=peak(0.0))]
+    assert judged(fires, 0.9, stamps=[0, hour, 5 * hour]).wrong == "a"
+    assert judged(fires, 0.9).wrong is None
 
 
 def test_cameras_that_always_agree_are_not_suspect() -> None:
     flat = {name: peak(0.0) for name in "abc"}
     assert judged([fire(**flat)] * 5, 0.9).suspicion == pytest.approx(dict.fromkeys("abc", 0.0), abs=0.05)
-    assert judged([], 0.9) == NOBODY
+    assert judged([], 0.9) == NONE_TURNED
 
 
 def test_an_error_that_the_pose_allows_is_not_a_turn() -> None:
@@ -117,58 +140,58 @@ def test_a_fire_says_no_more_than_that_it_may_be_two() -> None:
     assert said.ratios["c"] == pytest.approx(np.zeros(len(TURNS)))
 
 
-def named(watch: TurnWatch) -> str:
-    return watch.verdict.wrong or ""
+def named(memory: FireMemory) -> str:
+    return memory.verdict.wrong or ""
 
 
-def test_the_watch_forgets_and_is_bounded() -> None:
-    watch = TurnWatch(0.9, memory_ns=100, most=2)
+def test_the_memory_of_fires_forgets_and_is_bounded() -> None:
+    memory = FireMemory(0.9, memory_ns=100, most=2)
     first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
-    watch.note(1, 0, first)
-    watch.note(1, 10, first)  # the same fire again is no more evidence
-    assert watch.verdict.fires == 1
-    watch.note(2, 20, second)
-    assert named(watch) == "a"
-    watch.note(2, 30, fire(a=peak(0.0), b=peak(0.0)))  # fewer cameras: what three have said stays
-    assert named(watch) == "a"
-    watch.note(3, 115, fire(d=peak(0.0)))  # the first is forgotten
-    assert named(watch) == ""
+    memory.note(1, 0, first)
+    memory.note(1, 10, first)  # the same fire again is no more evidence
+    assert memory.verdict.fires == 1
+    memory.note(2, 20, second)
+    assert named(memory) == "a"
+    memory.note(2, 30, fire(a=peak(0.0), b=peak(0.0)))  # fewer cameras: what three have said stays
+    assert named(memory) == "a"
+    memory.note(3, 115, fire(d=peak(0.0)))  # the first is forgotten
+    assert named(memory) == ""
     for number in range(4, 9):
-        watch.note(number, 120, first)
-    assert watch.verdict.fires == 2
-    watch.expire(221)  # though no other fire has come
-    assert watch.verdict == NOBODY
+        memory.note(number, 120, first)
+    assert memory.verdict.fires == 2
+    memory.expire(221)  # though no other fire has come
+    assert memory.verdict == NONE_TURNED
 
 
 def test_with_a_camera_whose_mount_is_fitted_again_it_begins_anew() -> None:
     """What its marks said of others hung on its direction too."""
-    watch = TurnWatch(0.9)
+    memory = FireMemory(0.9)
     first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
-    watch.note(1, 0, first)
-    watch.note(2, 10, second)
-    watch.note(3, 20, fire(b=peak(0.0), d=peak(0.0)))
-    assert named(watch) == "a"
-    assert not watch.forget("e")
-    assert watch.forget("a")
-    assert (watch.verdict.suspicion.keys(), watch.verdict.fires) == ({"b", "d"}, 1)
-    assert named(watch) == ""
+    memory.note(1, 0, first)
+    memory.note(2, 10, second)
+    memory.note(3, 20, fire(b=peak(0.0), d=peak(0.0)))
+    assert named(memory) == "a"
+    assert not memory.forget("e")
+    assert memory.forget("a")
+    assert (memory.verdict.suspicion.keys(), memory.verdict.fires) == ({"b", "d"}, 1)
+    assert named(memory) == ""
 
 
 def test_what_is_marked_again_and_again_at_one_place_counts_once() -> None:
     """A chimney, say: where the terrain model errs there, it speaks against the same camera each time."""
-    watch = TurnWatch(0.9)
+    memory = FireMemory(0.9)
     unsure = alike(2.0, -1.9, 2.2)
 
     def marked(*degrees: float) -> TurnEvidence:
         return replace(unsure, azimuths={name: at * DEG for name, at in zip("abc", degrees, strict=True)})
 
     for number in range(10):
-        watch.note(number, number, marked(179.9 if number % 2 else -179.9, 40.0 + 0.05 * number, 70.0))
-    assert watch.verdict.fires == 1
-    watch.note(10, 10, marked(180.0, 42.0, 70.0))
-    assert watch.verdict.fires == 2
-    watch.note(11, 11, replace(unsure, azimuths={"a": math.pi}))  # one camera's direction is no place
-    assert watch.verdict.fires == 3
+        memory.note(number, number, marked(179.9 if number % 2 else -179.9, 40.0 + 0.05 * number, 70.0))
+    assert memory.verdict.fires == 1
+    memory.note(10, 10, marked(180.0, 42.0, 70.0))
+    assert memory.verdict.fires == 2
+    memory.note(11, 11, replace(unsure, azimuths={"a": math.pi}))  # one camera's direction is no place
+    assert memory.verdict.fires == 3
 
 
 @pytest.mark.kernel
