@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.base.types import Float32Array, Float64Array, Int64Array
+from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
+from ltm_lab.simulator.terrain_synthesis import axes
 
 _STRIP = 128  # rows of ground texture made at once
 _THREADS = 2
@@ -91,8 +92,7 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Reflectance
     Classes melt into one another over a few metres along ragged edges; brightness varies from hundreds of metres
     down to the cell.
     """
-    xs = geometry.to_map(0, np.arange(geometry.width))[0]
-    ys = geometry.to_map(np.arange(geometry.height), 0)[1]
+    xs, ys = axes(geometry)
     cell = geometry.resolution
     ragged = [7.0 * noise_fields.fractal(xs, ys, 24.0, seed + 301 + k, octaves=3, gain=0.6) for k in range(2)]
     x, y = xs[None, :] + ragged[0], ys[:, None] + ragged[1]
@@ -118,26 +118,13 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Reflectance
     # Ground that is bare without being rocky: what fire, felling and digging have left
     raw = (classes == BARE) & (cover.sample(cover.stand.rock, x, y) < 0.5)
     out = np.where(raw[..., None], (0.55 * colors.soil + 0.45 * colors.litter) * (1 + 0.2 * patchy), out)
-    fallen = cover.sample(cover.stand.rubble, x, y) > 0.5
-    if np.any(fallen):
-        debris = (0.75 * colors.soil + 0.25 * colors.rock) * (0.9 + 0.3 * rills + 0.25 * patchy + 0.2 * fine)
-        out = np.where((fallen & (classes == BARE))[..., None], debris, out)
     char = cover.sample(cover.stand.char, x, y)[..., None]
     ashes = np.clip(2.2 * fine + 0.9 * patchy - 0.35, 0, 1)
     burnt = (1 - ashes) * 1.5 * colors.char + ashes * (0.5 * colors.ash + 0.5 * colors.soil)
     out = np.where(char > 0.02, (1 - np.clip(1.25 * char, 0, 1)) * out + np.clip(1.25 * char, 0, 1) * burnt, out)
     out = np.where((classes == BUILT)[..., None], 0.8 * colors.soil, out)
-    road = cover.road[_cells(cover, xs, ys)]
-    out = np.where((road & (classes == BARE))[..., None], colors.track, out)
+    exact = np.meshgrid(xs, ys)
+    out = np.where(((cover.sample(cover.road, *exact) > 0.5) & (classes == BARE))[..., None], colors.track, out)
     out *= 1 + 0.16 * broad + 0.34 * fine
-    out = np.where((cover.at(*np.meshgrid(xs, ys)) == WATER)[..., None], _WATER, out)
+    out = np.where((cover.at(*exact) == WATER)[..., None], _WATER, out)
     return np.clip(out, 0.015, 0.75).astype(np.float32)
-
-
-def _cells(cover: LandCover, xs: Float64Array, ys: Float64Array) -> tuple[Int64Array, Int64Array]:
-    row, _ = cover.geometry.cell_of(0.0, ys)
-    _, col = cover.geometry.cell_of(xs, 0.0)
-    rows, cols = np.meshgrid(
-        np.clip(row, 0, cover.geometry.height - 1), np.clip(col, 0, cover.geometry.width - 1), indexing="ij"
-    )
-    return rows, cols

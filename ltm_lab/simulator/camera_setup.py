@@ -14,8 +14,6 @@ class ImagingConfig(Strict):
     exposure: float = Field(1.0, gt=0)  # relative to the automatic one
     vignetting: float = Field(0.25, ge=0, le=1)  # part of cos^4 fall-off applied
     noise: float = Field(1.0, ge=0)  # sensor noise relative to a small daylight camera
-    denoise: bool = True
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2, k3
     jpeg_quality: int = Field(78, ge=1, le=100)  # of the recording's images
 
 
@@ -24,8 +22,6 @@ class PatrolConfig(Strict):
 
     azimuth_deg: Annotated[list[float], Field(min_length=1)]
     pitch_deg: list[float] = Field([-6.0])  # one for all azimuths or one each
-    hfov_deg: list[float] = Field([])  # of a zoom, one each; none: the camera's own
-    roll_deg: float = 0.0
     rounds: int = Field(1, ge=1)
     interval_s: float = Field(2.0, gt=0)
     every_s: float | None = Field(None, gt=0)  # from the begin of a round to the next one's; none: without a pause
@@ -38,19 +34,13 @@ class PatrolConfig(Strict):
         return [self.start_s + r * every + k * self.interval_s for r in range(self.rounds) for k in range(stops)]
 
     @model_validator(mode="after")
-    def _rounds_end_before_the_next(self) -> PatrolConfig:
+    def _fits(self) -> PatrolConfig:
         shortest = (len(self.azimuth_deg) - 1) * self.interval_s
         if self.every_s is not None and self.every_s <= shortest:
             raise ValueError(
                 f"a round each {self.every_s:g} s, but its {len(self.azimuth_deg)} frames take {shortest:g} s: "
                 "give every_s more, or interval_s less"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _one_pitch_each(self) -> PatrolConfig:
-        if len(self.hfov_deg) not in (0, len(self.azimuth_deg)):
-            raise ValueError(f"{len(self.hfov_deg)} fields of view for {len(self.azimuth_deg)} azimuths: one each")
         if len(self.pitch_deg) not in (1, len(self.azimuth_deg)):
             raise ValueError(
                 f"{len(self.pitch_deg)} pitches for {len(self.azimuth_deg)} azimuths: give one, or one each"
@@ -69,10 +59,7 @@ class SensorConfig(Strict):
     gps_sigma: float = Field(0.0, ge=0)
     barometer_bias: float = Field(0.0, ge=0)  # m
     barometer_sigma: float = Field(0.0, ge=0)
-    clock_offset_s: float = 0.0  # its clock is so much ahead
-    lost: float = Field(0.0, ge=0, lt=1)  # share of frames that never arrive
-    late: float = Field(0.0, ge=0, le=1)  # share of frames that arrive late, by up to
-    late_s: float = Field(1.5, ge=0)
+    clock_offset_s: float = 0.0  # by which its clock is ahead
 
 
 PHONE = SensorConfig(
@@ -84,37 +71,31 @@ PHONE = SensorConfig(
     barometer_bias=4.0,
     barometer_sigma=0.5,
     clock_offset_s=0.25,
-    lost=0.03,
-    late=0.1,
 )
 """A smartphone held by hand: compass within 5-10 degrees, pitch and roll 0.5-1 degree, GPS 5 m, height 3-10 m."""
 
 
-def sensor_config(kind: Literal["tower", "phone"] | SensorConfig) -> SensorConfig:
-    """The errors that a kind stands for."""
-    if isinstance(kind, SensorConfig):
-        return kind
-    return PHONE if kind == "phone" else SensorConfig()
+Sensor = Literal["tower", "phone"] | SensorConfig
+"""`tower` (exact), `phone` (PHONE), or the errors one by one."""
+
+
+def sensor_config(sensor: Sensor) -> SensorConfig:
+    """Return the errors of a sensor."""
+    if isinstance(sensor, SensorConfig):
+        return sensor
+    return PHONE if sensor == "phone" else SensorConfig()
 
 
 class CameraSetup(Strict):
-    """A camera on a mast at map (x, y), `mast` metres above the true ground of the first date.
-
-    `sensor`: `tower` (exact), `phone` (PHONE), or its errors one by one.
-    """
+    """A camera on a mast at map (x, y), `mast` metres above the true ground of the first date."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     x: float
     y: float
     mast: float = Field(15.0, gt=0)
-    z: float | None = None  # metres, a surveyed height instead of the mast's
     hfov_deg: float = Field(55.0, gt=0, lt=170)
-    sensor: Literal["tower", "phone"] | SensorConfig = "tower"
+    sensor: Sensor = "tower"
     patrol: PatrolConfig
-
-    def sensors(self) -> SensorConfig:
-        """The camera's errors, its kind spelt out."""
-        return sensor_config(self.sensor)
 
 
 class WalkConfig(Strict):
@@ -138,12 +119,7 @@ class WalkConfig(Strict):
     portrait: list[bool] = Field([False, True], min_length=1)
     sway_deg: float = Field(1.5, ge=0)
     geoid_undulation: float = 0.0  # m of the geoid above the ellipsoid there, for altitudes that a phone tells
-    sensor: Literal["tower", "phone"] | SensorConfig = "phone"
-
-    def sensors(self) -> SensorConfig:
-        """The phone's errors; it stores its photos, so that none is lost or late."""
-        config = sensor_config(self.sensor)
-        return config.model_copy(update={"lost": 0.0, "late": 0.0})
+    sensor: Sensor = "phone"
 
 
 class ViewsConfig(Strict):

@@ -56,23 +56,14 @@ class _Change(Strict):
     mask: MaskConfig
 
 
-class Growth(_Change):
-    """Plants in the mask are `by` years older than elsewhere."""
-
-    kind: Literal["growth"]
-    by: float = Field(gt=0)
-
-
 class Burn(_Change):
-    """Fire. `severity` 0 (light underburn) .. 1 (stand-replacing); `prescribed` spares the crowns and leaves unburnt
-    patches.
+    """A fire of `severity` 0 (light underburn) to 1 (stand-replacing).
 
     Ground is charred at first, herbs follow within the year, shrubs resprout from the third.
     """
 
     kind: Literal["burn"]
     severity: float = Field(0.8, gt=0, le=1)
-    prescribed: bool = False
 
 
 class Conversion(_Change):
@@ -92,13 +83,6 @@ class Thinning(_Change):
     of: list[Literal["shrub", "tree"]] = ["tree"]
 
 
-class Density(_Change):
-    """The number of shrubs and trees in the mask times `factor`."""
-
-    kind: Literal["density"]
-    factor: float = Field(ge=0, le=3)
-
-
 class Landslide(_Change):
     """The upper half of the mask slides by up to `depth` metres into the lower half, which keeps the share `deposit`
     of it."""
@@ -116,7 +100,4 @@ class Cut(_Change):
     ramp: float = Field(8.0, gt=0)
 
 
-Change = Annotated[
-    Growth | Burn | Conversion | Thinning | Density | Landslide | Cut,
-    Field(discriminator="kind"),
-]
+Change = Annotated[Burn | Conversion | Thinning | Landslide | Cut, Field(discriminator="kind")]

@@ -1,4 +1,4 @@
-"""Land cover of a synthetic site: the class map that says where which vegetation stands."""
+"""Land cover of a synthetic site: the class map that says where which vegetation stands, and its shares over cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from ltm_core.base.types import BoolArray, Float32Array, Int16Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.scenario import VegetationConfig
@@ -27,8 +27,8 @@ class Stand:
 
     `shrub_height`, `tree_height`: relative to mature ones. `density`: plants relative to closed cover. `conifer`:
     which trees stand where trees stand. `char` 0..1: black ground. `scorch` 0..1: tree crowns killed by heat. `dead`:
-    class id of what fire has left standing dead (SHRUB, TREE), else 0. `rock`: bare ground is of stone; `rubble`: of
-    what a slide has left. `touched`: which change was the last here, 0 none.
+    class id of what fire has left standing dead (SHRUB, TREE), else 0. `rock`: bare ground is of stone.
+    `touched`: number of the last change here, 0 none.
     """
 
     shrub_height: Float32Array
@@ -39,7 +39,6 @@ class Stand:
     scorch: Float32Array
     dead: UInt8Array
     rock: BoolArray
-    rubble: BoolArray
     touched: UInt8Array
 
     @staticmethod
@@ -49,7 +48,7 @@ class Stand:
         if conifer is None:
             conifer = np.zeros(shape, bool)
         none, rock = np.zeros(shape, np.uint8), np.ones(shape, bool)
-        return Stand(ones, ones, density * ones, conifer, zeros, zeros, none, rock, np.zeros(shape, bool), none)
+        return Stand(ones, ones, density * ones, conifer, zeros, zeros, none, rock, none)
 
 
 @dataclass(frozen=True)
@@ -70,52 +69,40 @@ class LandCover:
 
     def at(self, x: ArrayLike, y: ArrayLike) -> UInt8Array:
         """Class ids at map points; the nearest cell's outside."""
-        row, col = self.geometry.cell_of(x, y)
-        rows = np.clip(row, 0, self.geometry.height - 1)
-        return np.asarray(self.classes[rows, np.clip(col, 0, self.geometry.width - 1)], np.uint8)
+        return np.asarray(self.classes[self._cell(x, y)], np.uint8)
 
     def on_road(self, x: ArrayLike, y: ArrayLike, side: float) -> BoolArray:
-        """Whether the track passes through the square of `side` about each map point, as far as its corners and
-        centre tell."""
+        """Return whether a corner or the centre of the square of `side` about each map point is on the track."""
         h = side / 2
         hit = np.zeros(np.shape(x), bool)
         for dx, dy in ((0, 0), (-h, -h), (h, -h), (-h, h), (h, h)):
-            row, col = self.geometry.cell_of(np.add(x, dx), np.add(y, dy))
-            rows = np.clip(row, 0, self.geometry.height - 1)
-            hit |= self.road[rows, np.clip(col, 0, self.geometry.width - 1)]
+            hit |= self.road[self._cell(np.add(x, dx), np.add(y, dy))]
         return hit
 
     def sample(self, raster: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Float32Array:
         """A raster of this geometry at map points, nearest cell."""
+        return np.asarray(raster[self._cell(x, y)], np.float32)
+
+    def _cell(self, x: ArrayLike, y: ArrayLike) -> tuple[Int64Array, Int64Array]:
+        """Return the rows and columns of the cells nearest to map points."""
         row, col = self.geometry.cell_of(x, y)
-        rows = np.clip(row, 0, self.geometry.height - 1)
-        return np.asarray(raster[rows, np.clip(col, 0, self.geometry.width - 1)], np.float32)
-
-
-def cover_geometry(terrain: SyntheticTerrain) -> GridGeometry:
-    """The land cover's grid: the surroundings', at half their cell."""
-    g = terrain.surroundings.geometry
-    return GridGeometry(g.x_min, g.y_max, g.resolution / 2, g.width * 2, g.height * 2)
+        return np.clip(row, 0, self.geometry.height - 1), np.clip(col, 0, self.geometry.width - 1)
 
 
 def make_landcover(
     terrain: SyntheticTerrain,
     config: VegetationConfig,
     seed: int,
-    codes: Int16Array | None = None,
     lakes: Sequence[BoolArray] = (),
 ) -> LandCover:
     """Give each cell of the terrain's surroundings (half their cell size) a class.
 
-    `codes`: fuel model numbers on `cover_geometry`, -1 unknown; where known they say what grows. `lakes`: their cells
-    on the surroundings' grid.
-
-    Trees seek ravines and shaded slopes, grass gentle and sunny ground, bare ground steep crests; patches of
-    noise break the rules up. The
-    shares of `config` hold over the site.
+    Trees seek ravines and shaded slopes, grass gentle and sunny ground, bare ground steep crests; patches of noise
+    break the rules up. The shares of `config` hold over the site. `lakes`: their cells on the surroundings' grid.
     """
     coarse = terrain.surroundings
-    fine = cover_geometry(terrain)
+    g = coarse.geometry
+    fine = GridGeometry(g.x_min, g.y_max, g.resolution / 2, g.width * 2, g.height * 2)
     height = HeightField(ndimage.zoom(coarse.elevation, 2, order=1, mode="nearest", grid_mode=True), fine)
     xs, ys = height.axes()
     smooth = HeightField(ndimage.gaussian_filter(height.elevation, 4.0), fine)
@@ -152,8 +139,6 @@ def make_landcover(
         chosen = (score >= least) & ~taken
         classes[chosen] = class_id
         taken |= chosen
-    if codes is not None:
-        classes = _prior_classes(codes, classes, patches[1], xs, ys, fine, seed)
     wet_cells = np.zeros(fine.shape, bool)
     for lake in lakes:
         wet_cells |= np.kron(lake, np.ones((2, 2), bool))
@@ -176,27 +161,48 @@ def make_landcover(
     return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand, houses)
 
 
-def _prior_classes(
-    codes: Int16Array, own: UInt8Array, patches: Float32Array, xs: Any, ys: Any, g: GridGeometry, seed: int
-) -> UInt8Array:
-    """Classes as a fuel map says, along ragged edges; grass-shrub is broken up by noise, unknown keeps `own`."""
-    shift = [14.0 * noise_fields.fractal(xs, ys, 60.0, seed + 221 + k, octaves=3, gain=0.6) for k in range(2)]
-    rows, cols = np.mgrid[0 : g.height, 0 : g.width]
-    r = np.clip(rows + np.rint(shift[0] / g.resolution).astype(int), 0, g.height - 1)
-    c = np.clip(cols + np.rint(shift[1] / g.resolution).astype(int), 0, g.width - 1)
-    code = codes[r, c]
-    out = own.copy()
-    out[((code >= 101) & (code <= 109)) | (code == 93)] = GRASS
-    mixed = (code >= 121) & (code <= 124)
-    out[mixed] = np.where(patches > -0.05, SHRUB, GRASS)[mixed]
-    out[(code >= 141) & (code <= 149)] = SHRUB
-    out[(code >= 161) & (code <= 204)] = TREE
-    out[(code == 91) | (code == 92) | (code == 99)] = BARE
-    out[code == 98] = WATER
-    return out
-
-
 def _site_mask(terrain: SyntheticTerrain, geometry: GridGeometry) -> BoolArray:
     x_min, y_min, x_max, y_max = terrain.site.geometry.bounds
     x, y = geometry.to_map(np.arange(geometry.height)[:, None], np.arange(geometry.width)[None, :])
     return np.asarray((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max), np.bool_)
+
+
+@dataclass(frozen=True)
+class PlantCells:
+    """Square cells of the ground, (N,) each, and what the land cover says of them: `shares` (N, 5) by class."""
+
+    x: Float64Array
+    y: Float64Array
+    side: float
+    shares: Float64Array
+    density: Float64Array
+    shrub_height: Float64Array
+    tree_height: Float64Array
+    char: Float64Array
+    scorch: Float64Array
+    dead_shrub: BoolArray
+    dead_tree: BoolArray
+    rock: Float64Array
+    conifer: BoolArray
+    edge: BoolArray  # a change has ended inside the cell
+
+
+def describe(cover: LandCover, x: Float64Array, y: Float64Array, side: float, samples: int = 3) -> PlantCells:
+    """Shares of each class over square cells, from samples x samples points, and the stand at their centres."""
+    stand = cover.stand
+    steps = (np.arange(samples) - (samples - 1) / 2) * side / samples
+    shares = np.zeros((len(x), 5))
+    touched = cover.sample(stand.touched, x, y)
+    edge = np.zeros(len(x), bool)
+    for dx in steps:
+        for dy in steps:
+            shares[np.arange(len(x)), np.minimum(cover.at(x + dx, y + dy), 4)] += 1 / samples**2
+            edge |= cover.sample(stand.touched, x + dx, y + dy) != touched
+    names = ("density", "shrub_height", "tree_height", "char", "scorch", "rock")
+    here = {n: np.asarray(cover.sample(getattr(stand, n), x, y), np.float64) for n in names}
+    dead = cover.sample(stand.dead, x, y)
+    conifer = cover.sample(stand.conifer, x, y) >= 0.5
+    return PlantCells(
+        x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer,
+        edge=edge, **here,
+    )  # fmt: skip

@@ -21,7 +21,6 @@ from ltm_lab.simulator.ground_mesh import Triangles, far_ranges, field_triangles
 from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_lab.simulator.prototypes import Prototype
 from ltm_lab.simulator.scenario import Scenario
-from ltm_lab.simulator.sky import daylight
 from ltm_lab.simulator.terrain_synthesis import SyntheticTerrain
 from ltm_lab.simulator.vegetation import Placement, Planting
 
@@ -111,24 +110,27 @@ class SceneBuilder:
             }
         )
         self._groups: dict[str, Any] = {}
-        self._light = {"light": mi.load_dict(daylight(scenario.sun))}
+        azimuth, elevation = np.radians(scenario.sun.azimuth_deg), np.radians(scenario.sun.elevation_deg)
+        flat = np.cos(elevation)
+        # A clear sky with its sun (Hosek & Wilkie 2012), black below the horizon
+        daylight = {
+            "type": "sunsky",
+            "turbidity": scenario.sun.turbidity,
+            "sun_direction": [float(v) for v in (np.sin(azimuth) * flat, np.cos(azimuth) * flat, np.sin(elevation))],
+            "albedo": 0.2,
+        }
+        self._light = {"light": mi.load_dict(daylight)}
         site, wide = terrain.site.geometry, terrain.surroundings.geometry
-        self._site_ground = self._ground_bsdf(
-            GridGeometry(site.x_min, site.y_max, _SITE_TEXEL, *self._texels(site, _SITE_TEXEL))
-        )
-        self._wide_ground = self._ground_bsdf(
-            GridGeometry(wide.x_min, wide.y_max, _WIDE_TEXEL, *self._texels(wide, _WIDE_TEXEL))
-        )
+        self._site_ground = self._ground_bsdf(site, _SITE_TEXEL)
+        self._wide_ground = self._ground_bsdf(wide, _WIDE_TEXEL)
         self._bend = (1 - REFRACTION) / (2 * EARTH_RADIUS) if scenario.curvature else 0.0
         self._center = np.array([(site.x_min + site.x_max) / 2, (site.y_min + site.y_max) / 2])
         self._ground = self._ground_groups()
 
-    @staticmethod
-    def _texels(geometry: GridGeometry, texel: float) -> tuple[int, int]:
-        return round(geometry.width * geometry.resolution / texel), round(geometry.height * geometry.resolution / texel)
-
-    def _ground_bsdf(self, geometry: GridGeometry) -> Any:
+    def _ground_bsdf(self, over: GridGeometry, texel: float) -> Any:
         mi = mitsuba()
+        width, height = (round(n * over.resolution / texel) for n in (over.width, over.height))
+        geometry = GridGeometry(over.x_min, over.y_max, texel, width, height)
         texture = ground_texture(self.cover, geometry, self.colors, self.scenario.seed)
         bitmap = {
             "type": "bitmap",

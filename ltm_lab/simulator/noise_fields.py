@@ -44,31 +44,6 @@ def gradient_noise(x: float, y: float, seed: int) -> float:
     return float(1.4142 * (low + v * (high - low)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def gradient_noise_3d(x: float, y: float, z: float, seed: int) -> float:
-    """Perlin's noise in space (2002: gradients to the twelve edges of a cube), about [-1, 1]."""
-    ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    fx, fy, fz = x - ix, y - iy, z - iz
-    u = fx * fx * fx * (fx * (fx * 6.0 - 15.0) + 10.0)
-    v = fy * fy * fy * (fy * (fy * 6.0 - 15.0) + 10.0)
-    w = fz * fz * fz * (fz * (fz * 6.0 - 15.0) + 10.0)
-    total = 0.0
-    for k in range(8):
-        ox, oy, oz = k & 1, (k >> 1) & 1, k >> 2
-        edge = int(12.0 * lattice_uniform(ix + ox + 7919 * (iz + oz), iy + oy - 6271 * (iz + oz), seed))
-        first, second = 1.0 - 2.0 * (edge & 1), 1.0 - (edge & 2)
-        dx, dy, dz = fx - ox, fy - oy, fz - oz
-        if edge < 4:
-            slope = first * dx + second * dy
-        elif edge < 8:
-            slope = first * dx + second * dz
-        else:
-            slope = first * dy + second * dz
-        weight = (u if ox else 1.0 - u) * (v if oy else 1.0 - v) * (w if oz else 1.0 - w)
-        total += weight * slope
-    return total
-
-
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _fractal_rows(
     xs: Float64Array,

@@ -4,6 +4,7 @@ frames.json                 scenario, CRS, origin, dates; of each frame its true
                                 `reported` of them, and file names
 NNNN.png, NNNN_labels.png   the picture; class ids of every truth_step-th pixel
 NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky), labels, at the same pixels
+scenario.yaml               the scenario, if a kind and a seed have drawn it
 dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground
 dem_around.tif              a coarser one of the range about the site
 dem_region.tif              a coarse one to the mountains on the horizon
@@ -28,17 +29,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_lab.simulator.mitsuba_scene import SURROUNDINGS_SINK
-from ltm_lab.simulator.outdated import outdated_dem
-from ltm_lab.simulator.rasters import UNKNOWN, SiteRasters, site_change
-from ltm_lab.simulator.regional_dem import regional_dem
+from ltm_lab.simulator.rasters import UNKNOWN, SiteRasters, outdated_dem, regional_dem, site_change
 from ltm_lab.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_lab.simulator.scenario import Scenario
-from ltm_lab.simulator.sensors import Report
+from ltm_lab.simulator.viewpoints import Report
 
 _COLORS = {
     0: (0, 0, 0),
@@ -49,6 +49,13 @@ _COLORS = {
     5: (35, 85, 190),
     6: (205, 50, 60),
 }
+
+
+def write_scenario(out: Path, scenario: Scenario) -> None:
+    """`scenario.yaml`: the scenario without its defaults, for a drawn one."""
+    out.mkdir(parents=True, exist_ok=True)
+    values = scenario.model_dump(mode="json", exclude_defaults=True)
+    (out / "scenario.yaml").write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
 
 
 def write_site(out: Path, scenario: Scenario, site: SimulatedSite, truth: SiteRasters) -> None:

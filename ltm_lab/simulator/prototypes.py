@@ -92,87 +92,49 @@ def _far_tree(rng: Rng, colors: Reflectances, conifer: bool) -> Soup:
     for _ in range(3):
         x, y = rng.normal(0, 0.33 * r, 2)
         k = rng.uniform(0.6, 0.8)
-        parts.append(
-            meshes.lump(rng, (k * r, k * r, 0.36 * h), 0.58 * h, colors.oak * rng.uniform(0.8, 1.25), 4, 7).moved(
-                x, y, 1, 0
-            )
-        )
+        crown = meshes.lump(rng, (k * r, k * r, 0.36 * h), 0.58 * h, colors.oak * rng.uniform(0.8, 1.25), 4, 7)
+        parts.append(crown.moved(x, y, 1, 0))
     return Soup.joined(parts)
 
 
 def _tree_patch(rng: Rng, colors: Reflectances, stage: float, conifer: bool, cover: float, singed: float) -> Soup:
     points = _scatter(rng, FAR_PATCH, 7.0, cover)
-    if len(points) == 0:
-        points = np.zeros((1, 2))
     trees = [_far_tree(rng, colors, conifer).moved(x, y, stage, rng.uniform(0, 6.28)) for x, y in points]
     return meshes.scorched(Soup.joined(trees), singed, colors.scorched)
 
 
+def _strewn(points: Float64Array, make: Callable[[], Soup]) -> Soup:
+    """Return one plant at each point (N, 2)."""
+    return Soup.joined([make().moved(x, y, 1, 0) for x, y in points])
+
+
 def _snag_patch(rng: Rng, colors: Reflectances, stage: float) -> Soup:
-    return Soup.joined(
-        [
-            meshes.snag(rng, rng.uniform(6.0, 11.0), colors.char, boughs=5).moved(x, y, 1, 0)
-            for x, y in _scatter(rng, FAR_PATCH, 7.5, 0.75)
-        ]
-    )
+    at = _scatter(rng, FAR_PATCH, 7.5, 0.75)
+    return _strewn(at, lambda: meshes.snag(rng, rng.uniform(6.0, 11.0), colors.char, boughs=5))
 
 
 def _stick_patch(rng: Rng, colors: Reflectances, stage: float, side: float, spacing: float) -> Soup:
     """The charred stems that fire leaves of shrubs."""
-    return Soup.joined(
-        [
-            meshes.stems(rng, rng.uniform(0.3, 0.8), rng.uniform(0.5, 1.5), colors.char, 5).moved(x, y, 1, 0)
-            for x, y in _scatter(rng, side, spacing, 0.8)
-        ]
-    )
+    at = _scatter(rng, side, spacing, 0.8)
+    return _strewn(at, lambda: meshes.stems(rng, rng.uniform(0.3, 0.8), rng.uniform(0.5, 1.5), colors.char, 5))
 
 
 def _tuft_patch(rng: Rng, colors: Reflectances, spacing: float, blades: int, width: float) -> Soup:
-    return Soup.joined(
-        [
-            meshes.tuft(
-                rng,
-                rng.uniform(0.1, 0.26),
-                rng.uniform(0.15, 0.45),
-                colors.grass * rng.uniform(0.85, 1.25),
-                blades,
-                width,
-            ).moved(x, y, 1, 0)
-            for x, y in _scatter(rng, TUFT_PATCH, spacing, 0.8)
-        ]
-    )
+    def tuft() -> Soup:
+        radius, height = rng.uniform(0.1, 0.26), rng.uniform(0.15, 0.45)
+        return meshes.tuft(rng, radius, height, colors.grass * rng.uniform(0.85, 1.25), blades, width)
 
-
-def _stone(rng: Rng, size: float, narrow: float, color: Float64Array, rings: int = 3, sides: int = 5) -> Soup:
-    """A stone `size` metres long and `narrow` times as wide, a third of it sunk into the ground."""
-    return meshes.lump(rng, (size, size * narrow, 0.6 * size), 0.2 * size, color, rings, sides)
+    return _strewn(_scatter(rng, TUFT_PATCH, spacing, 0.8), tuft)
 
 
 def _stone_patch(rng: Rng, colors: Reflectances, side: float, pebbles: int, boulders: int) -> Soup:
-    """Stones and boulders."""
+    """Stones and boulders, a third of each sunk into the ground."""
     parts = []
     for k in range(pebbles + boulders):
         size = rng.uniform(0.12, 0.4) if k < pebbles else 0.35 * rng.uniform(0.3, 1.0) ** -1.3
-        stone = _stone(rng, size, rng.uniform(0.6, 1.0), colors.rock * rng.uniform(0.6, 1.15))
+        radii = size, size * rng.uniform(0.6, 1.0), 0.6 * size
+        stone = meshes.lump(rng, radii, 0.2 * size, colors.rock * rng.uniform(0.6, 1.15), rings=3, sides=5)
         x, y = rng.uniform(-side / 2, side / 2, 2)
-        parts.append(stone.moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
-    return Soup.joined(parts)
-
-
-def _dusty(rng: Rng, colors: Reflectances) -> Float64Array:
-    """The colour of a stone that lies in the soil it came down with."""
-    return np.asarray((0.6 * colors.soil + 0.4 * colors.rock) * rng.uniform(0.65, 1.1), np.float64)
-
-
-def _rubble_patch(rng: Rng, colors: Reflectances, side: float, stones: int) -> Soup:
-    """What a slide leaves: many small stones in heaps, fewer towards the patch's rim, so that patches overlap
-    unseen."""
-    heaps = rng.uniform(-0.35, 0.35, (5, 2)) * side
-    parts = []
-    for _ in range(stones):
-        x, y = heaps[rng.integers(len(heaps))] + rng.normal(0, 0.16 * side, 2)
-        size = min(0.1 * rng.uniform(0.02, 1.0) ** -0.6, 0.8)
-        stone = _stone(rng, size, rng.uniform(0.6, 1.0), _dusty(rng, colors))
         parts.append(stone.moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
     return Soup.joined(parts)
 
@@ -209,19 +171,17 @@ class Prototypes:
         return self._made[name]
 
 
-_KEPT = 1
-"""Sets of prototypes, some 300 MB each, that are kept for whoever plants next: dates of one season share theirs."""
 _kept: dict[tuple[int, bytes], Prototypes] = {}
+"""The set that was asked for last, some 300 MB: dates of one season share theirs."""
 
 
 def prototypes(colors: Reflectances, seed: int) -> Prototypes:
-    """The prototypes of these colours and this seed, the same ones as long as they are kept: making them takes longer
-    than planting them."""
+    """Return the prototypes of these colours and this seed; making them takes longer than planting them."""
     key = seed, b"".join(np.ascontiguousarray(color).tobytes() for color in vars(colors).values())
-    _kept[key] = found = _kept.pop(key, None) or Prototypes(colors, seed)
-    while len(_kept) > _KEPT:
-        _kept.pop(next(iter(_kept)))
-    return found
+    if key not in _kept:
+        _kept.clear()
+        _kept[key] = Prototypes(colors, seed)
+    return _kept[key]
 
 
 Maker = Callable[[Rng, Reflectances, float], Soup]
@@ -276,7 +236,4 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
     for name, scrub in (("chaparral", False), ("scrub", True)):
         for prefix, leaves in (("", 80), ("far_", 0), ("close_", 1400)):
             kinds[f"{prefix}{name}_one"] = (SHRUB, 7, partial(_shrub_one, scrub=scrub, leaves=leaves))
-    kinds["rubble"] = (BARE, 6, lambda r, c, s: _rubble_patch(r, c, NEAR_PATCH, 260))
-    kinds["far_rubble"] = (BARE, 4, lambda r, c, s: _rubble_patch(r, c, FAR_PATCH, 120))
-    kinds["boulder"] = (BARE, 8, lambda r, c, s: _stone(r, 1.0, r.uniform(0.6, 1.0), _dusty(r, c), 5, 8))
     return kinds

@@ -1,4 +1,4 @@
-"""True rasters of a site at one date, and the changes between two dates."""
+"""Rasters of a site: the truth at one date, the changes between two dates, and the DEMs that the system is given."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
+from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.canopy import canopy_height
+from ltm_lab.simulator.ground_mesh import far_radii, far_surface
 from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
-from ltm_lab.simulator.terrain_synthesis import HeightField
-from ltm_lab.simulator.truth import fuel_truth
+from ltm_lab.simulator.scenario import OutdatedDemConfig
+from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain, axes
 from ltm_lab.simulator.vegetation import Planting
 
 SURFACE_CELL, FUEL_CELL = 1.0, 30.0  # m
@@ -20,6 +23,8 @@ TERRAIN_CHANGED, CANOPY_CHANGED, CLASS_CHANGED = 1, 2, 4  # bits of change raste
 _TERRAIN_STEP, _CANOPY_STEP = 0.1, 0.5  # m, the least that counts as change
 UNKNOWN = 255
 _STRIP = 256  # rows of the 1 m rasters sampled at once
+_QUANTUM = 1 / 16  # m; a binary fraction deflates well
+_REACH, _CELL = 42_000.0, 90.0  # m, of the regional DEM
 
 
 @dataclass(frozen=True)
@@ -130,3 +135,81 @@ def site_change(before: SiteRasters, after: SiteRasters) -> SiteChange:
     bits[np.abs(after.canopy - before.canopy) >= _CANOPY_STEP] |= CANOPY_CHANGED
     bits[after.classes != before.classes] |= CLASS_CHANGED
     return SiteChange(bits, after.life_form != before.life_form, after.fuel_code != before.fuel_code)
+
+
+def outdated_dem(site: HeightField, config: OutdatedDemConfig, seed: int) -> tuple[Float32Array, GridGeometry]:
+    """Return an older, coarser survey of the true ground, with the errors of `config`: elevation (H, W) float32 and its
+    geometry in the map frame.
+
+    Each cell is the mean of the ground under it, as a survey grids its returns; the error's wavelengths are 60 m to
+    900 m.
+    """
+    g = site.geometry
+    resolution = config.resolution
+    size = int(g.width * g.resolution // resolution)
+    geometry = GridGeometry(g.x_min, g.y_min + size * resolution, resolution, size, size)
+    n = 3 if resolution > g.resolution else 1  # a cell finer than the ground has nothing to average
+    fine = GridGeometry(geometry.x_min, geometry.y_max, resolution / n, size * n, size * n)
+    xs, ys = axes(fine)
+    east, north = config.shift
+    rows = (g.y_max - (ys - north)) / g.resolution - 0.5
+    cols = ((xs - east) - g.x_min) / g.resolution - 0.5
+    z = ndimage.map_coordinates(
+        site.elevation, np.meshgrid(rows, cols, indexing="ij"), np.float64, order=1, mode="nearest"
+    )
+    mean = z.reshape(size, n, size, n).mean(axis=(1, 3))
+    xs, ys = axes(geometry)
+    error = noise_fields.fractal(xs, ys, 900.0, seed + 601, octaves=4, gain=0.8).astype(np.float64)
+    error -= error.mean()
+    spread = float(error.std())
+    if config.sigma > 0 and spread > 0:
+        mean += error * config.sigma / spread
+    mean += config.bias
+    return (np.rint(mean / _QUANTUM) * _QUANTUM).astype(np.float32), geometry
+
+
+def regional_dem(terrain: SyntheticTerrain, seed: int) -> tuple[Float32Array, GridGeometry]:
+    """Return a coarse DEM of the site's surroundings and the mountains on the horizon: elevation (H, W) float32, whole
+    metres as in global models, of 90 m cells out to 42 km from the site's middle, and its geometry in the map frame."""
+    wide = terrain.surroundings
+    g = wide.geometry
+    middle = np.array([(g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2])
+    size = 2 * round(_REACH / _CELL)
+    geometry = GridGeometry(middle[0] - size / 2 * _CELL, middle[1] + size / 2 * _CELL, _CELL, size, size)
+    columns, rows = np.meshgrid(np.arange(size), np.arange(size))
+    east, north = geometry.to_map(rows, columns)
+    ring, turn = _polar(east - middle[0], north - middle[1], (g.x_max - g.x_min) / 2)
+    _, _, z = far_surface(wide, seed, middle, 0.0)
+    elevation = ndimage.map_coordinates(z, [ring, turn], np.float64, order=1, mode="nearest")
+    near = (east > g.x_min) & (east < g.x_max) & (north > g.y_min) & (north < g.y_max)
+    elevation[near] = wide.at(east[near], north[near])
+    return np.asarray(np.rint(elevation), np.float32), geometry
+
+
+def _polar(x: Float64Array, y: Float64Array, half: float) -> tuple[Float64Array, Float64Array]:
+    """Fractional row and column in `far_surface` of points about its middle."""
+    angle = np.arctan2(y, x) % (2 * np.pi)
+    reach = np.hypot(x, y)
+    square = 1 / np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
+    # From half to 3 half: reach = r ((1 - blend) square + blend) with blend = (r - half) / (2 half).
+    bent = np.maximum((square - 1) / (2 * half), 1e-12)
+    linear = square + bent * half
+    radius = (linear - np.sqrt(np.maximum(linear**2 - 4 * bent * reach, 0.0))) / (2 * bent)
+    radius = np.where(reach >= 3 * half, reach, np.where(radius < half, reach / square, radius))
+    radii = far_radii(half)
+    return np.interp(radius, radii, np.arange(len(radii))), angle / (2 * np.pi) * 720
+
+
+def fuel_truth(cover: LandCover, geometry: GridGeometry, offset: tuple[float, float]) -> UInt8Array:
+    """Majority class of each cell of `geometry` (CRS coordinates; `offset` is the CRS position of map (0, 0)); ties
+    go to the lower id."""
+    fine = cover.geometry
+    rows, cols = np.mgrid[0 : fine.height, 0 : fine.width]
+    x, y = fine.to_map(rows, cols)
+    row, col = geometry.cell_of(x + offset[0], y + offset[1])
+    inside = geometry.contains(row, col)
+    counts = np.zeros((geometry.height * geometry.width, 8), np.int64)
+    np.add.at(counts, ((row * geometry.width + col)[inside], np.minimum(cover.classes[inside], 7)), 1)
+    out = counts.argmax(axis=1).astype(np.uint8)
+    out[counts.sum(axis=1) == 0] = 255
+    return np.asarray(out.reshape(geometry.shape), np.uint8)

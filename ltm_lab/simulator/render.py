@@ -1,4 +1,4 @@
-"""Renders with Mitsuba through our cameras: radiance images, and ranges through pixel centres."""
+"""Renders with Mitsuba through our cameras: radiance images, true ranges through pixel centres, true classes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import CameraError
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
+from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SKY, TREE, UNLABELLED, LandCover
 from ltm_lab.simulator.mitsuba_scene import EyePointScenes, mitsuba
 
 _NEAR = 0.1  # m
@@ -67,10 +68,9 @@ class Radiance:
 
 
 def render_radiance(view: EyePointScenes, camera: Camera, pose: Pose, samples: int, seed: int) -> Radiance:
-    """What reaches the lens through clear air; the same seed gives the same image.
+    """Return what reaches the lens through clear air; the same seed gives the same image.
 
-    Sun and sky are rendered apart: a cloud's shadow takes the sun only, and the sky's light, which is soft but noisy,
-    can be smoothed where shadows' edges must not.
+    Sun and sky are rendered apart: the sky's light, which is soft but noisy, can be smoothed, edges of shadows cannot.
     """
     mi = mitsuba()
     integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
@@ -130,24 +130,40 @@ def airlight(view: EyePointScenes, camera: Camera, pose: Pose, pitch_deg: float 
     return np.asarray(np.median(sky.reshape(-1, 3), axis=0), np.float32)
 
 
-def white_cards(view: EyePointScenes, elevation_deg: float) -> tuple[Float32Array, Float32Array]:
-    """Radiance (3,) of a perfectly white card in the open: one that faces the sun (at `elevation_deg`) without the
-    sky's light, and a level one without the sun's."""
-    mi = mitsuba()
-    card = {"type": "rectangle", "b": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}}
-    scene = mi.load_dict({"type": "scene", "light": view.light, "card": card})
-    integrator = mi.load_dict({"type": "direct", "emitter_samples": 4, "bsdf_samples": 0})
-    camera, above = Camera.from_fov(16, 16, 5.0), Pose.from_angles((0.0, 0.0, 3.0), 0.0, -89.9)
-    light = mi.traverse(view.light)
-    means = []
-    try:
-        for sun, sky in ((1.0, 0.0), (0.0, 1.0)):
-            light["sun_scale"], light["sky_scale"] = sun, sky
-            light.update()
-            sensor = _sensor(camera, above, {"type": "multijitter", "sample_count": 16}, "rgb")
-            image = np.asarray(mi.render(scene, sensor=sensor, integrator=integrator, spp=16, seed=0), np.float32)
-            means.append(image.reshape(-1, 3).mean(axis=0))
-    finally:
-        light["sun_scale"], light["sky_scale"] = 1.0, 1.0
-        light.update()
-    return means[0] / np.float32(np.sin(np.radians(elevation_deg))), means[1]
+@dataclass(frozen=True)
+class FrameTruth:
+    """Of each pixel of `camera`: `range_surface` to what is seen, `range_ground` to the bare ground behind it (both
+    (H, W) float32, slant metres, +inf sky), `labels` (H, W) uint8."""
+
+    range_surface: Float32Array
+    range_ground: Float32Array
+    labels: UInt8Array
+    camera: Camera
+
+
+def frame_truth(view: EyePointScenes, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
+    """Cast a ray through every pixel centre of `camera`, at the ground alone and at each kind of plant alone.
+
+    The class is the kind that is hit first; the ground itself takes the class map's (under trees grass, about houses
+    bare), and ranges beyond the map stay unlabelled.
+    """
+    ground = render_range(view.ground, camera, pose)
+    labels = _ground_labels(ground, camera, pose, view.bend, cover)
+    surface = ground.copy()
+    for class_id, scene in view.kinds:
+        ranges = render_range(scene, camera, pose)
+        labels[ranges < surface] = class_id
+        surface = np.minimum(surface, ranges)
+    return FrameTruth(surface, ground, labels, camera)
+
+
+def _ground_labels(ranges: Float32Array, camera: Camera, pose: Pose, bend: float, cover: LandCover) -> UInt8Array:
+    rays = camera.rays() @ pose.rotation.T
+    hit = np.isfinite(ranges)
+    points = pose.position + rays * np.where(hit, ranges, 0.0)[..., None]
+    labels = cover.at(points[..., 0], points[..., 1]).copy()
+    labels[~cover.geometry.contains(*cover.geometry.cell_of(points[..., 0], points[..., 1]))] = UNLABELLED
+    labels[labels == TREE] = GRASS  # what shows between crowns is their understorey
+    labels[labels == BUILT] = BARE  # and between walls, the yard
+    labels[~hit] = SKY
+    return labels

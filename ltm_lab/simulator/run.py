@@ -3,42 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_lab.simulator.appearance import palette
-from ltm_lab.simulator.clouds import Clouds
-from ltm_lab.simulator.ground_io import read_codes, read_elevation
-from ltm_lab.simulator.imaging import add_haze, develop, lit
-from ltm_lab.simulator.landcover import UNLABELLED, WATER, LandCover, cover_geometry, make_landcover
-from ltm_lab.simulator.lens import lookup, pinhole_for, through
+from ltm_lab.simulator.camera_setup import sensor_config
+from ltm_lab.simulator.imaging import add_haze, develop, lit, mirrored, smoke
+from ltm_lab.simulator.landcover import UNLABELLED, WATER, LandCover, make_landcover
 from ltm_lab.simulator.mitsuba_scene import EyePointScenes, SceneBuilder
 from ltm_lab.simulator.rasters import SiteRasters, site_rasters
-from ltm_lab.simulator.render import air_length, airlight, render_radiance, render_range, white_cards
+from ltm_lab.simulator.render import (
+    FrameTruth,
+    air_length,
+    airlight,
+    frame_truth,
+    render_radiance,
+    render_range,
+)
 from ltm_lab.simulator.scenario import DateConfig, Scenario
-from ltm_lab.simulator.sensors import Report, SensorModel
 from ltm_lab.simulator.stand import changed_terrain, stand_at
-from ltm_lab.simulator.terrain_synthesis import SyntheticTerrain, make_terrain, surroundings_geometry, terrain_of
-from ltm_lab.simulator.truth import FrameTruth, frame_truth
+from ltm_lab.simulator.terrain_synthesis import SyntheticTerrain, make_terrain
 from ltm_lab.simulator.vegetation import Planting
-from ltm_lab.simulator.viewpoints import draw_viewpoints
-from ltm_lab.simulator.walks import walk_photos
-from ltm_lab.simulator.weather import mirrored, smoke
+from ltm_lab.simulator.viewpoints import Report, SensorModel, draw_viewpoints, walk_photos
 from ltm_lab.simulator.works import with_lakes
 
 # Where in a pixel the distances for haze are taken, besides its centre
 _HAZE_SAMPLES = ((-0.25, -0.25), (0.25, 0.25))
-
-
-_FINER = 3.0  # rays a pixel's width when truth is looked up through a lens
 _LEAST_MAST = 0.2  # m over the ground
 _WATER_SKIN = 0.4  # m about a lake's level within which a point is its surface
-_OPAQUE = 0.5  # opacity of smoke above which nobody can tell what is behind it
+_OPAQUE = 0.5  # opacity of smoke above which pixels have no class
 
 
 @dataclass(frozen=True)
@@ -74,28 +72,11 @@ class SimulatedSite:
 def make_site(scenario: Scenario) -> SimulatedSite:
     """The site as it was before the scenario's first date: a function of its seed, terrain and vegetation alone.
 
-    Raises ConfigError on rasters that cannot be read or do not cover it, and on lakes outside it.
+    Raises ConfigError on lakes outside it.
     """
-    config, seed = scenario.terrain, scenario.seed
-    if config.dem is None:
-        terrain = make_terrain(config, seed)
-    else:
-        wide = surroundings_geometry(config)
-        in_crs = wide.translated(*scenario.origin, scenario.crs)
-        try:
-            elevation = read_elevation(config.dem, in_crs)
-        except RasterError as error:
-            raise ConfigError(f"terrain.dem: {error}") from error
-        terrain = terrain_of(elevation, wide, config, seed)
-    terrain, lakes = with_lakes(terrain, scenario.lakes)
-    codes = None
-    if scenario.vegetation.fuel is not None:
-        grid = cover_geometry(terrain).translated(*scenario.origin, scenario.crs)
-        try:
-            codes = read_codes(scenario.vegetation.fuel, grid)
-        except RasterError as error:
-            raise ConfigError(f"vegetation.fuel: {error}") from error
-    return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, seed, codes, lakes))
+    seed = scenario.seed
+    terrain, lakes = with_lakes(make_terrain(scenario.terrain, seed), scenario.lakes)
+    return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, seed, lakes))
 
 
 def site_at(scenario: Scenario, site: SimulatedSite, date: DateConfig) -> SimulatedSite:
@@ -116,47 +97,33 @@ def rasters_at(scenario: Scenario, site: SimulatedSite) -> SiteRasters:
 def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None = None) -> list[Shot]:
     """All frames of a date (the first unless given), one eye point after another, each eye's in time order.
 
-    `site`: the site at the first date; masts stand on its ground, whatever happens to it later. Raises ConfigError
-    for a camera under that ground.
+    `site`: the site at the first date; masts stand on its ground, whatever happens to it later.
     """
     if date is None:
         date = scenario.dates[0]
-    start = scenario.start_of(date)
+    start, ground = scenario.start_of(date), site.terrain.site
     shots: list[Shot] = []
-    for i, setup in enumerate(scenario.cameras):
-        ground = float(site.terrain.site.at(setup.x, setup.y))
-        height = ground + setup.mast if setup.z is None else setup.z
-        if height < ground + _LEAST_MAST:
-            raise ConfigError(
-                f"cameras.{i}: {setup.name} stands at {height:.2f} m, {ground - height:.2f} m under the ground of "
-                f"({setup.x:g}, {setup.y:g}); give z above {ground + _LEAST_MAST:.2f} or leave it out and give mast"
-            )
-        eye = np.array([setup.x, setup.y, height])
-        patrol = setup.patrol
+    for setup in scenario.cameras:
+        over = float(ground.at(setup.x, setup.y))
+        eye = np.array([setup.x, setup.y, over + setup.mast])
+        patrol, camera = setup.patrol, scenario.camera_model(setup.hfov_deg)
         pitches = patrol.pitch_deg * len(patrol.azimuth_deg) if len(patrol.pitch_deg) == 1 else patrol.pitch_deg
-        sensors = SensorModel(setup.sensors(), f"{setup.name} {date.name}", scenario.seed)
-        fields = patrol.hfov_deg or [setup.hfov_deg] * len(patrol.azimuth_deg)
-        stops = list(zip(patrol.azimuth_deg, pitches, fields, strict=True))
-        for seconds, (azimuth, pitch, hfov) in zip(patrol.begins(), stops * patrol.rounds, strict=True):
-            camera = scenario.camera_model(hfov)
-            stamp = start + round(seconds * 1e9)
-            pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
+        sensors = SensorModel(sensor_config(setup.sensor), f"{setup.name} {date.name}", scenario.seed)
+        stops = list(zip(patrol.azimuth_deg, pitches, strict=True))
+        for seconds, (azimuth, pitch) in zip(patrol.begins(), stops * patrol.rounds, strict=True):
+            stamp, pose = start + round(seconds * 1e9), Pose.from_angles(eye, azimuth, pitch)
             report = sensors.report(pose, stamp)
-            if report is not None:
-                shots.append(Shot(setup.name, camera, pose, stamp, height - ground, date.name, report))
+            shots.append(Shot(setup.name, camera, pose, stamp, float(eye[2]) - over, date.name, report))
     for walk in scenario.walks:
-        sensors = SensorModel(walk.sensors(), f"{walk.name} {date.name}", scenario.seed)
-        for seconds, pose, portrait in walk_photos(walk, site.terrain.site, scenario.seed):
-            stamp = start + round(seconds * 1e9)
-            report = sensors.report(pose, stamp)
-            if report is not None:
-                camera = scenario.camera_model(walk.hfov_deg, portrait)
-                shots.append(Shot(walk.name, camera, pose, stamp, walk.eye, date.name, report))
+        sensors = SensorModel(sensor_config(walk.sensor), f"{walk.name} {date.name}", scenario.seed)
+        for seconds, pose, portrait in walk_photos(walk, ground, scenario.seed):
+            stamp, camera = start + round(seconds * 1e9), scenario.camera_model(walk.hfov_deg, portrait)
+            shots.append(Shot(walk.name, camera, pose, stamp, walk.eye, date.name, sensors.report(pose, stamp)))
     if scenario.views is not None:
-        for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
+        for place, views in enumerate(draw_viewpoints(ground, scenario.views, scenario.seed)):
             for v in views:
                 pose = Pose.from_angles(v.eye, v.azimuth_deg, v.pitch_deg, v.roll_deg)
-                mast = float(v.eye[2] - site.terrain.site.at(v.eye[0], v.eye[1]))
+                mast = float(v.eye[2] - ground.at(v.eye[0], v.eye[1]))
                 stamp = start + len(shots) * 2_000_000_000
                 camera, exact = scenario.camera_model(v.hfov_deg), Report.exact(pose, stamp)
                 shots.append(Shot(f"view{place:02d}", camera, pose, stamp, mast, date.name, exact))
@@ -208,8 +175,7 @@ class _Light:
 def _light(scenario: Scenario, site: SimulatedSite, view: EyePointScenes, shot: Shot, seed: int) -> _Light:
     """What reaches the lens, and what is true of it."""
     pose = shot.pose
-    distorted = any(shot.camera.distortion)
-    camera = pinhole_for(shot.camera) if distorted else shot.camera
+    camera = shot.camera
     light = render_radiance(view, camera, pose, scenario.imaging.samples, seed)
     ranges = [render_range(view.full, camera, pose, shift) for shift in _HAZE_SAMPLES]
     is_sky = np.isinf(ranges[0])
@@ -217,52 +183,18 @@ def _light(scenario: Scenario, site: SimulatedSite, view: EyePointScenes, shot: 
     points = pose.position + rays * np.where(is_sky, 0.0, ranges[0])[..., None]
     points[..., 2] += view.bend * ((points[..., :2] - pose.position[:2]) ** 2).sum(axis=-1)  # upright again
     horizon, zenith = airlight(view, camera, pose), airlight(view, camera, pose, 60.0)
-    sun, sky = light.sun, light.sky
-    if scenario.clouds is not None:
-        datum = float(site.terrain.site.elevation.mean())
-        clouds = Clouds(scenario.clouds, datum, scenario.sun, pose.position, scenario.seed)
-        cards = white_cards(view, scenario.sun.elevation_deg)
-        overhead = clouds.overhead(*cards)
-        layer = clouds.seen(camera, pose)
-        sun = sun * np.where(is_sky, 1 - layer.opacity, clouds.sunlight(points))[..., None]
-        sky = np.where(is_sky[..., None], layer.over(sky, *cards), sky * overhead.factor)
-        horizon, zenith = overhead.air(horizon), overhead.air(zenith)
-    radiance = lit(sun, sky, is_sky)
+    radiance = lit(light.sun, light.sky, is_sky)
     water = ~is_sky & (site.cover.at(points[..., 0], points[..., 1]) == WATER)
     water &= np.abs(points[..., 2] - site.terrain.site.at(points[..., 0], points[..., 1])) < _WATER_SKIN
     radiance = mirrored(radiance, water, rays, horizon, zenith, seed)
     air = [air_length(r, camera, pose) for r in ranges]
     radiance = add_haze(radiance, air, horizon, scenario.atmosphere)
-    truth = _truth(view, shot.camera.scaled(scenario.truth_step), pose, site.cover)
+    truth = frame_truth(view, camera.scaled(scenario.truth_step), pose, site.cover)
     if scenario.smoke:
         feet = [float(site.terrain.site.at(s.x, s.y)) for s in scenario.smoke]
         white = float(np.quantile(radiance, 0.995))
         glow, alpha = smoke(scenario.smoke, feet, camera, pose, ranges[0], white, scenario.seed)
         radiance = radiance * (1 - alpha[..., None]) + glow
-        _, hidden = smoke(
-            scenario.smoke,
-            feet,
-            replace(truth.camera, distortion=(0.0,) * 5),
-            pose,
-            truth.range_surface,
-            white,
-            scenario.seed,
-        )
+        _, hidden = smoke(scenario.smoke, feet, truth.camera, pose, truth.range_surface, white, scenario.seed)
         truth.labels[hidden > _OPAQUE] = UNLABELLED
-    radiance = radiance.astype(np.float32)
-    if distorted:
-        maps = lookup(shot.camera, camera)
-        radiance, is_sky = through(radiance, maps, smooth=True), through(is_sky, maps, smooth=False)
-    return _Light(radiance, is_sky, truth)
-
-
-def _truth(view: EyePointScenes, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
-    """The truth of `camera`'s pixels; through a distorting lens, of rays within a sixth of a pixel of them."""
-    if not any(camera.distortion):
-        return frame_truth(view, camera, pose, cover)
-    pinhole = pinhole_for(camera, finer=_FINER)
-    truth, maps = frame_truth(view, pinhole, pose, cover), lookup(camera, pinhole)
-    surface, ground, labels = (
-        through(a, maps, smooth=False) for a in (truth.range_surface, truth.range_ground, truth.labels)
-    )
-    return FrameTruth(surface, ground, labels, camera)
+    return _Light(radiance.astype(np.float32), is_sky, truth)

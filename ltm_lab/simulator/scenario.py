@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 from pyproj import CRS
@@ -20,13 +18,7 @@ _YEAR_NS = 365.2425 * 86_400 * 1e9
 
 
 class GroundConfig(Strict):
-    """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame.
-
-    `dem`: a raster of real elevation in any CRS (path relative to the scenario file), whose ground at the scenario's
-    `origin` is the site; without it the ground is made, by `relief` to `repose`.
-    """
-
-    dem: Path | None = None
+    """The ground that is made. Lengths in metres; the site is the square [0, size]^2 of the map frame."""
 
     size: float = Field(4000.0, gt=0)
     resolution: float = Field(4.0, gt=0)
@@ -49,12 +41,8 @@ class LakeConfig(Strict):
 
 
 class VegetationConfig(Strict):
-    """Cover of the land in wishes: the shares of the site that each class should hold, the rest is shrub.
+    """Cover of the land: the share of the site that each class gets; the rest is shrub."""
 
-    `fuel`: a raster of fuel model numbers (FBFM40) that says what grows where, instead of `tree`, `grass`, `bare`.
-    """
-
-    fuel: Path | None = None
     houses: int = Field(0, ge=0, le=500)
 
     tree: float = Field(0.2, ge=0, le=1)
@@ -91,18 +79,6 @@ class AtmosphereConfig(Strict):
     blue: float = 0.35  # how much faster blue fades than red: exponents 1 - blue/2 (red) .. 1 + blue/2 (blue)
 
 
-class CloudConfig(Strict):
-    """Clouds, with their shadows. `kind`: heaps with level bases, or a layer; `cover`: the share of the sky that they
-    take, 1 overcast; `veil`: how dense the ice clouds above them are."""
-
-    cover: float = Field(0.4, ge=0, le=1)
-    kind: Literal["cumulus", "stratus"] = "cumulus"
-    base: float = Field(1500.0, gt=100)  # m above the site
-    depth: float = Field(700.0, gt=20)  # m from bases to the highest tops
-    size: float = Field(2400.0, gt=50)  # m, the longest wavelength
-    veil: float = Field(0.0, ge=0, le=3)  # optical depth
-
-
 class SmokeConfig(Strict):
     """A column of smoke from map (x, y): `height` and `drift` are its last puff's, metres; `wind_deg` is where the
     wind blows to, clockwise from grid north."""
@@ -127,16 +103,11 @@ class OutdatedDemConfig(Strict):
 
 
 class DateConfig(Strict):
-    """One visit to the site, `years` after the scenario's start; what is given here replaces the scenario's own."""
+    """One visit to the site, `years` after the scenario's start."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     years: float = Field(0.0, ge=0)
     frames: bool = True  # false: only its rasters are wanted
-    green: float | None = Field(None, ge=0, le=1)
-    sun: SunConfig | None = None
-    atmosphere: AtmosphereConfig | None = None
-    clouds: CloudConfig | None = None
-    smoke: list[SmokeConfig] | None = None
 
 
 class ImageSize(Strict):
@@ -160,7 +131,6 @@ class Scenario(Strict):
     sun: SunConfig = SunConfig()
     atmosphere: AtmosphereConfig = AtmosphereConfig()
     imaging: ImagingConfig = ImagingConfig()
-    clouds: CloudConfig | None = None
     smoke: list[SmokeConfig] = Field([])
     lakes: list[LakeConfig] = Field([])
     dem: OutdatedDemConfig = OutdatedDemConfig()
@@ -186,12 +156,10 @@ class Scenario(Strict):
     def _something_to_see(self) -> Scenario:
         if not self.cameras and not self.walks and self.views is None:
             raise ValueError("no camera: give `cameras`, `walks` or `views`")
-        names = [c.name for c in self.cameras] + [w.name for w in self.walks]
-        if len(set(names)) != len(names):
-            raise ValueError(f"camera names must differ, got {names}")
-        dates = [d.name for d in self.dates]
-        if len(set(dates)) != len(dates):
-            raise ValueError(f"names of dates must differ, got {dates}")
+        cameras = [c.name for c in self.cameras] + [w.name for w in self.walks]
+        for of, names in (("cameras", cameras), ("dates", [d.name for d in self.dates])):
+            if len(set(names)) != len(names):
+                raise ValueError(f"names of {of} must differ, got {names}")
         if sorted(d.years for d in self.dates) != [d.years for d in self.dates]:
             raise ValueError(f"dates must be in order of years, got {[d.years for d in self.dates]}")
         for i, date in enumerate(self.dates):
@@ -228,8 +196,6 @@ class Scenario(Strict):
         points = [(f"cameras.{i}: {c.name}", c.x, c.y) for i, c in enumerate(self.cameras)]
         points += [(f"walks.{i}: {w.name}'s path", x, y) for i, w in enumerate(self.walks) for x, y in w.path]
         points += [(f"smoke.{i}: the column", column.x, column.y) for i, column in enumerate(self.smoke)]
-        for i, date in enumerate(self.dates):
-            points += [(f"dates.{i}: smoke", column.x, column.y) for column in date.smoke or []]
         for what, x, y in points:
             if not (0 < x < size and 0 < y < size):
                 raise ValueError(f"{what} at ({x:g}, {y:g}) is outside the site {within}; place it inside")
@@ -242,18 +208,9 @@ class Scenario(Strict):
     def _after(date: DateConfig) -> int:
         return round(date.years * _YEAR_NS)
 
-    def at(self, date: DateConfig) -> Scenario:
-        """This scenario with the season, sun, air and clouds of `date` as its own."""
-        own = {n: getattr(date, n) for n in ("sun", "atmosphere", "clouds", "smoke") if getattr(date, n) is not None}
-        if date.green is not None:
-            own["vegetation"] = self.vegetation.model_copy(update={"green": date.green})
-        return self.model_copy(update=own)
-
     def camera_model(self, hfov_deg: float, portrait: bool = False) -> Camera:
-        """The camera of this scenario's image size and lens; `hfov_deg` is its field of view without distortion.
-        `portrait`: the same turned by a quarter."""
+        """Return the camera of this scenario's image size with a field of view of `hfov_deg`; `portrait`: the same
+        turned by a quarter."""
         width, height = self.image.width, self.image.height
-        plain = Camera.from_fov(width, height, hfov_deg)
-        if portrait:
-            plain = Camera(height, width, plain.fx, plain.fy, (height - 1) / 2, (width - 1) / 2)
-        return replace(plain, distortion=self.imaging.distortion)
+        camera = Camera.from_fov(width, height, hfov_deg)
+        return Camera(height, width, camera.fx, camera.fy, camera.cy, camera.cx) if portrait else camera

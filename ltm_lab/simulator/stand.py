@@ -13,19 +13,9 @@ from scipy import ndimage
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.simulator import noise_fields
-from ltm_lab.simulator.changes import (
-    Burn,
-    Change,
-    Conversion,
-    Cut,
-    Density,
-    Growth,
-    Landslide,
-    MaskConfig,
-    Thinning,
-)
+from ltm_lab.simulator.changes import Burn, Change, Conversion, Cut, Landslide, MaskConfig, Thinning
 from ltm_lab.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand
-from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain
+from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain, axes
 
 _CLASS_OF = {"conifer": TREE, "oak": TREE, "tree": TREE, "shrub": SHRUB, "grass": GRASS, "bare": BARE}
 _HERBS, _RESPROUTS = 0.4, 3.0  # years after a fire
@@ -38,8 +28,7 @@ _GONE = 0.3  # density below which a cell is no longer of its plants' class
 
 def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> BoolArray:
     """The cells (H, W) of `geometry` (map frame) that a mask covers, its edge made ragged by seeded noise."""
-    xs, _ = geometry.to_map(0, np.arange(geometry.width))
-    _, ys = geometry.to_map(np.arange(geometry.height), 0)
+    xs, ys = axes(geometry)
     x, y = np.meshgrid(xs, ys)
     if mask.ragged > 0:
         x = x + 1.6 * mask.ragged * noise_fields.fractal(xs, ys, 90.0, seed + 701, octaves=4, gain=0.6)
@@ -119,16 +108,16 @@ def stand_at(
     """
     shape = cover.geometry.shape
     grown = np.full(shape, age + growing * years, np.float32)
-    names = ("density", "conifer", "char", "scorch", "dead", "rock", "rubble", "touched")
+    names = ("density", "conifer", "char", "scorch", "dead", "rock", "touched")
     state = _State(
         cover.classes.copy(), grown, grown + _TREE_LEAD, {name: getattr(cover.stand, name).copy() for name in names}
     )
     for number, change in enumerate(_past(changes, years)):
         inside = mask_weights(change.mask, cover.geometry, seed)
         old = [a.copy() for a in (state.classes, state.shrub_age, state.fields["density"])]
-        _APPLY[type(change)](state, change, inside, years - change.years, cover.geometry, seed + 13 * number)
+        _apply(state, change, inside, years - change.years, cover.geometry, seed + 13 * number)
         new = (state.classes, state.shrub_age, state.fields["density"])
-        if not isinstance(change, Growth | Conversion):  # which leave no edge between plants and open ground
+        if not isinstance(change, Conversion):  # which leaves no edge between plants and open ground
             acted = np.any([a != b for a, b in zip(old, new, strict=True)], axis=0)
             state.fields["touched"][acted] = number + 1
     sparse = (state.fields["density"] < _GONE) & np.isin(state.classes, (SHRUB, TREE))
@@ -155,52 +144,37 @@ class _State:
     fields: dict[str, Any]
 
 
-def _growth(s: _State, change: Growth, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
-    s.shrub_age[inside] += change.by
-    s.tree_age[inside] += change.by
-
-
-def _density(s: _State, change: Density, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
-    s.fields["density"][inside] *= change.factor
-
-
-def _thinning(s: _State, change: Thinning, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
-    s.fields["density"][inside & np.isin(s.classes, [_CLASS_OF[c] for c in change.of])] *= change.keep
-
-
-def _conversion(
-    s: _State, change: Conversion, inside: BoolArray, since: float, geometry: GridGeometry, seed: int
-) -> None:
-    chosen = inside & np.isin(s.classes, [_CLASS_OF[c] for c in change.of])
-    s.classes[chosen] = _CLASS_OF[change.to]
-    s.shrub_age[chosen] = change.age + since
-    s.tree_age[chosen] = change.age + since
-    s.fields["conifer"][chosen] = change.to == "conifer"
-    s.fields["density"][chosen] = 1.0
-    s.fields["dead"][chosen] = 0
-    s.fields["rock"][chosen] = change.to == "bare"
-
-
-def _earthwork(
-    s: _State, change: Landslide | Cut, inside: BoolArray, since: float, geometry: GridGeometry, seed: int
-) -> None:
-    s.classes[inside] = BARE
-    s.fields["density"][inside] = 0.0
+def _apply(s: _State, change: Change, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
+    """Change the state where `inside`, as it is `since` years after the change."""
+    if isinstance(change, Burn):
+        return _burn(s, change, inside, since, geometry, seed)
+    if isinstance(change, Thinning | Conversion):
+        inside = inside & np.isin(s.classes, [_CLASS_OF[c] for c in change.of])
+    if isinstance(change, Thinning):
+        s.fields["density"][inside] *= change.keep
+        return None
     s.fields["dead"][inside] = 0
-    s.fields["char"][inside] = 0.0
-    s.fields["rock"][inside] = isinstance(change, Landslide)
-    s.fields["rubble"][inside] = isinstance(change, Landslide)
+    if isinstance(change, Conversion):
+        s.classes[inside] = _CLASS_OF[change.to]
+        s.shrub_age[inside] = s.tree_age[inside] = change.age + since
+        s.fields["conifer"][inside] = change.to == "conifer"
+        s.fields["density"][inside] = 1.0
+        s.fields["rock"][inside] = change.to == "bare"
+    else:
+        s.classes[inside] = BARE
+        s.fields["density"][inside] = s.fields["char"][inside] = 0.0
+        s.fields["rock"][inside] = isinstance(change, Landslide)
+    return None
 
 
 def _burn(s: _State, change: Burn, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
-    xs, _ = geometry.to_map(0, np.arange(geometry.width))
-    _, ys = geometry.to_map(np.arange(geometry.height), 0)
+    xs, ys = axes(geometry)
     uneven = noise_fields.fractal(xs, ys, 130.0, seed + 711, octaves=4, gain=0.65)
-    severity = np.clip(change.severity + (1.6 if change.prescribed else 0.5) * uneven, 0, 1)
-    burnt = inside & (severity > (0.25 if change.prescribed else 0.12))
+    severity = np.clip(change.severity + 0.5 * uneven, 0, 1)
+    burnt = inside & (severity > 0.12)
     severity = np.where(burnt, severity, 0).astype(np.float32)
     tree = burnt & (s.classes == TREE)
-    killed = tree & (severity > 0.7) & (not change.prescribed)
+    killed = tree & (severity > 0.7)
     opened = burnt & (s.classes != BARE) & (~tree | killed)
     was_shrub = opened & (s.classes != GRASS)
     if since < _HERBS:
@@ -213,21 +187,10 @@ def _burn(s: _State, change: Burn, inside: BoolArray, since: float, geometry: Gr
     s.tree_age[killed] = since
     s.fields["dead"][was_shrub] = SHRUB
     s.fields["dead"][killed] = TREE
-    crown = np.clip((severity - 0.15) / 0.45, 0, 1) * (0.5 if change.prescribed else 1.0)
+    crown = np.clip((severity - 0.15) / 0.45, 0, 1)
     s.fields["scorch"] = np.where(burnt & ~killed, crown * max(0.0, 1 - since / 2), s.fields["scorch"]).astype(
         np.float32
     )
     faded = np.exp(-since / _CHAR_FADES)
     s.fields["char"] = np.maximum(s.fields["char"], np.sqrt(severity) * faded).astype(np.float32)
     s.fields["char"] = ndimage.gaussian_filter(s.fields["char"], 0.5).astype(np.float32)
-
-
-_APPLY: dict[type, Any] = {
-    Growth: _growth,
-    Density: _density,
-    Thinning: _thinning,
-    Conversion: _conversion,
-    Landslide: _earthwork,
-    Cut: _earthwork,
-    Burn: _burn,
-}

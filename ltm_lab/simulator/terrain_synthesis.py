@@ -29,10 +29,7 @@ class HeightField:
 
     def axes(self) -> tuple[Float64Array, Float64Array]:
         """Cell-centre coordinates: xs (W,) eastwards, ys (H,) southwards."""
-        g = self.geometry
-        xs, _ = g.to_map(0, np.arange(g.width))
-        _, ys = g.to_map(np.arange(g.height), 0)
-        return xs, ys
+        return axes(self.geometry)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Elevation at map points; the border value outside."""
@@ -65,8 +62,11 @@ def _grid(extent: tuple[float, float, float, float], cell: float) -> GridGeometr
     return GridGeometry(x_min, y_max, cell, round((x_max - x_min) / cell), round((y_max - y_min) / cell))
 
 
-def _axes(geometry: GridGeometry) -> tuple[Float64Array, Float64Array]:
-    return HeightField(np.empty((0, 0), np.float32), geometry).axes()
+def axes(geometry: GridGeometry) -> tuple[Float64Array, Float64Array]:
+    """Return the cell-centre coordinates of a grid: xs (W,) eastwards, ys (H,) southwards."""
+    xs, _ = geometry.to_map(0, np.arange(geometry.width))
+    _, ys = geometry.to_map(np.arange(geometry.height), 0)
+    return xs, ys
 
 
 def _resample(field: Float64Array, old: GridGeometry, new: GridGeometry, order: int = 3) -> Float64Array:
@@ -86,7 +86,7 @@ def make_terrain(config: GroundConfig, seed: int) -> SyntheticTerrain:
     old = _grid(extent, _COARSEST)
     for cell, steps in _STEPS.items():
         geometry = _grid(extent, cell)
-        xs, ys = _axes(geometry)
+        xs, ys = axes(geometry)
         rough = noise_fields.fractal(xs, ys, 900.0, seed + 11, octaves=6, gain=0.6).astype(np.float64)
         height = 120.0 * (1.0 + rough) if height is None else _resample(height, old, geometry) + 0.06 * cell * rough
         lift = 1.0 + 0.35 * noise_fields.fractal(xs, ys, 3500.0, seed + 23, octaves=2)
@@ -112,18 +112,6 @@ def make_terrain(config: GroundConfig, seed: int) -> SyntheticTerrain:
     inside = _resample(height, old, _grid((0.0, 0.0, size, size), 16.0), order=1)
     scale = config.relief / (inside.max() - inside.min())
     height = (height - inside.min()) * scale + config.base_elevation
-    return terrain_of(height, old, config, seed)
-
-
-def surroundings_geometry(config: GroundConfig) -> GridGeometry:
-    """The grid of a scenario's surroundings in the map frame."""
-    a, b = (config.size - config.surroundings) / 2, (config.size + config.surroundings) / 2
-    return _grid((a, a, b, b), min(_STEPS))
-
-
-def terrain_of(height: Float64Array, geometry: GridGeometry, config: GroundConfig, seed: int) -> SyntheticTerrain:
-    """The terrain of surroundings `height` (H, W) on `geometry`: the site cut out of them, with detail added."""
-    old = geometry
     site_geometry = _grid((0.0, 0.0, config.size, config.size), config.resolution)
     wetness = np.log10(erosion.drainage_area(height, old.resolution)).astype(np.float32)
     surroundings = HeightField(height.astype(np.float32), old)
@@ -134,7 +122,7 @@ def terrain_of(height: Float64Array, geometry: GridGeometry, config: GroundConfi
 def _warped(height: Float64Array, geometry: GridGeometry, seed: int) -> Float64Array:
     """`height` with its plan bent smoothly, and broad swells added: takes out what is left of the raster's
     directions."""
-    xs, ys = _axes(geometry)
+    xs, ys = axes(geometry)
     shift = [110.0 * noise_fields.fractal(xs, ys, 800.0, seed + k, octaves=3, gain=0.45) for k in (61, 67)]
     rows, cols = np.meshgrid(np.arange(geometry.height), np.arange(geometry.width), indexing="ij")
     at = [rows + shift[0] / geometry.resolution, cols + shift[1] / geometry.resolution]
@@ -145,7 +133,7 @@ def _warped(height: Float64Array, geometry: GridGeometry, seed: int) -> Float64A
 def _detailed(coarse: HeightField, geometry: GridGeometry, config: GroundConfig, seed: int) -> Float32Array:
     """The evolved ground at the site's own cell, with relief below the evolution's scale: rills, benches, outcrops."""
     base = _resample(coarse.elevation.astype(np.float64), coarse.geometry, geometry)
-    xs, ys = _axes(geometry)
+    xs, ys = axes(geometry)
     down, right = np.gradient(base, geometry.resolution)
     steep = np.clip(np.hypot(down, right) / 0.6, 0.0, 1.5)
     rills = noise_fields.fractal(xs, ys, 70.0, seed + 51, octaves=4, gain=0.55, ridged=True)

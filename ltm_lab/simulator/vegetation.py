@@ -9,12 +9,11 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.appearance import Reflectances
-from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
-from ltm_lab.simulator.plant_cells import PlantCells, describe
+from ltm_lab.simulator.ground_mesh import line_of_sight
+from ltm_lab.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover, PlantCells, describe
 from ltm_lab.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, prototypes
 from ltm_lab.simulator.scenario import VegetationConfig
 from ltm_lab.simulator.terrain_synthesis import SyntheticTerrain
-from ltm_lab.simulator.visible_ground import line_of_sight
 
 LATTICE = 0.25  # m; trees stand on it, so that their heights can be counted on it exactly
 _TREE_SPACING = 8.5  # m, jittered grid
@@ -136,9 +135,8 @@ class Planting:
             ):
                 out += self._put_by_stage(prefix + kind + suffix, c, chosen & where)
         rocky = self._noise(c.x, c.y, 90.0, 423) + self._draw(c.x, c.y, 425) > 0.1
-        rocky &= (bare * c.rock > 0.5) & ~self._cover.on_road(c.x, c.y, c.side) & ~c.rubble
+        rocky &= (bare * c.rock > 0.5) & ~self._cover.on_road(c.x, c.y, c.side)
         coarse = prefix.removeprefix("close_")
-        out += self._rubble(c, coarse)
         out += self._put(coarse + "stones", c.x, c.y, c.side, rocky)
         out += self._put(coarse + "sticks", c.x, c.y, c.side, c.dead_shrub & (c.char > 0.1))
         if coarse:
@@ -180,20 +178,6 @@ class Planting:
                 name = f"{prefix}{kind}_one@{round(100 * STAGES[i])}"
                 out += self._put(name, x, y, 0.0, chosen & (stage == i), np.ones(len(x)))
         return out
-
-    def _rubble(self, c: PlantCells, prefix: str) -> list[Placement]:
-        """The stones of slides: heaps that lie where chance left them, and boulders by a power law of sizes."""
-        slid = c.rubble & (c.shares[:, BARE] > 0.3)
-        if not np.any(slid):
-            return []
-        x, y = self._inside(c, slid, c.side, 441)
-        heaped = self._draw(x, y, 445) < 0.55 + 0.5 * self._noise(x, y, 55.0, 447)
-        out = self._put(prefix + "rubble", x, y, 0.8 * c.side, heaped, turns=16)
-        x, y = self._inside(c, slid, 4.0, 451)
-        there = self._cover.sample(self._cover.stand.rubble, x, y) >= 0.5
-        some = self._draw(x, y, 455) < np.clip(0.14 + 0.3 * self._noise(x, y, 38.0, 457), 0.02, 0.5)
-        size = np.minimum(0.22 * np.maximum(self._draw(x, y, 459), 1e-3) ** -0.55, 2.2)
-        return out + self._put("boulder", x, y, 0.0, there & some, size)
 
     def _houses(self) -> list[Placement]:
         houses = self._cover.houses
@@ -272,16 +256,15 @@ class Planting:
         side: float,
         chosen: BoolArray,
         size: Float64Array | None = None,
-        turns: int = 0,
     ) -> list[Placement]:
         """Instances of `name` at the chosen points: sheared onto the slope (side > 0), or upright and scaled by
-        `size`. `turns`: the directions that they are turned to, by default as many as cells or lone plants have."""
+        `size`."""
         if not np.any(chosen):
             return []
         x, y = x[chosen], y[chosen]
         variants = self._prototypes[name]
         which = (self._draw(x, y, 419) * len(variants)).astype(int)
-        turns = turns or (4 if side > 0 else _TURNS)
+        turns = 4 if side > 0 else _TURNS
         turn = np.floor(self._draw(x, y, 421) * turns) * (2 * np.pi / turns)
         scale = np.ones(len(x)) if size is None else np.maximum(np.rint(size[chosen] * 20) / 20, 0.05)
         slope_x, slope_y = np.zeros(len(x)), np.zeros(len(x))

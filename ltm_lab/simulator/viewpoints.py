@@ -1,4 +1,4 @@
-"""Draws camera positions: seeded knolls and slopes of a site."""
+"""Draws where cameras stand and point: on seeded knolls and slopes, along walks, and as their sensors report it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,57 @@ import numpy as np
 from scipy import ndimage
 
 from ltm_core.base.types import Float64Array
-from ltm_lab.simulator.camera_setup import ViewsConfig
+from ltm_core.geometry.pose import Pose
+from ltm_lab.simulator.camera_setup import SensorConfig, ViewsConfig, WalkConfig
 from ltm_lab.simulator.terrain_synthesis import HeightField
+
+
+@dataclass(frozen=True)
+class Report:
+    """A frame as its camera reports it: `pose` with `covariance` (6, 6) of x, y, z (m) and rotations about them (rad),
+    `stamp_ns` by the camera's clock, `received_ns` by the network's."""
+
+    pose: Pose
+    covariance: Float64Array
+    stamp_ns: int
+    received_ns: int
+
+    @staticmethod
+    def exact(pose: Pose, stamp_ns: int) -> Report:
+        """The truth, at once."""
+        return Report(pose, np.zeros((6, 6)), stamp_ns, stamp_ns)
+
+
+class SensorModel:
+    """The sensors of one camera on one visit; its constant errors are drawn once, from the seed and both names."""
+
+    def __init__(self, config: SensorConfig, name: str, seed: int) -> None:
+        self._config = config
+        self._rng = np.random.default_rng([seed, 83, *name.encode()])
+        self._compass = config.compass_bias_deg * self._rng.normal()
+        self._gps = config.gps_bias * self._rng.normal(size=2)
+        self._barometer = config.barometer_bias * self._rng.normal()
+
+    def report(self, pose: Pose, stamp_ns: int) -> Report:
+        """Return what the camera reports of a frame at the true `pose` and time."""
+        c, rng = self._config, self._rng
+        rng.uniform(size=3)  # drawn before the rest since the first recordings
+        tilt, turn, shift, height = rng.normal(size=2), rng.normal(), rng.normal(size=2), rng.normal()
+        azimuth, pitch, roll = pose.angles_deg
+        east, north = self._gps + c.gps_sigma * shift
+        position = pose.position + np.array([east, north, self._barometer + c.barometer_sigma * height])
+        reported = Pose.from_angles(
+            position,
+            azimuth + self._compass + c.compass_sigma_deg * turn,
+            pitch + c.tilt_sigma_deg * tilt[0],
+            roll + c.tilt_sigma_deg * tilt[1],
+        )
+        flat = c.gps_bias**2 + c.gps_sigma**2
+        up = c.barometer_bias**2 + c.barometer_sigma**2
+        level = np.radians(c.tilt_sigma_deg) ** 2
+        about = np.radians(np.hypot(c.compass_bias_deg, c.compass_sigma_deg)) ** 2
+        stamp = stamp_ns + round(c.clock_offset_s * 1e9)
+        return Report(reported, np.diag([flat, flat, up, level, level, about]), stamp, stamp_ns)
 
 
 @dataclass(frozen=True)
@@ -54,3 +103,33 @@ def draw_viewpoints(site: HeightField, config: ViewsConfig, seed: int) -> list[l
             views.append(Viewpoint(eye, azimuth, pitch, rng.uniform(*config.roll_deg), rng.uniform(*config.hfov_deg)))
         out.append(views)
     return out
+
+
+def walked_stops(path: list[tuple[float, float]], stops: int) -> tuple[Float64Array, float]:
+    """Places (stops, 2) at even distances along a path, its ends among them, and metres between two of them."""
+    corners = np.array(path, np.float64)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], stops)
+    places = np.column_stack([np.interp(at, along, corners[:, axis]) for axis in (0, 1)])
+    return places, float(along[-1]) / (stops - 1)
+
+
+def walk_photos(walk: WalkConfig, ground: HeightField, seed: int) -> list[tuple[float, Pose, bool]]:
+    """Seconds since the start, true pose, and whether the phone is held upright (portrait), of each photo."""
+    rng = np.random.default_rng([seed, 107, *walk.name.encode()])
+    places, apart = walked_stops(walk.path, walk.stops)
+    begins = apart / walk.speed + walk.interval_s * walk.photos
+    photos = []
+    for stop, (x, y) in enumerate(places):
+        eye = np.array([x, y, float(ground.at(x, y)) + walk.eye])
+        for k in range(walk.photos):
+            number = stop * walk.photos + k
+            pitch, roll = walk.sway_deg * rng.normal(size=2)
+            pose = Pose.from_angles(
+                eye,
+                walk.azimuth_deg[number % len(walk.azimuth_deg)],
+                walk.pitch_deg[number % len(walk.pitch_deg)] + pitch,
+                roll,
+            )
+            photos.append((stop * begins + k * walk.interval_s, pose, walk.portrait[number % len(walk.portrait)]))
+    return photos

@@ -41,7 +41,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_lab.evaluation.truth_frames_io import read_truth_frames
-from ltm_lab.simulator.scenario_io import load_scenario
+from ltm_lab.simulator.scenario import Scenario
 from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
@@ -200,7 +200,11 @@ TEXT_FILES = (
     ),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
-    _yaml("scenario", _shipped("scenarios/demo.yaml", "scenarios/change_burn.yaml"), load_scenario),
+    _yaml(
+        "scenario",
+        _shipped("scenarios/demo.yaml", "scenarios/felled_44.yaml"),
+        lambda path: load_yaml(path, Scenario),
+    ),
     _yaml("training", _shipped("training/quick.yaml"), lambda path: load_yaml(path, TrainingConfig)),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
     _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),

@@ -37,9 +37,7 @@ from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.tensors import upsampled_winner
 from ltm_lab.bench.mountains import ridged_terrain
-from ltm_lab.simulator.clouds import Clouds
 from ltm_lab.simulator.run import make_site, rasters_at
-from ltm_lab.simulator.scenario import CloudConfig
 from ltm_lab.tracers.march import march
 from ltm_lab.training.fusion_samples import frame_samples
 from ltm_ros.fuel_map.config import FuelMapConfig
@@ -90,10 +88,6 @@ def _places(_: str) -> None:
 def _simulator(_: str) -> None:
     scenario = small_scenario()
     rasters_at(scenario, make_site(scenario))
-    camera, pose = scenario.camera_model(70.0), Pose.from_angles((120.0, 90.0, 330.0), 30.0, 12.0)
-    clouds = Clouds(CloudConfig(cover=0.5), 300.0, scenario.sun, pose.position, seed=4)
-    clouds.seen(camera, pose)
-    clouds.sunlight(np.array([pose.position]))
     ridged_terrain(40)
 
 

@@ -14,7 +14,7 @@ from ltm_lab.simulator.landcover import SHRUB, LandCover, Stand
 from ltm_lab.simulator.stand import stand_at
 from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain
 
-GRID = GridGeometry(0.0, 300.0, 4.0, 100, 75)  # 400 m by 300 m  # 400 m by 300 m
+GRID = GridGeometry(0.0, 300.0, 4.0, 100, 75)  # 400 m by 300 m
 BOX = MaskConfig(box=(100.0, 60.0, 240.0, 180.0), ragged=0.0)
 
 

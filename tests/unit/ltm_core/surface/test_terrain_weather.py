@@ -29,10 +29,10 @@ from ltm_core.vision.segmenter import Segmenter
 pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")
 
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_lab.simulator.clouds import Clouds
+from ltm_lab.simulator import noise_fields
+from ltm_lab.simulator.imaging import smoke
 from ltm_lab.simulator.run import make_site, plan_shots, rasters_at, render_shots
-from ltm_lab.simulator.scenario import CloudConfig, SmokeConfig, SunConfig
-from ltm_lab.simulator.weather import smoke
+from ltm_lab.simulator.scenario import SmokeConfig
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +45,6 @@ FIRES = {
     "east": [(240, 125), (225, 140), (250, 150), (232, 115)],
 }
 """Map x, y of the smoke's foot, look by look, in view of each camera."""
-SUN = SunConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +129,9 @@ def shaded(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
     land = np.isfinite(look.range)
     rays = look.camera.rays() @ look.pose.rotation.T
     points = look.pose.position + rays * np.where(land, look.range, 0)[..., None]
-    sky = CloudConfig(cover=0.6, base=400.0, size=300.0, depth=300.0)
-    lit = Clouds(sky, float(np.mean(slope.bare.elevation)), SUN, look.pose.position, number).sunlight(points)
+    # Shadows of clouds of 150 m and less over half of the ground, their edges a few metres wide
+    thin = noise_fields.at_points(points[..., 0].ravel(), points[..., 1].ravel(), 300.0, 40 + number, octaves=4)
+    lit = np.clip(0.5 + 20 * thin.reshape(land.shape), 0.03, 1.0)
     lit = np.where(land, cv2.GaussianBlur(lit, (0, 0), 1.0), 1.0)
     return photo(look.radiance * (0.3 + 0.7 * lit[..., None])), float((lit[land] < 0.5).mean())
 

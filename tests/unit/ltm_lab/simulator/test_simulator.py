@@ -11,17 +11,16 @@ import pytest
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.config_io import load_yaml
 from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.camera_setup import ImagingConfig, PatrolConfig, ViewsConfig
 from ltm_lab.simulator.erosion import drainage_area
 from ltm_lab.simulator.imaging import add_haze, develop
 from ltm_lab.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
-from ltm_lab.simulator.outdated import outdated_dem
-from ltm_lab.simulator.scenario import AtmosphereConfig, GroundConfig, OutdatedDemConfig
+from ltm_lab.simulator.rasters import fuel_truth, outdated_dem
+from ltm_lab.simulator.scenario import AtmosphereConfig, GroundConfig, OutdatedDemConfig, Scenario
 from ltm_lab.simulator.scenario import VegetationConfig as Vegetation
-from ltm_lab.simulator.scenario_io import load_scenario
 from ltm_lab.simulator.terrain_synthesis import HeightField, SyntheticTerrain, make_terrain
-from ltm_lab.simulator.truth import fuel_truth
 from ltm_lab.simulator.viewpoints import draw_viewpoints
 
 SMALL = GroundConfig(size=512.0, surroundings=1024.0, relief=180.0, base_elevation=300.0)
@@ -46,7 +45,7 @@ def scenario_file(folder: Path, text: str) -> Path:
 
 
 def test_scenario_takes_defaults(tmp_path: Path) -> None:
-    scenario = load_scenario(scenario_file(tmp_path, MINIMAL))
+    scenario = load_yaml(scenario_file(tmp_path, MINIMAL), Scenario)
     assert scenario.camera_model(60.0).width == 1920
     assert scenario.cameras[0].patrol.pitch_deg == [-6.0]
 
@@ -65,7 +64,7 @@ def test_scenario_takes_defaults(tmp_path: Path) -> None:
 def test_scenario_refuses(tmp_path: Path, change: tuple[str, str], says: str) -> None:
     text = MINIMAL.replace(*change) if change[0] != "mast" else MINIMAL.replace("x: 100", "x: 5000")
     with pytest.raises(ConfigError, match=says):
-        load_scenario(scenario_file(tmp_path, text))
+        load_yaml(scenario_file(tmp_path, text), Scenario)
 
 
 def test_rounds_follow_each_other_or_come_each_hour() -> None:
@@ -76,13 +75,13 @@ def test_rounds_follow_each_other_or_come_each_hour() -> None:
 
 def test_scenario_without_eyes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no camera"):
-        load_scenario(scenario_file(tmp_path, "name: empty\nseed: 1\n"))
+        load_yaml(scenario_file(tmp_path, "name: empty\nseed: 1\n"), Scenario)
 
 
 def test_committed_scenarios_load() -> None:
     files = sorted((Path(__file__).parents[4] / "config" / "scenarios").glob("*.yaml"))
     assert files
-    names = [load_scenario(f).name for f in files]
+    names = [load_yaml(f, Scenario).name for f in files]
     assert names == [f.stem for f in files]
 
 

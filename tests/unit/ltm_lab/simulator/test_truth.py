@@ -116,7 +116,7 @@ def test_canopy_is_what_embreex_sees_from_above(site: SimulatedSite) -> None:
     assert difference.mean() < 0.01
 
 
-def test_edges_are_planted_shrub_by_shrub_and_slides_strewn_with_stones(slid: SimulatedSite) -> None:
+def test_edges_are_planted_shrub_by_shrub(slid: SimulatedSite) -> None:
     planting = Planting(slid.terrain, slid.cover, CONFIG.vegetation, palette(0.2, 1), CONFIG.seed)
     placed = planting.around(np.array([180.0, 180.0, 600.0]))
 
@@ -131,13 +131,6 @@ def test_edges_are_planted_shrub_by_shrub_and_slides_strewn_with_stones(slid: Si
     patches = places("chaparral@", "scrub@", "chaparral_half", "scrub_half")
     to_patch = np.hypot(x[:, None] - patches[None, :, 0, 3], y[:, None] - patches[None, :, 1, 3]).min(axis=1)
     assert to_patch.min() > 4.0, "no shrub stands in a patch of shrubs"
-    for name, apart in (("rubble", 12.0), ("boulder", 4.0)):
-        stones = places(name)
-        assert len(stones) > 30
-        assert np.mean(slid.cover.sample(slid.cover.stand.rubble, stones[:, 0, 3], stones[:, 1, 3])) > 0.8
-        assert np.std(stones[:, 0, 3] % apart) > 0.2 * apart, "not in rows"
-    sizes = places("boulder")[:, 2, 2]
-    assert sizes.max() > 4 * np.median(sizes), "few are large"
 
 
 @pytest.mark.slow
@@ -145,9 +138,9 @@ def test_rasters_and_frames_of_both_dates(site: SimulatedSite) -> None:
     truths, frames = [], []
     for date in CONFIG.dates:
         dated = site_at(CONFIG, site, date)
-        truths.append(rasters_at(CONFIG.at(date), dated))
+        truths.append(rasters_at(CONFIG, dated))
         shots = plan_shots(CONFIG, site, date)
-        frames += render_shots(CONFIG.at(date), dated, shots if date.years == 0 else shots[1:])
+        frames += render_shots(CONFIG, dated, shots if date.years == 0 else shots[1:])
     before, after = truths
     assert before.canopy.shape == (400, 400)
     assert before.canopy.max() > 4.0

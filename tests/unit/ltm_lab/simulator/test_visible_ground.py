@@ -7,9 +7,8 @@ import pytest
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_lab.simulator import noise_fields
-from ltm_lab.simulator.ground_mesh import seen_from
+from ltm_lab.simulator.ground_mesh import line_of_sight, seen_from
 from ltm_lab.simulator.terrain_synthesis import HeightField
-from ltm_lab.simulator.visible_ground import line_of_sight
 
 BEND = 6.8e-8
 
