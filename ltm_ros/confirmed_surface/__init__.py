@@ -1,1 +1,0 @@
-"""The surface that `terrain` confirms, and the nodes that trace depth to it."""

@@ -1,1 +1,0 @@
-"""What the node `terrain` says of its map."""
