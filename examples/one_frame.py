@@ -16,8 +16,8 @@ import numpy as np
 
 from ltm_core.base.resources import config_path, project_path
 from ltm_core.base.types import Float64Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.fuel.decision import FuelLayers
@@ -33,10 +33,10 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 
 

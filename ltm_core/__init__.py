@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ltm_core.base.errors import LtmError
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.depth.topodepth import fuse
-    from ltm_core.fuel.cell_counts import MajorityFuelMap
+    from ltm_core.fuel.class_map import MajorityFuelMap
     from ltm_core.fuel.evidence import EvidenceMap
     from ltm_core.fuel.prior import FuelPrior
     from ltm_core.fuel.votes import VoteCaster

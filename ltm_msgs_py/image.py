@@ -19,7 +19,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.storage.photo_io import BROKEN, MAX_PIXELS, png_is_whole
+from ltm_core.storage.text_io import BROKEN, MAX_PIXELS, png_is_whole
 from ltm_msgs_py.stamp import make_header
 
 

@@ -1,6 +1,17 @@
-"""Pose <-> geometry_msgs/PoseWithCovarianceStamped and PoseStamped.
+"""Convert poses, corrections of mounts and located places to geometry_msgs, and back.
+
+Pose <-> geometry_msgs/PoseWithCovarianceStamped and PoseStamped.
 
 The pose is that of the camera's optical frame in `header.frame_id`.
+
+Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as it is stated.
+
+A correction moves nothing: x stands for the zero of a head's tilt axis (rad), 0 where none is known of.
+
+Regions of pictures and located places <-> geometry_msgs.
+
+A region is a PolygonStamped (or PointStamped) in the camera's optical frame whose x and y are pixels u and v; z is not
+looked at. A place is a PoseWithCovarianceStamped in `map`: position and its covariance, no orientation.
 """
 
 from __future__ import annotations
@@ -12,9 +23,11 @@ from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import ArrayLike
 
-from ltm_core.base.errors import PoseError
+from ltm_core.base.errors import MessageError, PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
+from ltm_core.locating.region import MOST_VERTICES
+from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.stamp import make_header
 
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
@@ -108,4 +121,57 @@ def _pose_msg(pose: Pose) -> PoseMsg:
     msg.position.x, msg.position.y, msg.position.z = (float(v) for v in pose.position)
     o = msg.orientation
     o.x, o.y, o.z, o.w = pose.quaternion
+    return msg
+
+
+def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
+    """`stamp_ns`: of the last picture that it comes from."""
+    turn = Pose(np.array([correction.tilt_zero, 0.0, 0.0]), matrix_of_vector(correction.rotation))
+    covariance = np.zeros((6, 6))
+    if correction.angles is not None:
+        covariance[3:, 3:] = correction.angles
+        covariance[0, 3:] = covariance[3:, 0] = correction.tilt_covariance[:3]
+        covariance[0, 0] = correction.tilt_covariance[3]
+    return pose_to_msg(turn, stamp_ns, "map", covariance)
+
+
+def msg_to_correction(msg: Any) -> PoseCorrection:
+    """Raises PoseError as `msg_to_pose` and `msg_to_covariance` do."""
+    covariance = msg_to_covariance(msg)
+    pose = msg_to_pose(msg, "map")
+    rotation, tilt_zero = vector_of_matrix(pose.rotation), float(pose.position[0])
+    if covariance is None:
+        return PoseCorrection(rotation, None, tilt_zero)
+    return PoseCorrection(rotation, covariance[3:, 3:], tilt_zero, np.append(covariance[0, 3:], covariance[0, 0]))
+
+
+def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
+    """Pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
+
+    Raises MessageError: another frame, no point, too many, numbers that are not finite.
+    """
+    if msg.header.frame_id != frame_id:
+        raise MessageError(f"region is given in frame {msg.header.frame_id!r}, wanted {frame_id!r}, in pixels")
+    points = [msg.point] if hasattr(msg, "point") else msg.polygon.points
+    if not 1 <= len(points) <= MOST_VERTICES:
+        raise MessageError(f"a region has 1 to {MOST_VERTICES} points, got {len(points)}")
+    outline = np.array([(point.x, point.y) for point in points], np.float64)
+    if not np.isfinite(outline).all():
+        raise MessageError("a region's points must be finite pixels")
+    return outline
+
+
+def place_to_msg(
+    place: Float64Array, covariance: Float64Array, height_variance: float, stamp_ns: int, frame_id: str = "map"
+) -> PoseWithCovarianceStamped:
+    """A place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
+    msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, frame_id))
+    position = msg.pose.pose.position
+    position.x, position.y, position.z = (float(v) for v in place)
+    msg.pose.pose.orientation.w = 1.0
+    matrix = np.zeros((6, 6))
+    matrix[:2, :2] = covariance
+    matrix[2, 2] = height_variance
+    matrix[3:, 3:] = np.diag(UNKNOWN_VARIANCES[3:])
+    msg.pose.covariance = matrix.ravel()
     return msg

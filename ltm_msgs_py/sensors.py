@@ -1,4 +1,4 @@
-"""Convert sensor_msgs/Imu and NavSatFix to core types."""
+"""Convert CameraInfo, Imu and NavSatFix to core types, and cameras back."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
+from sensor_msgs.msg import CameraInfo
 
-from ltm_core.base.errors import PoseError
+from ltm_core.base.errors import CameraError, PoseError
 from ltm_core.cameras.sensor_pose import Attitude, Fix
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import make_header, stamp_of
 
 
 def msg_to_attitude(msg: Any) -> Attitude:
@@ -59,3 +61,61 @@ def msg_to_fix(msg: Any) -> Fix:
         if not covariance.diagonal().any():
             covariance = None
     return Fix(stamp_of(msg), lon, lat, float(msg.altitude), covariance)
+
+
+def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:
+    """A camera as CameraInfo with the plumb_bob model, for the raw image. Raises MessageError on a bad stamp."""
+    msg = CameraInfo(header=make_header(stamp_ns, frame_id), height=camera.height, width=camera.width)
+    msg.distortion_model = "plumb_bob"
+    msg.d = [float(v) for v in camera.distortion]
+    msg.k = camera.matrix.ravel()
+    msg.r = np.eye(3).ravel()
+    msg.p = np.hstack([camera.matrix, np.zeros((3, 1))]).ravel()
+    return msg
+
+
+def msg_to_camera(msg: Any) -> Camera:
+    """The camera that a CameraInfo describes.
+
+    Taken: plumb_bob with D of 0, 4 (k1 k2 p1 p2) or 5 (and k3) numbers, at full resolution. R and P are for rectified
+    images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a
+    skewed or non-finite K, binning, or a region of interest.
+    """
+    who = f"CameraInfo of frame {msg.header.frame_id!r}"
+    k = np.asarray(msg.k, np.float64)
+    d = [float(v) for v in msg.d]
+    if k.shape != (9,) or not np.isfinite(k).all():
+        raise CameraError(f"{who}: K must be nine finite numbers, got {k.tolist()}")
+    if k[0] == 0:
+        raise CameraError(f"{who}: K[0] is 0, which marks an uncalibrated camera; calibrate it first")
+    if k[1] != 0 or k[3] != 0 or k[6] != 0 or k[7] != 0 or k[8] != 1:
+        raise CameraError(f"{who}: K must be [fx 0 cx; 0 fy cy; 0 0 1] without skew, got {k.tolist()}")
+    if msg.distortion_model != "plumb_bob" and not (msg.distortion_model == "" and not any(d)):
+        raise CameraError(
+            f"{who}: distortion model {msg.distortion_model!r} is not taken, only 'plumb_bob'; "
+            "undistort the images or calibrate with plumb_bob"
+        )
+    if len(d) not in (0, 4, 5):
+        raise CameraError(f"{who}: plumb_bob has D = (k1, k2, p1, p2[, k3]), 0, 4 or 5 numbers; got {len(d)}: {d}")
+    if msg.binning_x > 1 or msg.binning_y > 1:
+        raise CameraError(
+            f"{who}: binning {msg.binning_x} x {msg.binning_y} is not taken; publish K for the image as it is sent"
+        )
+    roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
+    if roi not in ((0, 0, 0, 0), (0, 0, msg.width, msg.height)):
+        raise CameraError(
+            f"{who}: region of interest x, y, width, height = {roi} is not taken; publish K for the image as it is sent"
+        )
+    k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    try:
+        return Camera(
+            int(msg.width),
+            int(msg.height),
+            float(k[0]),
+            float(k[4]),
+            float(k[2]),
+            float(k[5]),
+            (k1, k2, p1, p2, k3),
+        )
+    except CameraError as error:
+        raise CameraError(f"{who}: {error}") from error

@@ -1,4 +1,9 @@
-"""Exceptions for bad input (`LtmError` and its children); any other exception is a bug and ends the process."""
+"""Define the exceptions for invalid input, and the findings of checks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
 
 
 class LtmError(Exception):
@@ -47,3 +52,26 @@ class StoreError(LtmError):
 
 class ArchiveError(LtmError):
     """An archive of recordings that cannot be worked again as asked."""
+
+
+class SiteVerdict(StrEnum):
+    OK = "ok"
+    DOUBTFUL = "doubtful"
+    """It runs, but may not be what is meant."""
+    WRONG = "wrong"
+    """It cannot work."""
+
+
+@dataclass(frozen=True)
+class SiteFinding:
+    """One thing that was looked at. `said`: what was found, and the remedy where something is amiss; one line."""
+
+    area: str
+    name: str
+    verdict: SiteVerdict
+    said: str
+
+    @classmethod
+    def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> SiteFinding:
+        """Of an error or a doubt; its lines become one."""
+        return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))

@@ -19,8 +19,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.geometry.camera import MOST_A_SIDE, Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.raster.dem import Dem
 
 

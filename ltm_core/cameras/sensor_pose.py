@@ -23,9 +23,13 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
-from ltm_core.geometry.rotations import matrix_of_quaternion
+from ltm_core.geometry.pose import (
+    UNKNOWN_AZIMUTH_SIGMA_DEG,
+    UNKNOWN_PITCH_SIGMA_DEG,
+    Pose,
+    matrix_of_quaternion,
+    pose_covariance,
+)
 from ltm_core.raster.dem import Dem
 
 ENU_FROM_ENU = np.eye(3)

@@ -18,9 +18,8 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.ground_sampling import ground_samples
+from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_prior import OcclusionPrior

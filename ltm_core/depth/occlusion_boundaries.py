@@ -18,9 +18,9 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.error_model import ErrorTables, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities, mixture_moments
 from ltm_core.geometry.camera import Camera

@@ -19,8 +19,8 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.fusion_config import FusionConfig, OcclusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import UNLABELLED

@@ -23,9 +23,9 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.error_model import expected_prediction, expected_predictions, interpolation_table, invert
 from ltm_core.depth.fusion_config import DecisionConfig, FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
 

@@ -17,8 +17,8 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.geometry.camera import Camera

@@ -17,9 +17,9 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings, expect, fitted
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries

@@ -16,8 +16,8 @@ from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.vision.label_confidence import Calibration, load_calibration
 from ltm_core.vision.label_head import find_label_head, read_label_head
+from ltm_core.vision.label_rules import Calibration, load_calibration
 from ltm_core.vision.manifest import NetworkManifest
 
 FLOOR = 0.01

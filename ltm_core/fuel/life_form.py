@@ -1,4 +1,10 @@
-"""Life forms (grass, shrub, tree, ...): what a camera can tell of a fuel cell, and their relation to fuel codes."""
+"""Define life forms (grass, shrub, tree, bare), and where plants cannot stand.
+
+Where plants cannot stand, as far as the terrain tells: rock walls, and trees above the tree line.
+
+A pixel that shows a plant there is taken for a network's error. It is withdrawn from the vote, and never called
+anything else: that nothing grows on a wall is no measurement of what the wall is of.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +13,12 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
+from pydantic import Field
 
-from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt32Array
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array, UInt16Array, UInt32Array
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import LabelSet
 
 
@@ -98,3 +108,82 @@ def life_form_labels(labels: LabelSet) -> LabelSet:
         colors=(*labels.colors[:shown], BURNED_COLOR),
         ground_cover=(*labels.ground_cover[:shown], True),
     )
+
+
+PARTS = 4
+"""To each side, of a fuel cell: 7.5 m of one of 30 m. The terrain is asked for each part."""
+_PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
+_BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
+
+
+class GrowthLimits(StrictModel):
+    """Labels of plants beyond these limits do not vote; None: no limit."""
+
+    steepest_deg: float | None = Field(50.0, gt=0, lt=90)
+    """Slope of the ground over the width of a fuel cell, degrees, above which nothing that is labelled grass, shrub or
+    tree is believed. Of what LANDFIRE calls so in the Santa Ana Mountains 0.4, 0.5 and 1.2 % is steeper, about the
+    Tubbs fire 0.2 % at most, in Vermont nothing (docs/fuel_map.md)."""
+    tree_line_m: float | None = None
+    """Elevation in the DEM's datum, metres, above which no tree is believed. Give the highest that stands reach on the
+    site, not their mean: what is above it is not counted, whatever the picture shows."""
+
+    @property
+    def any(self) -> bool:
+        return self.steepest_deg is not None or self.tree_line_m is not None
+
+
+class GroundLimits:
+    """Which parts of the fuel grid's cells are beyond the limits. Each cell is asked of the terrain once, when a frame
+    first sees it.
+
+    `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
+    each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
+    `any`: whether a bit is set yet.
+    """
+
+    def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
+        self._limits, self._geometry, self._dem = limits, geometry, dem
+        # calloc'ed: cells that no frame sees take no memory.
+        self._known = np.zeros(geometry.shape, np.bool_)
+        self.masks: UInt16Array = np.zeros((2, *geometry.shape), np.uint16)
+        self.any = False
+        self.kinds: UInt8Array = np.zeros(256, np.uint8)
+        forms = label_forms(labels)
+        self.kinds[np.flatnonzero(np.isin(forms, [form - 1 for form in _PLANTS]))] = 1
+        self.kinds[np.flatnonzero(forms == LifeForm.TREE - 1)] = 2
+
+    def learn(self, cells: Int64Array) -> bool:
+        """Ask the terrain about those of the cells, (N,) row * width + col, that were not asked about before; whether
+        any of these has a part that is beyond a limit."""
+        new = cells[~self._known.ravel()[cells]]
+        masks = self._asked(new)
+        self.masks.reshape(2, -1)[:, new] = masks
+        self._known.ravel()[new] = True
+        found = bool(masks.any())
+        self.any |= found
+        return found
+
+    def _asked(self, cells: Int64Array) -> UInt16Array:
+        """(2, N) masks of cells, by the terrain."""
+        heights = self._heights(cells)
+        inner = slice(PARTS // 2, PARTS // 2 + PARTS)
+        none = np.zeros((len(cells), PARTS, PARTS), np.bool_)
+        steep, above = none, none
+        # A height that is not known is no limit: comparisons with NaN are false.
+        if self._limits.steepest_deg is not None:
+            rise = np.tan(np.radians(self._limits.steepest_deg)) * self._geometry.resolution
+            east = heights[:, inner, PARTS:] - heights[:, inner, :PARTS]
+            south = heights[:, PARTS:, inner] - heights[:, :PARTS, inner]
+            steep = np.hypot(east, south) > rise
+        if self._limits.tree_line_m is not None:
+            above = heights[:, inner, inner] > self._limits.tree_line_m
+        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above)])
+
+    def _heights(self, cells: Int64Array) -> Float64Array:
+        """(N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
+        row, col = np.divmod(cells, self._geometry.width)
+        offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
+        rows, cols = np.broadcast_arrays(
+            row[:, None, None] + offset[None, :, None], col[:, None, None] + offset[None, None, :]
+        )
+        return self._dem.elevation_at(*self._geometry.to_map(rows, cols))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
-from ltm_core.fuel.growth_limits import PARTS, GroundLimits
+from ltm_core.fuel.life_form import PARTS, GroundLimits
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose

@@ -10,15 +10,12 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, fit_head
+from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, balanced, fit_exponent, fit_head
 from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
 from ltm_core.label_heads.labelled_frames import Frame
-from ltm_core.label_heads.temperature_scaling import balanced, fit_exponent
-from ltm_core.scoring.confidence import CalibrationScore
-from ltm_core.scoring.labels import SegmentationScore
-from ltm_core.vision.label_confidence import Calibration
+from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.label_head import LabelHead, LabelHeadFile
-from ltm_core.vision.label_rules import LabelAgreement
+from ltm_core.vision.label_rules import Calibration, LabelAgreement
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmentation, Segmenter

@@ -16,7 +16,7 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.types import UInt8Array
-from ltm_core.storage.photo_io import check_picture
+from ltm_core.storage.text_io import check_picture
 from ltm_core.vision.areas import ERASED, MASKED, POLYGONS_FILE, NamedArea, labels_of, read_areas
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 

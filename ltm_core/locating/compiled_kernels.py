@@ -7,8 +7,8 @@ import numpy as np
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
+from ltm_core.locating.answer import place_views
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.place import place_views
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem

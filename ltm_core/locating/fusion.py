@@ -12,8 +12,8 @@ from numba import njit
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.locating.directions import SightLikelihood
 from ltm_core.locating.sight_fan import FanSamples, SightFan, SplatSums
-from ltm_core.locating.sight_likelihood import SightLikelihood
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 from ltm_core.locating.turn_evidence import TurnProfile, turn_profile
 

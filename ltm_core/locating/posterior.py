@@ -185,7 +185,7 @@ def read_mask(path: Path, camera: Camera) -> BoolArray:
 
     Raises ImageError for a file that is no picture, RegionError for one of another size.
     """
-    from ltm_core.storage.photo_io import open_picture
+    from ltm_core.storage.text_io import open_picture
 
     with open_picture(path) as (source, _):
         mask = np.asarray(source.convert("L")) > 0

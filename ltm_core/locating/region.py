@@ -1,4 +1,4 @@
-"""Regions marked in a picture, a pixel, a box or a polygon, and their lower edge: where what they show meets ground."""
+"""Describe regions that are marked in photos, and what locating assumes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,43 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from ltm_core.base.errors import RegionError
+from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
+
+
+class LocatingConfig(StrictModel):
+    """Lengths in metres. Which were chosen how, and on what, stands in docs/locating.md."""
+
+    dem_sigma: float = Field(1.0, ge=0)
+    """Of the heights of the terrain that the cameras see; a raster whose cells are larger than ten times it has a tenth
+    of a cell instead, since what lies between its nodes is not known."""
+    plume_height: float = Field(150.0, gt=0)
+    """Mean height above its foot of a plume that is noticed; heights are taken for exponentially distributed."""
+    plume_lean: float = Field(0.35, ge=0)
+    """Sigma of the metres by which a plume's axis drifts, in any one direction, for each that it rises."""
+    detection_range: float = Field(10_000.0, gt=0)
+    """At which a fire is noticed half as often as close by; the chance falls as 1 / (1 + (r / detection_range)^2)."""
+    min_range: float = Field(30.0, ge=3.0)
+    """Nothing is looked for nearer: there a camera whose place is half a metre off may mark anything."""
+    max_range: float = Field(40_000.0, ge=100.0)
+    """Nothing is looked for beyond it."""
+    pixel_sigma: float = Field(2.0, gt=0)
+    """Pixels by which a marked place is off, in each direction."""
+    box_sigma: float = Field(0.04, ge=0)
+    """Share of a box's or polygon's height by which its lower edge is off, where that is more."""
+    focal_sigma: float = Field(0.002, ge=0)
+    """Of the focal length, as a share."""
+    false_alarm: float = Field(0.03, gt=0, lt=0.5)
+    """Share of one camera's sightings of one thing that are taken for those of two."""
+    wrong_odds: float = Field(2.0, gt=0)
+    """How many times likelier marks must be with one camera wrong than with none, until cameras disagree."""
+    sure_of_wrong: float = Field(0.75, ge=0.5, lt=1)
+    """Probability above which a camera is named as turned."""
+
 
 MOST_VERTICES = 1_000
 """Of a polygon: a detector's outline has tens."""

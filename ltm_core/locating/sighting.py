@@ -15,14 +15,15 @@ from ltm_core.locating.directions import (
     MOST_TURNED,
     DirectionTable,
     MarkedDirections,
+    SightLikelihood,
     direction_table,
+    level_errors,
     marked_directions,
+    sight_likelihood,
     turned_table,
 )
-from ltm_core.locating.region import ImageMark
-from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.region import ImageMark, LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
-from ltm_core.locating.sight_likelihood import SightLikelihood, level_errors, sight_likelihood
 from ltm_core.raster.dem import Dem
 
 Bounds = tuple[float, float, float, float]

@@ -1,4 +1,6 @@
-"""Tracks: which sightings, of several cameras and times, are of one fire.
+"""Assign sightings of several cameras and times to fires, with the pose that each was marked under.
+
+Tracks: which sightings, of several cameras and times, are of one fire.
 
 A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
 that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire about
@@ -9,16 +11,55 @@ else begins a new track.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ltm_core.base.errors import RegionError
+from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import DAY_NS
+from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import CameraAgreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.wrong_camera import FireMemory, TurnVerdict
+
+MOST = 200
+"""Poses that are remembered; the one told longest ago goes first."""
+
+
+class KnownPoses:
+    """Poses with covariances (6, 6), by their stamps in nanoseconds."""
+
+    def __init__(self) -> None:
+        self._poses: OrderedDict[int, tuple[Pose, Float64Array]] = OrderedDict()
+
+    def __bool__(self) -> bool:
+        return bool(self._poses)
+
+    def add(self, stamp: int, pose: Pose, covariance: Float64Array) -> None:
+        self._poses[stamp] = (pose, covariance)
+        self._poses.move_to_end(stamp)
+        while len(self._poses) > MOST:
+            self._poses.popitem(last=False)
+
+    @property
+    def newest(self) -> tuple[Pose, Float64Array, int]:
+        """The one told last, with its stamp. After a clock was set back earlier ones have later stamps, and a head
+        looks elsewhere by now. Raises LookupError: none is known."""
+        if not self._poses:
+            raise LookupError("no pose is known")
+        stamp = next(reversed(self._poses))
+        return *self._poses[stamp], stamp
+
+    def at(self, stamp: int, age_ns: int) -> tuple[Pose, Float64Array] | None:
+        """The pose of a stamp, or the last before it; None: none is known of then, or of `age_ns` before."""
+        earlier = [known for known in self._poses if known <= stamp]
+        if not earlier or stamp - max(earlier) > age_ns:
+            return None
+        return self._poses[max(earlier)]
+
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""

@@ -1,7 +1,6 @@
 """Pictures of depth, labels and fuel maps: arrays in, RGB arrays (H, W, 3) uint8 out; no file is touched."""
 
-from ltm_core.pictures.drawing import to_jpeg, to_png
-from ltm_core.pictures.legend import RangeScale, depth_colors, label_legend, range_legend, with_legend
+from ltm_core.pictures.legend import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
 from ltm_core.pictures.maps import MapCamera, fuel_map_picture, labelled_shade, terrain_map_picture
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.pictures.relief import hillshade, hypsometric, terrain_colors

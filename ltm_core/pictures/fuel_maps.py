@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
-from ltm_core.fuel.cell_counts import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelSystem, fuel_models
 from ltm_core.fuel.colors import code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import UNLABELLED, Anchor, ClassPalette, draw_texts
-from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
+from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, Anchor, ClassPalette, draw_texts, label_legend, with_legend
 from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.sheets import panel, with_axes

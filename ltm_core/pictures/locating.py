@@ -10,8 +10,7 @@ import numpy as np
 from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.posterior import Ellipse, Posterior
-from ltm_core.pictures.drawing import Anchor, draw_texts
-from ltm_core.pictures.legend import INK, PAPER, with_legend
+from ltm_core.pictures.legend import INK, PAPER, Anchor, draw_texts, with_legend
 from ltm_core.pictures.maps import MapCamera, furnished, relief, scale_bar, view_of
 from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem

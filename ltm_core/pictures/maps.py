@@ -15,8 +15,18 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import UNLABELLED, Anchor, ClassPalette, draw_texts, metres, text_width
-from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
+from ltm_core.pictures.legend import (
+    INK,
+    PAPER,
+    UNLABELLED,
+    Anchor,
+    ClassPalette,
+    draw_texts,
+    label_legend,
+    metres,
+    text_width,
+    with_legend,
+)
 from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.pictures.relief import Window, hillshade, terrain_colors
 from ltm_core.raster.dem import Dem

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -14,9 +15,19 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float64Array, Int16Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.drawing import UNLABELLED, ClassPalette, draw_texts
-from ltm_core.pictures.legend import RangeScale, depth_colors
+from ltm_core.pictures.legend import (
+    UNLABELLED,
+    ClassPalette,
+    RangeScale,
+    depth_colors,
+    draw_texts,
+    label_legend,
+    to_png,
+    with_legend,
+)
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.segmenter import Segmentation
 
 
 def label_colors(
@@ -172,3 +183,30 @@ def _draw(picture: RgbImage, here: Float64Array, there: Float64Array, color: tup
     seen = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
     lines = np.rint(np.stack([here[seen], there[seen]], axis=1) * 16).astype(np.int32)
     cv2.polylines(picture, list(lines), False, color, width, cv2.LINE_AA, 4)
+
+
+class LabelledPhoto(Protocol):
+    """A photo (H, W, 3) uint8 RGB and the true class of each pixel (H, W) uint8, 255 unknown."""
+
+    @property
+    def image(self) -> UInt8Array: ...
+    @property
+    def labels(self) -> UInt8Array: ...
+
+
+class StoredPhoto(LabelledPhoto, Protocol):
+    """A labelled photo with the path of its file."""
+
+    @property
+    def path(self) -> Path: ...
+
+
+def write_overlay(folder: Path, network: str, labels: LabelSet, frame: StoredPhoto, found: Segmentation) -> None:
+    """Write `<folder>/<set>_<frame>_<network>.png`: true labels on the left, the network's on the right."""
+    drawn = [overlay_labels(frame.image, each, labels) for each in (frame.labels, found.labels)]
+    sheet = np.concatenate(drawn, axis=1)
+    sheet = with_legend(sheet, label_legend(sheet.shape[1], labels))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = frame.path
+    name = f"{path.parent.resolve().name}_{path.stem}_{network.replace(' ', '_')}.png"
+    (folder / name).write_bytes(to_png(sheet))

@@ -11,8 +11,7 @@ import numpy as np
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import RgbImage
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import Anchor, draw_texts, text_width
-from ltm_core.pictures.legend import INK, PAPER
+from ltm_core.pictures.legend import INK, PAPER, Anchor, draw_texts, text_width
 
 _STEPS = (0.5, 1, 2, 5)  # the first for lengths that rounding puts just below a power of ten
 _LEAST_TICKS = 3

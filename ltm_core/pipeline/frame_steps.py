@@ -18,7 +18,7 @@ from ltm_core.base.errors import ImageError, PoseError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.fuel.growth_limits import GroundLimits
+from ltm_core.fuel.life_form import GroundLimits
 from ltm_core.fuel.vote_columns import fitting, turn_of
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
@@ -27,8 +27,8 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pipeline.site_surface import given_terrain
 from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_manifest import AS_GIVEN
+from ltm_core.surface.confirmed_surface import AS_GIVEN
+from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.tracer import TracerStatistics
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet

@@ -13,8 +13,8 @@ from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.topodepth import FusedDepth, fuse, measure

@@ -33,8 +33,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, open_stored_surface
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_manifest import SurfaceVersion
+from ltm_core.surface.confirmed_surface import SurfaceVersion
+from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
 
 

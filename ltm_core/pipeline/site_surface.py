@@ -1,7 +1,9 @@
-"""Make the surface map of a site, and the terrain that its cameras have confirmed."""
+"""Make the surface map of a site, the terrain that its cameras have confirmed, and what poses are compared with."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,18 +17,19 @@ from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.raster.shared_rasters import shared
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
+from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.raster.dem_stack import shared
 from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import StoreSchema
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
+from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
-from ltm_core.surface.surface_manifest import AS_GIVEN
 from ltm_core.surface.surface_map import Added, SurfaceMap
-from ltm_core.surface.surface_versions_io import FOLDER, SurfaceVersions
+from ltm_core.surface.surface_versions_io import FOLDER, ConfirmedTerrain, SurfaceVersions
 from ltm_core.surface.tile_pool import KIND, schema_of
 from ltm_core.vision.labels import LabelSet
 
@@ -173,3 +176,30 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
         store.close()
         raise ConfigError(f"{path}: not a terrain of site {site.name}: {differences}; name the site that made it")
     return SurfaceMap(reference, site.terrain, tuple(site.cameras), store, site.curvature, site.refraction)
+
+
+def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
+    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
+    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
+    stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
+    rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
+    try:
+        files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
+    except OSError as error:
+        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
+    ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
+    lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
+    return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
+
+
+def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
+    """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
+
+    Raises DemError as `Site.open_dem`.
+    """
+    bare = site.open_dem()
+    ground = site.open_surface(bare)
+    config = PicturePoseConfig()
+    if ground is not bare:
+        config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
+    return SearchTerrain(ground, site.bend, site.possible_ground), config

@@ -1,4 +1,11 @@
-"""Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
+"""Combine several elevation rasters into one terrain, shared within the process.
+
+Shares rasters within a process: who opens the same files in the same way gets the same terrain, while it is in use.
+
+An offline replay runs all nodes of a site in one process, and each of them opens the DEM: of 10,000 x 10,000 cells it
+would otherwise hold 400 MB a node.
+
+Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
 
 Fire cameras look at ridges tens of kilometres away, where nobody has, or needs, a raster of 1 m. A stack holds rasters
 of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how they
@@ -8,8 +15,10 @@ are fitted together. Tracing, lines of sight, footprints and votes take a stack 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +27,35 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_io import read_around
+from ltm_core.raster.dem import Dem, read_around
 from ltm_core.raster.dem_seams import fill_holes, lead_over
+
+_open: WeakValueDictionary[Hashable, Dem] = WeakValueDictionary()
+_lock = threading.Lock()
+
+
+def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
+    """What `read` makes of the files at `paths`, or what it made of them before, if somebody still holds that and no
+    file has changed.
+
+    `way`: all else that the result depends on. Nobody may write to a terrain that is shared. Errors
+    are those of `read`.
+    """
+    with _lock:
+        try:
+            key: Hashable = (way, *(_state(path) for path in paths))
+        except OSError:
+            return read()  # which says what is wrong with the file
+        dem = _open.get(key)
+        if dem is None:
+            dem = _open[key] = read()
+        return dem
+
+
+def _state(path: Path | str) -> tuple[str, int, int, int]:
+    found = Path(path).stat()
+    return str(Path(path).resolve()), found.st_ino, found.st_size, found.st_mtime_ns
+
 
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0

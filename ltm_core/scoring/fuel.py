@@ -1,4 +1,4 @@
-"""Accuracy of a fuel map against the true map, over the cells that were seen."""
+"""Score fuel maps and their changes against truth."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from pyproj import CRS
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Int64Array, UInt8Array
-from ltm_core.fuel.cell_counts import UNSEEN
+from ltm_core.base.types import BoolArray, Int16Array, Int64Array, UInt8Array
+from ltm_core.fuel.class_map import UNSEEN
+from ltm_core.fuel.life_form import LifeForm, forms_of
 from ltm_core.geometry.grid import GridGeometry
 
 
@@ -63,3 +64,90 @@ def on_grid(truth: UInt8Array, truth_geometry: GridGeometry, geometry: GridGeome
     true = np.full(geometry.shape, UNSEEN, np.uint8)
     true[inside] = truth[rows[inside], cols[inside]]
     return true
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share as a count out of a total."""
+
+    count: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        return self.count / self.of if self.of else float("nan")
+
+
+@dataclass(frozen=True)
+class MapScore:
+    """Over cells that frames voted in and whose truth is known.
+
+    `right`: cells of the true life form. `found`: of cells whose true form is not the prior's, those that the map has
+    changed to it: the producer's accuracy of change. `mistaken`: of the same cells, those that it has changed to
+    another form. `false_flips`: of cells whose true form is the prior's, those that the map has changed. `by_form`:
+    right cells and false flips of each true form.
+    """
+
+    name: str
+    right: Share
+    found: Share
+    mistaken: Share
+    false_flips: Share
+    by_form: dict[str, tuple[Share, Share]]
+
+    @property
+    def prevalence(self) -> float:
+        """Share of cells whose true form is not the prior's."""
+        return self.found.of / (self.found.of + self.false_flips.of) if self.right.of else float("nan")
+
+    def users_accuracy(self, prevalence: float | None = None) -> float:
+        """Share of the changes that the map reports that are right, where so large a share of cells has truly changed
+        and each is reported as often as here; None: as many as here. NaN where nothing is reported, or nothing known.
+
+        Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change.
+        """
+        changed = self.prevalence if prevalence is None else prevalence
+        right = changed * self.found.value
+        false = (1 - changed) * self.false_flips.value if changed < 1 else 0.0
+        reported = right + changed * self.mistaken.value + false
+        return right / reported if reported > 0 else float("nan")
+
+
+def score_map(
+    name: str,
+    life_form: UInt8Array,
+    truth: UInt8Array,
+    prior: Int16Array | None,
+    seen: BoolArray,
+) -> MapScore:
+    """(H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
+    cells = seen & (truth >= 1) & (truth <= len(LifeForm))
+    form, true = life_form[cells], truth[cells]
+    right = form == true
+    if prior is None:
+        held = agrees = np.ones(len(true), np.bool_)
+    else:
+        held = held_forms(prior[cells], true)
+        agrees = held_forms(prior[cells], np.where(form == UNSEEN, np.uint8(1), form)) | (form == UNSEEN)
+    return MapScore(
+        name,
+        _share(right, np.ones_like(right)),
+        _share(right, ~held),
+        _share(~right & ~agrees, ~held),
+        _share(~agrees, held),
+        {
+            shown.name.lower(): (_share(right, true == shown), _share(~agrees, held & (true == shown)))
+            for shown in LifeForm
+            if (true == shown).any()
+        },
+    )
+
+
+def held_forms(prior: Int16Array, forms: UInt8Array) -> BoolArray:
+    """(N,) whether a cell of this life form is no change of the prior's code; none is where that tells no form."""
+    agreeing = forms_of(prior)
+    return np.asarray(agreeing[np.arange(len(forms)), forms - 1] | ~agreeing.any(axis=1), np.bool_)
+
+
+def _share(chosen: BoolArray, among: BoolArray) -> Share:
+    return Share(int((chosen & among).sum()), int(among.sum()))

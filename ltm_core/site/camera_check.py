@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import LtmError, PoseError
-from ltm_core.base.finding import SiteFinding, SiteVerdict
+from ltm_core.base.errors import LtmError, PoseError, SiteFinding, SiteVerdict
 from ltm_core.cameras.plausibility import TALLEST_MAST, doubt_of_height, doubt_of_radians
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.raster.dem import Dem

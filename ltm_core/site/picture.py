@@ -13,8 +13,7 @@ from ltm_core.fuel.colors import code_colors, code_names
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.drawing import UNLABELLED
-from ltm_core.pictures.legend import PAPER, label_legend, with_legend
+from ltm_core.pictures.legend import PAPER, UNLABELLED, label_legend, with_legend
 from ltm_core.pictures.maps import (
     MapCamera,
     draw_outline,

@@ -12,11 +12,10 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.region import LocatingConfig
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_stack import open_terrain, with_surface
-from ltm_core.raster.shared_rasters import shared
+from ltm_core.raster.dem_stack import open_terrain, shared, with_surface
 from ltm_core.site.sections import (
     CameraConfig,
     DemConfig,

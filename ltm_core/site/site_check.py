@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import LtmError
-from ltm_core.base.finding import SiteFinding, SiteVerdict
+from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import doubt_of_dem, doubt_of_heights

@@ -10,10 +10,9 @@ from typing import Any
 import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.site.ptz_config import PtzSettings
 from ltm_core.site.sections import CameraConfig, DemConfig
 from ltm_core.site.site import Site
-from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings
+from ltm_core.site.source_config import FolderConfig, HttpSettings, NetworkSettings, PtzSettings
 from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.storage.text_io import read_text

@@ -23,15 +23,18 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.disk_io import DiskReserve
 from ltm_core.storage.tile_store_file import (
+    KEPT_FRAMES,
+    MOST_FRAMES,
     TABLES,
+    Remembered,
     checked_rows,
+    count_frames,
     create_store,
     lock_store,
     open_store,
     transaction,
     wants_room,
 )
-from ltm_core.storage.tile_store_frames import KEPT_FRAMES, MOST_FRAMES, Remembered, count_frames
 from ltm_core.storage.tile_store_schema import (
     CellChanges,
     Field,

@@ -16,8 +16,7 @@ import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_vector
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.observation_kernel import ObservationLimits
 from ltm_core.surface.reference_surface import BLOCK, LEAST_INCIDENCE, Reference

@@ -1,4 +1,6 @@
-"""Versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
+"""Keep versions of a site's confirmed surface on disk, and the terrain of one version.
+
+Versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
 
 A version's file is whole or not there, and is never written again; the manifest, which names the version that counts,
 is replaced in one step after the file is on the disk. Whoever reads finds the version before or the new one, whatever
@@ -21,11 +23,12 @@ from pydantic import ValidationError
 
 from ltm_core.base.errors import RasterError, StoreError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.surface_manifest import (
+from ltm_core.raster.dem import Dem
+from ltm_core.surface.confirmed_surface import (
     AS_GIVEN,
     KEPT,
     VERSION,
+    ConfirmedSurface,
     CountedVersion,
     SurfaceManifest,
     SurfaceVersion,
@@ -234,3 +237,27 @@ def _of_bytes(content: bytes) -> ConfirmedSurface:
         if array.dtype != wanted:
             raise ValueError(f"{name} is {array.dtype}, wanted {np.dtype(wanted)}")
     return ConfirmedSurface(GridGeometry(x_min, y_max, resolution, int(width), int(height)), **arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedTerrain:
+    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+
+    `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
+    `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
+    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
+    version; None: not known. `note`: what is to be told of it.
+    """
+
+    version: SurfaceVersion | None
+    ground: Dem
+    top: Dem
+    surface: ConfirmedSurface | None = None
+    canopy_known: bool = True
+    given: Dem | None = None
+    note: str = ""
+
+    @property
+    def name(self) -> str:
+        """The version, as frames carry it; AS_GIVEN where there is none."""
+        return AS_GIVEN if self.version is None else self.version.version

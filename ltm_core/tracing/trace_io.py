@@ -96,7 +96,7 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
-    from ltm_core.storage.photo_io import open_picture, read_rgb
+    from ltm_core.storage.text_io import open_picture, read_rgb
 
     photo = read_rgb(Path(path))
     if photo.shape[:2] != (camera.height, camera.width):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import ModelError
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_confidence import calibration_path
+from ltm_core.vision.label_rules import calibration_path
 from ltm_core.vision.manifest import NetworkManifest, added_folder, shipped_names
 
 _CHUNK = 1 << 20

@@ -27,8 +27,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
-from ltm_core.vision.label_confidence import Calibration, doubt_of_photographs
-from ltm_core.vision.label_rules import LabelAgreement
+from ltm_core.vision.label_rules import Calibration, LabelAgreement, doubt_of_photographs
 from ltm_core.vision.manifest import (
     SHIPPED_LABEL_HEAD,
     NetworkManifest,

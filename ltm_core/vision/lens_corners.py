@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.vision.label_corrections import cie_lab
+from ltm_core.vision.label_rules import cie_lab
 
 _PATCH = 0.02
 """Of the width: side of the square in the very corner whose colour is the hood's."""

@@ -26,7 +26,7 @@ from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.photo_io import open_picture
+from ltm_core.storage.text_io import open_picture
 
 MOST_POLYGONS = 200
 MOST_VIEW_MASKS = 64

@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.vision.label_confidence import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
-from ltm_core.vision.label_rules import against_green, agreed, withdraw
+from ltm_core.vision.label_rules import against_green, agreed, doubt_of_photographs, load_calibration, withdraw
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import (
     DEFAULT_MODEL,

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import project_path
-from ltm_core.raster.dem_io import prepare_heights
+from ltm_core.raster.dem import prepare_heights
 from ltm_core.site.site_io import load_site
 from ltm_lab.bench.graph_cameras import CameraSender, Listener
 from ltm_lab.bench.graph_site import NAME, Load, write_site

@@ -19,10 +19,9 @@ from scipy import ndimage
 from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import SiteFrame, sun_elevation
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.sun import sun_elevation
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND

@@ -8,8 +8,7 @@ from ltm_lab.cli.bench import bench
 from ltm_lab.cli.eval import evaluate
 from ltm_lab.cli.simulate import simulate
 from ltm_lab.cli.train import train
-from ltm_ros.cli.entry import run_command_line
-from ltm_ros.cli.main import EXTRAS
+from ltm_ros.cli.main import EXTRAS, run_command_line
 
 cli = typer.Typer(
     name="ltm-lab",

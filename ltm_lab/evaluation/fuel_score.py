@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Int64Array
-from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap, read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_evidence_map
-from ltm_core.scoring.fuel import on_grid
-from ltm_core.scoring.fuel_change import MapScore, score_map
+from ltm_core.scoring.fuel import MapScore, on_grid, score_map
 from ltm_core.site.networks import site_label_errors
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation

@@ -11,8 +11,7 @@ import numpy as np
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
-from ltm_core.fuel.cell_counts import UNSEEN
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import UNSEEN, read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose

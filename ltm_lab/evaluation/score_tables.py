@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from ltm_lab.evaluation.run_score import BagScore
-from ltm_ros.demo.report import NOTHING, Table
-from ltm_ros.demo.tables import depth_table, fuel_maps_table, percent
-from ltm_ros.pages.figures_io import without_nan
+from ltm_ros.demo.report import NOTHING, Table, depth_table, fuel_maps_table, percent
+from ltm_ros.pages.render import without_nan
 
 
 def tables(score: BagScore) -> list[Table]:

@@ -13,9 +13,9 @@ from ltm_core.base.errors import LtmError
 from ltm_core.base.types import Float32Array
 from ltm_lab.evaluation.truth_frames_io import TruthFrame, read_index, read_truth_frames
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,

@@ -13,8 +13,7 @@ from ltm_lab.training.training_frames import TrainingFrame
 from ltm_msgs_py.image import msg_to_depth, msg_to_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
-from ltm_ros.recordings.replay.offline import OfflineGraph
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import OfflineGraph, Selection
 from ltm_ros.runtime.topics import DEPTH_IMAGE, POSED_IMAGE
 
 _NODES = ("capture", "depth")

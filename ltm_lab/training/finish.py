@@ -10,11 +10,10 @@ import numpy as np
 import yaml
 
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.label_heads.head_fit import balanced, fit_temperature
 from ltm_core.label_heads.labelled_frames import Frame
-from ltm_core.label_heads.temperature_scaling import balanced, fit_temperature
-from ltm_core.scoring.confidence import CalibrationScore
-from ltm_core.scoring.labels import SegmentationScore
-from ltm_core.vision.label_confidence import Calibration, calibration_path, write_calibration
+from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
+from ltm_core.vision.label_rules import Calibration, calibration_path, write_calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 

@@ -14,10 +14,10 @@ import numba
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.error_model import expected_prediction, interpolation_table
 from ltm_core.depth.expected_surface import FusionSettings, expect
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries

@@ -15,11 +15,11 @@ from pathlib import Path, PurePosixPath
 from ltm_core.base.errors import ArchiveError, ConfigError, ImageError, LtmError
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.site.site import Site
-from ltm_core.storage.photo_io import LARGEST_FILE
+from ltm_core.storage.text_io import LARGEST_FILE
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.archive.files import ArchiveFiles, StoredFile
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import place

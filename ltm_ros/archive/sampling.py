@@ -23,7 +23,7 @@ import numpy as np
 from ltm_core.base.errors import ArchiveError
 from ltm_core.base.types import Int64Array
 from ltm_core.base.utc_time import DAY_NS
-from ltm_core.geometry.sun import sun_elevation
+from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.site.site import Site
 from ltm_ros.archive.content_digest import code_digest, digest, look_digest
 from ltm_ros.archive.files import ArchiveFiles

@@ -16,8 +16,8 @@ from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.camera_state import CameraState, StateRecord
+from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,

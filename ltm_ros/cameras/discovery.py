@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import plain
-from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.ptz.connection import found, parsed_xml, split_address
 
 GROUP, PORT = "239.255.255.250", 3702

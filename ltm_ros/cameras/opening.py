@@ -1,22 +1,122 @@
-"""Connects to a camera as its site file says."""
+"""Open a camera as its site file says, report what it lacks, and query it in a thread of its own."""
 
 from __future__ import annotations
 
+import os
+import random
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.redaction import redacted
+from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.pose_estimation.mount.mount_config import MountConfig
+from ltm_core.pose_estimation.mount.mount_model import MountModel
+from ltm_core.site.sections import CameraConfig
+from ltm_core.site.site import Site
 from ltm_core.site.source_config import (
     CameraListConfig,
     FolderConfig,
+    HttpSettings,
     MjpegConfig,
+    NetworkSettings,
+    PtzConfig,
     RtspConfig,
     SnapshotConfig,
     SourceConfig,
     V4l2Config,
 )
-from ltm_ros.cameras.protocols.camera_list import CameraListReader
-from ltm_ros.cameras.protocols.folder import FolderReader
+from ltm_core.storage.disk_io import is_file, is_folder, is_there
+from ltm_ros.cameras.camera_source import CameraSource, Gaze, camera_backoff
+from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
+from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
+from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader, V4l2Reader
+from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
+from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.runtime.clocks import Clock
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import Activity
+
+
+def doubts_of(source: SourceConfig) -> Iterator[str]:
+    """Each with its remedy. A service may have what a shell has not, so none of them is certain."""
+    if isinstance(source, NetworkSettings) and source.password is not None:
+        try:
+            read_secret(source.password)
+        except UnauthorisedError as error:
+            yield str(error)
+    if isinstance(source, RtspConfig | V4l2Config) and find_spec("av") is None:
+        yield 'video needs PyAV: pip install "ltm[rtsp]"'
+    if isinstance(source, V4l2Config):
+        if not is_there(source.device):
+            yield f"{source.device} is not there: plug the camera in, or mend device (ls /dev/v4l/by-id)"
+        elif not os.access(source.device, os.R_OK | os.W_OK):
+            yield f"{source.device} may not be read: add the user to the group video"
+    if isinstance(source, HttpSettings) and source.ca is not None and not is_file(source.ca):
+        yield f"ca {source.ca} is not there"
+    if isinstance(source, FolderConfig) and not is_folder(source.path):
+        yield f"{source.path} is no folder: make it, or mend path"
+
+
+class MountPoses:
+    """The `PoseModel` of a PTZ head on its mount."""
+
+    def __init__(self, model: MountModel, tolerance: Tolerance) -> None:
+        self._model = model
+        # What a PTZ head at rest may still have moved.
+        self._moved = (tolerance.angle_deg, tolerance.angle_deg)
+
+    def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
+        return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
+
+
+def gaze_of_ptz(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
+    """Asks the PTZ head nothing yet. Without `ptz`, directions come with the pictures. Raises what `MountConfig.model`
+    raises."""
+    model = mount.model(site.open_dem(), site.frame)
+    lens = None if mount.lens is None else mount.lens.lens()
+    if ptz is None:
+        return Gaze(model=MountPoses(model, Tolerance()), lens=lens)
+    tolerance = tolerance_of(ptz)
+    direction = PtzDirection(lambda: open_ptz(ptz, source))
+    return Gaze(
+        direction=direction,
+        model=MountPoses(model, tolerance),
+        tolerance=tolerance,
+        lens=lens,
+        patrol=None if ptz.patrol is None else PtzPatrol(direction, ptz.patrol, tolerance),
+    )
+
+
+def calibration_of(camera: CameraConfig, name: str) -> Camera:
+    """Of a lens that zooms, at its widest. Raises ConfigError where the site file states none."""
+    if camera.mount is not None and camera.mount.lens is not None:
+        lens = camera.mount.lens.lens()
+        return lens.camera(lens.table[0][0])
+    if camera.calibration is None:
+        raise ConfigError(f"camera {name} has neither calibration nor mount.lens in the site file")
+    return camera.calibration.camera()
+
+
+def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
+    """Of a camera that stands still, the pose that the site file states; of one on a PTZ head, what makes poses of its
+    readings."""
+    if camera.mount is not None:
+        return gaze_of_ptz(site, camera.mount, camera.ptz, camera.source)
+    if camera.pose is None:
+        return Gaze()
+    pose = camera.pose.pose(site.open_dem(), site.frame)
+    assumed = site.assumed_pose_error
+    covariance = camera.pose.covariance(pose, assumed.position, assumed.angle_deg)
+    return Gaze(pose, assumed.covariance() if covariance is None else covariance)
 
 
 def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraReader:
@@ -34,3 +134,60 @@ def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraRe
             return FolderReader(config, most_bytes, clock)
         case CameraListConfig():
             return CameraListReader(config, most_bytes)
+
+
+SPREAD_S = 2.0
+"""In which the cameras of a process are first asked, one after the other."""
+END_S = 2.0
+"""For which a camera that is being asked is waited for at the end."""
+
+
+class SourceThread:
+    """Runs `source.step` until it is told to end; a bug in it is counted (`crash`), told, and tried again later."""
+
+    def __init__(self, name: str, source: CameraSource, health: Health, activity: Activity) -> None:
+        self._name, self._source, self._health, self._activity = name, source, health, activity
+        self._stopping = threading.Event()
+        self._crashes = camera_backoff()
+        self._thread = threading.Thread(target=self._run, name=f"source {name}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let the step at work come to its end, for a moment."""
+        self._stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join(END_S)
+
+    def _run(self) -> None:
+        pause = random.uniform(0.0, SPREAD_S)  # nosec B311 # spreads load, guards nothing
+        while not self._stopping.wait(pause):
+            with self._activity.turn(f"picture of {self._name}"):
+                pause = self._step()
+        self._source.close()
+
+    def _step(self) -> float:
+        try:
+            pause = self._source.step()
+        except LtmError as error:
+            self._health.drop(cause_of(error), str(error))
+            pause = self._crashes.failed()
+        except Exception as error:
+            self._tell(error)
+            self._health.drop("crash", f"{type(error).__name__}: a bug; the camera is asked again; see the log")
+            try:
+                self._source.close()
+            except (
+                Exception
+            ) as another:  # of a connection that the bug has left half done: it is forgotten all the same
+                self._tell(another)
+            pause = self._crashes.failed()
+        else:
+            self._crashes.succeeded()
+        return pause
+
+    @staticmethod
+    def _tell(error: Exception) -> None:
+        # Its message may hold what another library was given.
+        print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)

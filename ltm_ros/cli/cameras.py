@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_core.site.source_config import SecretConfig
-    from ltm_ros.cameras.probe import Found
-    from ltm_ros.cameras.site_entry import Placing
+    from ltm_ros.cameras.probe import Found, Placing
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
 """Environment variable of this process in which a password that was typed is kept."""
@@ -48,9 +46,9 @@ def probe(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import dumped, load_site, write_camera_section
+    from ltm_ros.cameras.probe import lacking, site_entry
     from ltm_ros.cameras.probe import probe as ask
-    from ltm_ros.cameras.protocols.errors import UnauthorisedError
-    from ltm_ros.cameras.site_entry import lacking, site_entry
+    from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: which camera of which site file is written")
@@ -232,7 +230,7 @@ def _placing(
     lonlat: str | None, height: float | None, azimuth: float | None, pitch: float, hfov: float | None
 ) -> Placing:
     from ltm_core.base.errors import ConfigError
-    from ltm_ros.cameras.site_entry import Placing
+    from ltm_ros.cameras.probe import Placing
 
     lon = lat = None
     if lonlat is not None:

@@ -22,8 +22,7 @@ from rich.table import Table
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_sigmas, sigma_keys
+from ltm_core.geometry.pose import Pose, pose_sigmas, sigma_keys
 from ltm_core.pictures import to_png
 from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.pose_estimation.mount.mount_io import append_reading
@@ -35,13 +34,12 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.gaze import calibration_of, gaze_of
-from ltm_ros.cameras.opening import open_reader
-from ltm_ros.cameras.protocols.errors import SourceError
-from ltm_ros.cli.tables import table
+from ltm_ros.cameras.opening import calibration_of, gaze_of, open_reader
+from ltm_ros.cameras.protocols.credentials import SourceError
+from ltm_ros.cli.output import table
 from ltm_ros.runtime.clocks import SystemClock
-from ltm_ros.runtime.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 STYLES = {"alive": "green", "connecting": "cyan", "night": "blue", "moved": "cyan"}
 """Of the states that need nobody; the others are red."""

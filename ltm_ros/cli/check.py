@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_findings
+from ltm_ros.cli.output import Overwrite, print_findings
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_core.base.finding import SiteFinding
+    from ltm_core.base.errors import SiteFinding
     from ltm_core.base.types import RgbImage
     from ltm_core.site.site_check import SiteCheck
 
@@ -35,7 +34,7 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
     from rich.console import Console
 
-    from ltm_core.base.finding import SiteVerdict
+    from ltm_core.base.errors import SiteVerdict
     from ltm_core.storage.disk_io import require_files
     from ltm_ros.launching.site_check import Wanted, examine
 
@@ -61,7 +60,7 @@ def check(
 
 
 def _print(console: Console, findings: list[SiteFinding]) -> None:
-    from ltm_core.base.finding import SiteVerdict
+    from ltm_core.base.errors import SiteVerdict
 
     styles = {SiteVerdict.OK: "green", SiteVerdict.DOUBTFUL: "yellow", SiteVerdict.WRONG: "bold red"}
     order = list(dict.fromkeys(finding.area for finding in findings))
@@ -72,10 +71,9 @@ def _print(console: Console, findings: list[SiteFinding]) -> None:
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """The views that a recording has of cameras without a pose in the site file."""
-    from ltm_core.base.errors import LtmError
-    from ltm_core.base.finding import SiteFinding
+    from ltm_core.base.errors import LtmError, SiteFinding
     from ltm_core.site.camera_check import check_views
-    from ltm_ros.recordings.recorded_views import recorded_views
+    from ltm_ros.recordings.camera_pictures import recorded_views
 
     assert found.site is not None  # nosec B101 # tells the type checker what holds
     assert found.dem is not None  # nosec B101 # tells the type checker what holds

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,10 +44,9 @@ def demo(
 
 def _simulated(out: Path, domain: int, console: Console) -> None:
     from ltm_core.base.resources import project_path
-    from ltm_ros.cli.output import print_nodes
-    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.output import message_bar, print_nodes
+    from ltm_ros.demo.report import bin_name
     from ltm_ros.demo.simulated import run_demo
-    from ltm_ros.demo.tables import bin_name
 
     with message_bar(console, "demo") as progress:
         result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))
@@ -92,8 +91,7 @@ def _print_walk(console: Console, walk: Walk) -> None:
 
 def _real(out: Path, domain: int, console: Console) -> None:
     from ltm_core.base.resources import config_path
-    from ltm_ros.cli.output import print_nodes
-    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.output import message_bar, print_nodes
     from ltm_ros.demo.real import medians, run_real_demo
 
     site, poses = config_path("sites/engabreen.yaml"), config_path("sites/engabreen_poses.csv")

@@ -143,9 +143,9 @@ def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, un
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
     from ltm_core.base.errors import ConfigError
+    from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
     from ltm_core.fuel.export.companion_files_io import write_palette_style
     from ltm_core.fuel.export.provenance import software
-    from ltm_core.fuel.fuel_map_io import read_fuel_map, resampled, write_fuel_map
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.site.site_io import load_site
     from ltm_core.vision.labels import LabelSet

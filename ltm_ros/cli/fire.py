@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import Overwrite, print_table
 
 
 def fire(
@@ -51,8 +50,7 @@ def fire(
     from ltm_core.fire.pyretechnics import interpreter
     from ltm_core.fire.scenario import FireScenario, Moisture, Wind, ignition_cell
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.fire.before_after import open_pair, run_fires
-    from ltm_ros.fire.page import FILES, NO_FORECAST, sentences, write_results
+    from ltm_ros.fire.before_after import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results
 
     console = Console()
     blowing, wet = Wind.parse(wind), Moisture.parse(moisture)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 
 def import_(
@@ -84,8 +84,8 @@ def import_(
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_ros.recordings.importing.assumptions import Assumptions
+    from ltm_ros.recordings.importing.assumptions import time_zone as zone_named
     from ltm_ros.recordings.importing.build import import_photos
-    from ltm_ros.recordings.importing.photo_time import time_zone as zone_named
     from ltm_ros.recordings.importing.refinement import PoseRefinement
 
     zone = zone_named(time_zone) if time_zone is not None else None

@@ -14,10 +14,9 @@ from rich.console import Console
 from ltm_core.base.errors import ConfigError, RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.answer import SHARES, LocateResult, fuel_at, place_name, view_data
-from ltm_core.locating.place import PlaceView, place_views
+from ltm_core.locating.answer import SHARES, LocateResult, PlaceView, fuel_at, place_name, place_views, view_data
 from ltm_ros.cli.locate_cameras import numbers
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from ltm_ros.cli.locate_cameras import LocatingScene

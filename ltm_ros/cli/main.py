@@ -2,33 +2,56 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import sys
+
 import typer
 
+from ltm_core.base.errors import LtmError
 from ltm_ros.cli.cameras import cameras
-from ltm_ros.cli.certs import certs
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
-from ltm_ros.cli.doctor import doctor
-from ltm_ros.cli.entry import run_command_line
 from ltm_ros.cli.export import export
 from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
-from ltm_ros.cli.label import label
 from ltm_ros.cli.locate import locate
-from ltm_ros.cli.mask import mask
+from ltm_ros.cli.mask import label, mask
 from ltm_ros.cli.models import models
 from ltm_ros.cli.pose import pose
-from ltm_ros.cli.record import record
-from ltm_ros.cli.region import region
-from ltm_ros.cli.replay import replay
+from ltm_ros.cli.record import record, replay
 from ltm_ros.cli.reprocess import reprocess
-from ltm_ros.cli.run import run
-from ltm_ros.cli.status import status
-from ltm_ros.cli.trace import trace
+from ltm_ros.cli.run import certs, region, run
+from ltm_ros.cli.tower import doctor, rollback, status, upgrade
+from ltm_ros.cli.trace import trace, viewshed
 from ltm_ros.cli.train import train
-from ltm_ros.cli.upgrade import rollback, upgrade
 from ltm_ros.cli.view import view
-from ltm_ros.cli.viewshed import viewshed
+
+_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""A file or a file system that the user must see to: what was checked before may change while a command works."""
+
+
+def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> None:
+    """Run `cli` as `program`; `extras`: what to install for each optional Python package that a command needs."""
+    if not sys.stdout.isatty():
+        os.environ.setdefault("COLUMNS", "120")  # a log is no 80 characters wide: tables would lose figures
+    try:
+        cli()
+    except LtmError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        sys.exit(1)
+    except OSError as error:
+        if error.errno not in _PLACE_ERRORS:
+            raise
+        print(f"{program}: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
+        sys.exit(1)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in extras:
+            raise
+        print(f"{program}: needs {error.name}: pip install '{extras[missing]}', or see `ltm doctor`", file=sys.stderr)
+        sys.exit(1)
+
 
 cli = typer.Typer(
     name="ltm",

@@ -1,4 +1,4 @@
-"""`ltm mask`: proposes pixels that never show the landscape, and writes the mask that a person confirms."""
+"""`ltm mask` and `ltm label`: mask what never shows the landscape, and name areas in photos."""
 
 from __future__ import annotations
 
@@ -7,13 +7,52 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
     from ltm_core.vision.areas import NamedArea
     from ltm_core.vision.mask_proposals import Proposal
     from ltm_core.vision.masks import ViewMask
+
+
+def label(
+    folder: Annotated[Path, typer.Argument(help="Folder of photos; polygons.json and NAME_labels.png go there.")],
+    model: Annotated[
+        str, typer.Option(help="Segmentation network whose answer is a start; none: no network. Default: the shipped.")
+    ] = "",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of this machine alone; 0: a free one.")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+) -> None:
+    """Name areas in photos with polygons and a brush, on a page that only this machine and this link reach.
+
+    Ends with Ctrl-C; each photo is written when it is left, or with Ctrl-S.
+    """
+    import threading
+    import webbrowser
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_folder
+    from ltm_core.vision.manifest import DEFAULT_MODEL
+    from ltm_core.vision.segmenter import Segmenter
+    from ltm_ros.labelling.server import LabelServer, LabelSession
+
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    require_folder(folder)
+    session = LabelSession(folder, None if model == "none" else Segmenter.open(model or DEFAULT_MODEL))
+    try:
+        server = LabelServer(session, port)
+    except OSError as error:
+        raise ConfigError(f"--port {port}: cannot be used ({error.strerror}); 0 takes a free one") from error
+    typer.echo(f"{server.url}\nCtrl-C ends it")
+    if browser:
+        webbrowser.open(server.url)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        typer.echo("ended")
+    finally:
+        server.close()
 
 
 def mask(

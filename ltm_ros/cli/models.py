@@ -17,11 +17,11 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
-from ltm_core.storage.photo_io import check_picture, photos_in
+from ltm_core.storage.text_io import check_picture, photos_in
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 
 def check(

@@ -1,19 +1,103 @@
-"""Check output paths of commands, and print tables of what nodes did."""
+"""Check output paths, show progress, and print tables."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.cli.tables import print_table
 from ltm_ros.runtime.diagnostics import NodeRow
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> Table:
+    """Return a table for a terminal. Cells may hold markup; escape text that others wrote.
+
+    Args:
+        title: above the table; "" for none.
+        columns: their names; a name that begins with ">" makes its column right-aligned and never wrapped. If all names
+            are empty, the table has no header.
+        rows: the cells of each row; None draws a line between two rows.
+    """
+    from rich.table import Table
+
+    made = Table(title=title or None, title_justify="left", show_header=any(columns))
+    for name in columns:
+        number = name.startswith(">")
+        made.add_column(name.removeprefix(">"), justify="right" if number else "left", no_wrap=number, overflow="fold")
+    for row in rows:
+        if row is None:
+            made.add_section()
+        else:
+            made.add_row(*row)
+    return made
+
+
+def print_table(console: Console, title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
+    """Print a table; see `table`."""
+    console.print(table(title, columns, rows))
+
+
+def print_findings(console: Console, rows: Iterable[tuple[str, str, str, str, str]]) -> None:
+    """Print the results of checks, by area: area, state, the state's style, what was checked, what was found."""
+    from rich.markup import escape
+
+    cells: list[Sequence[str] | None] = []
+    last = ""
+    for area, state, style, name, found in rows:
+        if area != last:
+            cells.append(None)
+        cells.append((escape(area) if area != last else "", f"[{style}]{state}[/]", escape(name), escape(found)))
+        last = area
+    print_table(console, "", ("", "", "what", "found"), cells)
+
+
+@contextmanager
+def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar over messages; yields `update(done, total)`. A bar that is full starts over, as a loop does."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(f"{what}: starting the graph", total=None)
+
+        def update(done: int, total: int) -> None:
+            place = (done - 1) % total + 1
+            description = f"{what}: waiting for its results" if done == total else what
+            bar.update(task, completed=place, total=total, description=description)
+
+        yield update
+
+
+@contextmanager
+def counting_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar over things that are done one by one, with the time that is left; yields `update(done, total)`."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def stop_on_signals(event: threading.Event) -> Iterator[None]:
+    """Within it, SIGINT and SIGTERM set the event instead of ending the process."""
+    before = {number: signal.signal(number, lambda *_: event.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Write over files that are there already.")]
 

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import Overwrite, print_table
 
 _SHARED = {"out", "overwrite"}
 _OF_POINTS = {"gcps", "first_pixel", "sigma_px"}

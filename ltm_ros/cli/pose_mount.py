@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltm_core.site.networks import site_scene_filter, site_segmenter
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -93,7 +93,7 @@ def calibrate_from_photos(
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError, ImageError, PoseError
-    from ltm_core.pipeline.site_poses import site_terrain
+    from ltm_core.pipeline.site_surface import site_terrain
     from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount.mount_io import read_readings
     from ltm_core.pose_estimation.skyline.find_pose import find_pose

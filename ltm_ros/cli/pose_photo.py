@@ -73,8 +73,7 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
 
 def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOptions) -> list[FoundPhoto]:
     """Search the pose of each photo; with `mount`, one correction for all of them."""
-    from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
-    from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+    from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -1,4 +1,4 @@
-"""`ltm record`: records topics of a running graph into a bag."""
+"""`ltm record` and `ltm replay`: record a running graph, and replay a recording."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.output import Overwrite
+from ltm_ros.recordings.replay import LONGEST_PAUSE
 
 
 def record(
@@ -56,3 +59,106 @@ def record(
     graph = Graph(config.name, (replace(whole.node("recorder"), required=True),))
     runner = Runner(graph, domain_id=domain, log_folder=new_log_folder(config.name))
     raise typer.Exit(runner.run())
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
+    site: Annotated[Path, typer.Option("--site", help="Site file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for what comes out.")] = Path("out/replay"),
+    offline: Annotated[
+        bool, typer.Option("--offline", help="One process, no DDS, as fast as it goes, bit-repeatable.")
+    ] = False,
+    rate: Annotated[float, typer.Option(help="Live: 2 plays twice as fast.")] = 1.0,
+    longest_pause: Annotated[
+        float,
+        typer.Option(help="Live: seconds after which a longer pause of the recording is stepped over; inf: never."),
+    ] = LONGEST_PAUSE,
+    loop: Annotated[bool, typer.Option("--loop", help="Live: start again at the end, until Ctrl-C.")] = False,
+    start: Annotated[float, typer.Option(min=0, help="Seconds into the recording.")] = 0.0,
+    duration: Annotated[float | None, typer.Option(min=0, help="Seconds to play.")] = None,
+    record: Annotated[bool, typer.Option("--record", help="Also write a bag of the results.")] = False,
+    rrd: Annotated[bool, typer.Option("--rrd", help="Live: also write a Rerun recording.")] = False,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+    publish_only: Annotated[
+        bool, typer.Option("--publish-only", help="Live: play into a graph that runs already (with sim time).")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
+    from ltm_core.base.errors import ConfigError
+
+    if offline and (loop or rrd or publish_only or rate != 1.0):
+        raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
+
+    import threading
+
+    from rich.console import Console
+
+    from ltm_core.storage.disk_io import require_files
+    from ltm_msgs_py.bag.writer import BagWriter
+    from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
+    from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
+    from ltm_ros.runtime.diagnostics import node_rows
+
+    console = Console()
+    if publish_only:
+        _publish(bag, site, rate, longest_pause, loop, start, duration, domain)
+        return
+    rrd_file = out / "replay.rrd" if rrd else None
+    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
+    if record:
+        BagWriter.require_free(out / "bag")
+    out.mkdir(parents=True, exist_ok=True)
+    options = ReplayOptions(
+        start,
+        duration,
+        export=out / "fuel_map.tif",
+        record=out / "bag" if record else None,
+        rrd=rrd_file,
+        rate=rate,
+        longest_pause=longest_pause,
+        loop=loop,
+        domain_id=domain,
+    )
+    stopping = threading.Event()
+    with message_bar(console, "replay") as progress:
+        if offline:
+            summaries = run_offline(bag, site, options, progress)
+        else:
+            with stop_on_signals(stopping):
+                summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
+    print_nodes(console, node_rows(summaries))
+    print_outcome(console, summaries)
+    console.print(f"fuel map: {out / 'fuel_map.tif'}")
+
+
+def _publish(
+    bag: Path,
+    site: Path,
+    rate: float,
+    longest_pause: float,
+    loop: bool,
+    start: float,
+    duration: float | None,
+    domain: int | None,
+) -> None:
+    import threading
+
+    from rich.console import Console
+
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.cli.output import message_bar, stop_on_signals
+    from ltm_ros.recordings.replay.offline import Selection
+    from ltm_ros.recordings.replay.run import LivePlayer
+    from ltm_ros.runtime.ros_environment import apply_to_process
+
+    apply_to_process(domain)
+    selection = Selection.open(bag, load_site(site), start, duration)
+    stopping = threading.Event()
+    with (
+        stop_on_signals(stopping),
+        LivePlayer(selection, rate, longest_pause) as player,
+        message_bar(Console(), "replay") as progress,
+    ):
+        player.wait_for_listeners()
+        player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +51,7 @@ def reprocess(
     from ltm_ros.archive.files import CacheConfig
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
-    from ltm_ros.cli.progress import counting_bar
+    from ltm_ros.cli.output import counting_bar
     from ltm_ros.fuel_map.pictures import when
 
     console = Console()

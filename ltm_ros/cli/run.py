@@ -1,4 +1,4 @@
-"""`ltm run`: runs a site's graph until Ctrl-C or SIGTERM."""
+"""`ltm run`, `ltm region` and `ltm certs`: run the graph of a site, or the map of a region."""
 
 from __future__ import annotations
 
@@ -12,6 +12,53 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ltm_ros.launching.graph import ParameterValue
+
+
+def region(
+    config: Annotated[Path, typer.Argument(help="Region file (YAML).")],
+) -> None:
+    """Keep the fuel map of a region until Ctrl-C or SIGTERM: count the votes of its towers, which come over MQTT, each
+    frame once; send tiles as they change; write GeoTIFFs.
+    """
+    import os
+
+    from ltm_ros.runtime.ros_environment import thread_limits
+
+    # Before NumPy is loaded: its threads would fight over arrays of a thousand cells.
+    os.environ.update(thread_limits(busy=False))
+
+    from ltm_core.uplink.config import load_region
+    from ltm_ros.region.service import run_region
+
+    run_region(load_region(config))
+
+
+def certs(
+    folder: Annotated[Path, typer.Argument(help="Folder, made where it is missing; what is in it stays.")],
+    region: Annotated[str, typer.Option(help="Name of the region.")],
+    tower: Annotated[list[str] | None, typer.Option(help="Name of a tower; may be given several times.")] = None,
+    follower: Annotated[
+        list[str] | None, typer.Option(help="Name of somebody who follows the map; may be given several times.")
+    ] = None,
+    host: Annotated[
+        list[str] | None, typer.Option(help="Name or address by which the broker is called. Default: this machine.")
+    ] = None,
+    listen: Annotated[str, typer.Option(help="Address at which the broker listens.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the broker.")] = 8883,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="For which certificates are valid.")] = 365,
+) -> None:
+    """Make certificates of a region's broker, map, towers and followers, and mosquitto's configuration for them.
+
+    Whoever reads ca.key can be any tower: keep it elsewhere, and for more than a trial use an authority of your own.
+    """
+    from ltm_ros.region.certs import TrialAuthority
+
+    hosts = host or ["localhost", "127.0.0.1", "::1"]
+    new = TrialAuthority(folder, days).make(region, [*(tower or ()), *(follower or ())], hosts, listen, port)
+    for path in new:
+        typer.echo(f"wrote {path}")
+    if not new:
+        typer.echo(f"{folder}: nothing was missing")
 
 
 def run(

@@ -1,14 +1,19 @@
-"""`ltm trace`: traces one picture to the terrain, without ROS."""
+"""`ltm trace` and `ltm viewshed`: trace one photo, and map what cameras cover."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite
-from ltm_ros.cli.tables import print_table
+from ltm_ros.cli.output import Overwrite, print_table
+
+if TYPE_CHECKING:
+    from ltm_core.geometry.geodesy import SiteFrame
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
+
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
 
@@ -91,3 +96,123 @@ def trace(
         )
     for path in written:
         console.print(f"  {path}", highlight=False)
+
+
+def viewshed(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="GeoTIFF: cameras that see a cell, best footprint, visible height.")
+    ],
+    site: Annotated[Path | None, typer.Option(help="Site file: all its cameras with calibration and pose.")] = None,
+    pose: Annotated[
+        Path | None, typer.Option(help="Instead of a site: the pose file of one camera; needs --dem.")
+    ] = None,
+    dem: Annotated[
+        list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(help="Cell size of the result, metres; default the DEM's, coarser beyond 16 million cells."),
+    ] = None,
+    target_height: Annotated[float, typer.Option(help="Metres above the ground that are to be seen.")] = 0.0,
+    max_range: Annotated[float | None, typer.Option(help="Metres beyond which a camera counts as blind.")] = None,
+    all_round: Annotated[
+        bool, typer.Option("--all-round", help="Cameras turn: their directions do not matter.")
+    ] = False,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw; default beside the GeoTIFF.")] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Map what cameras cover: seen by how many, how finely, and how high smoke must rise to be seen."""
+    import math
+
+    import numpy as np
+    from rich.console import Console
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.trace import coverage_picture, write_coverage
+    from ltm_core.storage.disk_io import require_files
+    from ltm_core.visibility.viewshed import viewshed as covered
+
+    console = Console()
+    picture = out.with_suffix(".png") if picture is None else picture
+    require_files((out, picture), overwrite)
+    if (site is None) == (pose is None):
+        raise ConfigError("give either --site S.yaml, or --pose P.yaml with --dem")
+    if site is not None:
+        sight, frame, views, skipped = _from_site(site)
+    elif pose is not None and dem:
+        sight, frame, views = _from_pose(pose, dem, crs)
+        skipped = []
+    else:
+        raise ConfigError("--pose needs the terrain too: --dem D.tif")
+    if skipped:
+        console.print(f"[yellow]without calibration or pose, left out[/]: {', '.join(skipped)}", highlight=False)
+    with console.status("lines of sight"):
+        reach = math.inf if max_range is None else max_range
+        coverage = covered(sight, views, resolution, target_height, reach, all_round)
+    with console.status("writing"):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_coverage(out, coverage, frame)
+        picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, _title(views, target_height))))
+
+    geometry = coverage.geometry
+    rows = [
+        (f"seen by {cameras} or more", f"{coverage.share(cameras):.1%} of the ground")
+        for cameras in range(1, min(len(views), 4) + 1)
+    ]
+    seen = np.isfinite(coverage.footprint)
+    if seen.any():
+        rows.append(("footprint of a pixel, median", f"{np.median(coverage.footprint[seen]):.2f} m"))
+    hidden = coverage.height[(coverage.count == 0) & np.isfinite(coverage.height)]
+    if hidden.size:
+        low, high = np.percentile(hidden, [50, 90])
+        rows.append(("hidden ground: visible from", f"{low:.0f} m above it (median), {high:.0f} m (90 %)"))
+    title = f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m"
+    print_table(console, title, ("", ""), rows)
+    for path in (out, picture):
+        console.print(f"  {path}", highlight=False)
+
+
+def _title(views: list[PosedCamera], target_height: float) -> str:
+    what = "the ground" if target_height == 0 else f"{target_height:g} m above the ground"
+    return f"cameras that see {what}" if len(views) > 1 else f"{what}, seen from {views[0].name}"
+
+
+def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str]]:
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
+
+    site = load_site(path)
+    terrain = site.open_dem()
+    views, skipped = [], []
+    for name, camera in site.cameras.items():
+        if camera.calibration is None or camera.pose is None:
+            skipped.append(name)
+        else:
+            views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
+    if not views:
+        raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)} come as topics)")
+    rays = site.curvature, site.refraction, site.possible_ground
+    return PointVisibility(terrain, *rays), site.frame, views, skipped
+
+
+def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
+    from rich.console import Console
+
+    from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
+
+    config = load_picture_config(path)
+    setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
+    for doubt in setup.doubts:
+        Console().print(f"[yellow]{doubt}", highlight=False)
+    sight = PointVisibility(setup.dem, config.curvature, config.refraction, config.possible_ground)
+    return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
-from ltm_core.fuel.cell_counts import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png

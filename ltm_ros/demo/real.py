@@ -15,7 +15,7 @@ import numpy as np
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import to_png
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -25,9 +25,8 @@ from ltm_ros.demo.outcome import (
     range_scale,
     write_pictures,
 )
-from ltm_ros.demo.report import ReportData, write_report
+from ltm_ros.demo.report import ReportData, depth_table, fuel_maps_table, write_report
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
-from ltm_ros.demo.tables import depth_table, fuel_maps_table
 from ltm_ros.demo.walk import Walk, run_walk, walk_sheet
 from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes

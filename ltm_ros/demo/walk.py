@@ -11,8 +11,7 @@ import numpy as np
 
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float64Array, RgbImage
-from ltm_core.fuel.cell_counts import MajorityFuelMap
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import MajorityFuelMap, read_fuel_map
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import label_legend, with_legend
 from ltm_core.pictures.maps import furnished, relief, scale_bar, view_of
@@ -21,8 +20,8 @@ from ltm_core.scoring.fuel import score_fuel
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
 from ltm_ros.demo.report import Sheet
+from ltm_ros.demo.score import RecordedPoseErrors, recorded_pose_errors, recorded_poses
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.refinement import PoseRefinement

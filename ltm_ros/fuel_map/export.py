@@ -7,11 +7,10 @@ from pathlib import Path
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.companion_files_io import item_path, write_item
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
-from ltm_core.fuel.export.kmz_io import write_kmz
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
-from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
+from ltm_core.fuel.export.viewer_files_io import fuel_points, write_kmz, write_las, write_ply
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.base.errors import ConfigError, PoseError, RasterError
 from ltm_core.base.types import BoolArray, Float32Array
-from ltm_core.fuel.cell_counts import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry

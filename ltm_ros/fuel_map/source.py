@@ -12,12 +12,11 @@ import numpy as np
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.resources import config_path
 from ltm_core.base.types import BoolArray
-from ltm_core.fuel.cell_counts import UNSEEN, CoverageMap
+from ltm_core.fuel.class_map import UNSEEN, CoverageMap, read_fuel_map
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.surface_change import LivingFuelMap
@@ -27,8 +26,8 @@ from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.pipeline.stored_fuel import open_stored_map
 from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_manifest import SurfaceVersion
+from ltm_core.surface.confirmed_surface import SurfaceVersion
+from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
 
 

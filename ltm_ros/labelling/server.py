@@ -1,17 +1,166 @@
-"""Serves the labelling page on this machine to whoever has its link."""
+"""Serve the labelling page to this machine; hold the photos of a folder and their named areas."""
 
 from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal
 
-from ltm_core.base.errors import LtmError
-from ltm_ros.labelling.session import LabelSession
+import numpy as np
+from PIL import Image
+from pydantic import Field
+
+from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.strict_model import StrictModel
+from ltm_core.pictures import to_jpeg
+from ltm_core.storage.config_io import checked
+from ltm_core.storage.text_io import open_picture, read_rgb
+from ltm_core.vision.areas import (
+    ERASED,
+    MASKED,
+    POLYGONS_FILE,
+    NamedArea,
+    areas_of,
+    labels_of,
+    read_areas,
+    replace_file,
+    stroke_areas,
+    write_areas,
+)
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.masks import MOST_POINTS, Point
+from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.recordings.camera_pictures import pictures_in
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
+
+MOST_SHAPES = 5000
+
+
+class _Polygon(StrictModel):
+    kind: Literal["polygon"] = "polygon"
+    name: str = Field(max_length=80)
+    points: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
+
+
+class _Stroke(StrictModel):
+    kind: Literal["stroke"] = "stroke"
+    name: str = Field(max_length=80)
+    points: tuple[Point, ...] = Field(min_length=1, max_length=20_000)
+    radius: float = Field(gt=0, le=2000)
+
+
+class _Shapes(StrictModel):
+    shapes: tuple[_Polygon | _Stroke, ...] = Field(max_length=MOST_SHAPES)
+
+
+class LabelSession:
+    """Of one folder. Photos are named by their number alone, so that no name from a page becomes a path.
+
+    Safe to use from several threads. Raises RecordingError where there are no photos, ConfigError for photos whose
+    label images would have one name, and for a polygons.json that cannot be read.
+    """
+
+    def __init__(self, folder: Path, segmenter: Segmenter | None = None) -> None:
+        self.folder = folder
+        self._paths = pictures_in(folder)
+        stems = [path.stem for path in self._paths]
+        twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+        if twice:
+            raise ConfigError(f"{folder}: several photos are called {twice[0]}, and would share {twice[0]}_labels.png")
+        self.labels = LabelSet.load() if segmenter is None else segmenter.labels
+        self._segmenter = segmenter
+        self._lock = threading.Lock()
+        file = folder / POLYGONS_FILE
+        self._areas: list[NamedArea] = list(read_areas(file)) if file.exists() else []
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def overview(self) -> dict[str, Any]:
+        """JSON-ready: photos with the number of their areas, classes with colours, whether there is a network."""
+        with self._lock:
+            counts = [sum(area.image == path.name for area in self._areas) for path in self._paths]
+        classes = [
+            {"name": name, "color": list(color)}
+            for name, color in zip(self.labels.names, self.labels.colors, strict=True)
+        ]
+        classes += [{"name": MASKED, "color": [20, 20, 24]}]
+        return {
+            "folder": self.folder.resolve().name,
+            "photos": [{"name": path.name, "areas": count} for path, count in zip(self._paths, counts, strict=True)],
+            "classes": classes,
+            "erased": ERASED,
+            "network": self._segmenter is not None,
+        }
+
+    def photo(self, number: int) -> bytes:
+        """As JPEG, upright. Raises ConfigError for a number that is none, ImageError."""
+        return to_jpeg(read_rgb(self._path(number)), quality=92)
+
+    def areas(self, number: int) -> list[dict[str, Any]]:
+        """As the page takes them, in their order."""
+        name = self._path(number).name
+        with self._lock:
+            return _shapes([area for area in self._areas if area.image == name])
+
+    def suggested(self, number: int) -> list[dict[str, Any]]:
+        """What the network says. Raises ConfigError without one."""
+        path = self._path(number)
+        if self._segmenter is None:
+            raise ConfigError("no network: start `ltm label` without --model none")
+        with self._lock:
+            found = self._segmenter.segment(read_rgb(path))
+        return _shapes(areas_of(path.name, found.labels, self.labels.names))
+
+    def save(self, number: int, content: object) -> list[dict[str, Any]]:
+        """Write polygons.json and NAME_labels.png; gives the areas as they are kept, strokes as outlines.
+
+        Raises ConfigError for another form, and for classes that are none.
+        """
+        path = self._path(number)
+        shapes = checked(_Shapes, content, "areas").shapes
+        known = {*self.labels.names, MASKED, ERASED}
+        unknown = sorted({shape.name for shape in shapes} - known)
+        if unknown:
+            raise ConfigError(f"no class is called {unknown[0]!r}; classes: {', '.join(sorted(known))}")
+        width, height = _size(path)
+        areas: list[NamedArea] = []
+        for shape in shapes:
+            if isinstance(shape, _Stroke):
+                areas += stroke_areas(path.name, shape.name, shape.points, shape.radius, height, width)
+            else:
+                areas.append(NamedArea(image=path.name, kind=shape.name, polygon=shape.points))
+        png = BytesIO()
+        Image.fromarray(labels_of(areas, height, width, self.labels)).save(png, "PNG", optimize=True)
+        with self._lock:
+            self._areas = [area for area in self._areas if area.image != path.name] + areas
+            write_areas(self.folder / POLYGONS_FILE, self._areas)
+            replace_file(self.folder / f"{path.stem}_labels.png", png.getvalue())
+        return _shapes(areas)
+
+    def _path(self, number: int) -> Path:
+        if not 0 <= number < len(self._paths):
+            raise ConfigError(f"there is no photo {number}; there are {len(self._paths)}")
+        return self._paths[number]
+
+
+def _shapes(areas: Sequence[NamedArea]) -> list[dict[str, Any]]:
+    return [{"kind": "polygon", "name": area.kind, "points": np.array(area.polygon).tolist()} for area in areas]
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Width and height of a photo, upright as its EXIF says."""
+    with open_picture(path) as (source, _):
+        turned = source.getexif().get(0x0112) in (5, 6, 7, 8)
+        return (source.height, source.width) if turned else source.size
+
 
 MOST_BYTES = 8 << 20
 """Size limit of a request."""

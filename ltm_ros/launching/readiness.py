@@ -18,7 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from ltm_ros.runtime.dds_shutdown import limit_shutdown
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 NOT_READY = 1
 

@@ -14,20 +14,19 @@ from types import ModuleType
 
 from pydantic import BaseModel
 
-from ltm_core.base.errors import ConfigError, LtmError
-from ltm_core.base.finding import SiteFinding, SiteVerdict
-from ltm_core.raster.dem_io import prepare_heights
+from ltm_core.base.errors import ConfigError, LtmError, SiteFinding, SiteVerdict
+from ltm_core.raster.dem import prepare_heights
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site import Site
 from ltm_core.site.site_check import SiteCheck, check_site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import free_bytes, require_folder
-from ltm_ros.cameras.readiness import doubts_of
+from ltm_ros.cameras.opening import doubts_of
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.runtime.handler import EX_CONFIG
-from ltm_ros.runtime.ports import bind_error, refusal
+from ltm_ros.runtime.web_server import bind_error, refusal
 
 LEAST_SPACE = 200 << 20
 """Bytes without which nothing can be kept."""

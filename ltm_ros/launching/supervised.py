@@ -1,4 +1,6 @@
-"""Runs a module as a process that its runner watches and that does not outlive it.
+"""Run a module as a process that its runner supervises.
+
+Runs a module as a process that its runner watches and that does not outlive it.
 
 `python -m ltm_ros.launching.supervised MODULE ARGUMENTS` is what `start_supervised` starts; the module runs as under
 `python -m MODULE ARGUMENTS`. Standard library only, so that the watch begins before the module's own imports.
@@ -17,7 +19,9 @@ import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+from ltm_ros.launching.graph import CAMERAS_MODULE, ProcessSpec, nodes_json, parameters_yaml
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
 from ltm_ros.runtime.process_memory import steady_allocation
 
@@ -133,3 +137,23 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+
+
+_QUIET = ("--disable-external-lib-logs",)
+"""A node's output is kept by us; ROS's own log files in ~/.ros would grow beside it."""
+
+
+def process_command(spec: ProcessSpec, folder: Path) -> list[str]:
+    """The command of a process under its supervisor; what its nodes are told of is written into `folder`."""
+    file = folder / spec.label.replace("/", ".")
+    if spec.shared:
+        nodes = file.with_name(f"{file.name}.json")
+        nodes.write_text(nodes_json(spec.nodes), encoding="utf-8")
+        return supervised_command(CAMERAS_MODULE, str(nodes), "--ros-args", *_QUIET)
+    node = spec.nodes[0]
+    parameters = file.with_name(f"{file.name}.yaml")
+    parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
+    remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
+    command = supervised_command(node.module, "--ros-args")
+    command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
+    return [*command, "--params-file", str(parameters), *_QUIET]

@@ -12,7 +12,7 @@ from pathlib import Path
 import rclpy
 
 from ltm_ros.launching import shared_memory
-from ltm_ros.runtime.dds_shutdown import limit_shutdown
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 
 def own_segment_bytes() -> list[int]:

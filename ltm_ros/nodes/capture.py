@@ -14,18 +14,16 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.pipeline.frame_steps import PosedImage
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.pose_correction import msg_to_correction
+from ltm_msgs_py.pose import msg_to_correction, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_check import RepeatCheck, StampCheck
-from ltm_ros.runtime.stamp_join import data_bytes
+from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import terrain_grid
@@ -23,11 +23,10 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.json_topics import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.fuel_map.config import FuelMapConfig
-from ltm_ros.fuel_map.kernels import compile_kernels
+from ltm_ros.fuel_map.config import FuelMapConfig, compile_kernels
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
@@ -36,7 +35,7 @@ from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_TRIES_S
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck
 from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,

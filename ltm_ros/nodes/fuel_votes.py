@@ -12,10 +12,10 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import VotingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.segmenter import Segmentation
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health

@@ -17,30 +17,26 @@ from ltm_core.base.types import Float64Array
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.locating.answer import LocateResult, answer, as_geojson, turned_data
 from ltm_core.locating.compiled_kernels import compile_kernels
-from ltm_core.locating.known_poses import KnownPoses
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.tracks import SeenAt, Track, Tracks
+from ltm_core.locating.tracks import KnownPoses, SeenAt, Track, Tracks
 from ltm_core.locating.turn_evidence import STEP
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
-from ltm_msgs_py.camera_info import msg_to_camera
-from ltm_msgs_py.located import msg_to_outline, place_to_msg
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.pose_correction import msg_to_correction
+from ltm_msgs_py.pose import msg_to_correction, msg_to_covariance, msg_to_outline, msg_to_pose, place_to_msg
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.topics import (
     LOCATE_ESTIMATE,
     LOCATE_FUSED,

@@ -13,17 +13,16 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.geometry.camera import Camera
-from ltm_core.pipeline.site_poses import mount_terms, site_terrain
+from ltm_core.pipeline.site_surface import mount_terms, site_terrain
 from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import Looking
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture

@@ -11,10 +11,10 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.masks import Looking
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
-from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health, note_picture

@@ -10,13 +10,11 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.gaze import calibration_of, gaze_of
-from ltm_ros.cameras.opening import open_reader
-from ltm_ros.cameras.source_thread import SourceThread
+from ltm_ros.cameras.opening import SourceThread, calibration_of, gaze_of, open_reader
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health

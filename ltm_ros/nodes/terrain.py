@@ -19,16 +19,15 @@ from ltm_core.storage.tile_store_schema import StoreSchema
 from ltm_core.surface.change import Changed
 from ltm_core.surface.compiled_kernels import compile_kernels
 from ltm_core.surface.surface_io import write_surface
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
-from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
-from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
+from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S, JoinConfig, Part, StampCheck, StampJoin
 from ltm_ros.runtime.topics import (
     FINISHED,
     LABELS_IMAGE,

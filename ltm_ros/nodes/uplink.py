@@ -19,7 +19,7 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
-from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.json_topics import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.region.tower_link import TowerLink

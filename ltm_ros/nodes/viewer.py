@@ -18,13 +18,12 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.grid import msg_to_changed, msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pointcloud import msg_to_fuel_cells
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.free_path import free_path
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -46,6 +45,19 @@ from ltm_ros.runtime.topics import (
 )
 from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
+
+
+def free_path(path: Path) -> Path:
+    """`path`, or the first of `name_1`, `name_2`, ... (before the suffix of a file) that is not there.
+
+    An empty folder counts as not there.
+    """
+    candidate, n = path, 0
+    while candidate.is_file() or (candidate.is_dir() and any(candidate.iterdir())):
+        n += 1
+        candidate = path.with_name(f"{path.stem}_{n}{path.suffix}")
+    return candidate
+
 
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12

@@ -19,9 +19,9 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,

@@ -41,7 +41,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.persistence import CountedFrame, Counting, FuelMapPersistence
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_join import StampCheck
 
 FrameId = tuple[str, str, int]
 """(tower, camera, stamp in nanoseconds)."""

@@ -18,7 +18,7 @@ from cryptography.x509.oid import NameOID
 from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.uplink.config import BrokerConfig
 from ltm_core.uplink.envelope import Envelope, packed, unpacked
-from ltm_ros.runtime.service_credentials import secret
+from ltm_ros.runtime.ros_environment import secret
 
 _REMEMBERED: Final = 256
 """Certificates whose chain has been checked."""

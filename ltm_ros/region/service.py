@@ -16,13 +16,12 @@ from sensor_msgs.msg import PointCloud2
 
 from ltm_core.storage.disk_io import make_folder
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
-from ltm_ros.fuel_map.kernels import compile_kernels
+from ltm_ros.fuel_map.config import compile_kernels
 from ltm_ros.launching.runner import print_line
 from ltm_ros.region.aggregator import Aggregator
-from ltm_ros.region.exports import RegionExports
 from ltm_ros.region.inbox import Inbox
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
-from ltm_ros.region.tiles import TilePublisher
+from ltm_ros.region.tiles import RegionExports, TilePublisher
 from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.web_server import WebResponse

@@ -1,25 +1,34 @@
-"""Sends the tiles of a region's map that have changed, and reads them on the other side."""
+"""Send the tiles of a region's map that have changed, and write the map as GeoTIFFs."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ltm_core.base.errors import MessageError
+from ltm_core.base.errors import ArchiveError, LtmError, MessageError, StoreError
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.export.companion_files_io import item_path
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.prior import system_of
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.storage.tile_store import Key
-from ltm_core.uplink.config import AGGREGATOR
+from ltm_core.uplink.config import AGGREGATOR, ExportConfig
 from ltm_core.uplink.envelope import TileHeader, VotesGrid, header_of
 from ltm_msgs_py.grid import msg_to_classes, tile_to_msg
+from ltm_ros.fuel_map.export import export_site
+from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.identity import Identity
 from ltm_ros.region.mqtt_link import MqttLink, tile_topic
+from ltm_ros.runtime.health import Health, cause_of
 
 
 class TilePublisher:
@@ -94,3 +103,83 @@ def opened_tile(identity: Identity, content: bytes) -> tuple[TileHeader, UInt8Ar
         ) from error
     classes, geometry = msg_to_classes(message)
     return header, classes, geometry.translated(*header.grid.origin, crs=header.grid.crs)
+
+
+class RegionExports:
+    """One export at a time, on a thread of its own, of the map as it is when it begins.
+
+    Whatever fails there is told and tried again: the map itself does not depend on its files.
+    """
+
+    def __init__(self, config: ExportConfig, aggregator: Aggregator, health: Health) -> None:
+        self._config, self._aggregator, self._health = config, aggregator, health
+        self._empty = site_evidence_map(aggregator.site, aggregator.geometry, aggregator.labels).layers()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="export")
+        self._work: Future[None] | None = None
+        self._due, self._next_s = True, 0.0
+
+    def look(self, now_s: float, changed: bool) -> None:
+        """Begin one where the map has changed and the last is long enough ago."""
+        self._due |= changed
+        if self._work is not None and not self._work.done():
+            return
+        self._judge()
+        if self._due and now_s >= self._next_s:
+            self._due, self._next_s = False, now_s + self._config.every
+            self._work = self._pool.submit(self._write, self._source())
+
+    def close(self, changed: bool = False) -> None:
+        """Write the last state, where it is not written yet; `changed`: since the last `look`."""
+        self._due |= changed
+        self._pool.shutdown()
+        self._judge()
+        if self._due:
+            try:
+                self._write(self._source())
+            except Exception as error:
+                self._tell(error)
+
+    def _judge(self) -> None:
+        """What has become of the last one; of one that failed, the map is due again."""
+        work, self._work = self._work, None
+        error = None if work is None else work.exception()
+        if error is not None:
+            self._due = True
+            self._tell(error)
+
+    def _tell(self, error: BaseException) -> None:
+        if isinstance(error, LtmError):
+            self._health.trouble(cause_of(error), f"the map was not exported: {error}")
+        else:  # a bug of ours or of a library
+            sys.excepthook(type(error), error, error.__traceback__)
+            self._health.trouble("export", f"the map was not exported ({type(error).__name__}: {error}); see the log")
+
+    def _source(self) -> FuelSource:
+        """The map of this moment: its layers are arrays of their own."""
+        aggregator = self._aggregator
+        evidence = aggregator.persistence.map
+        geometry = aggregator.site.in_crs(aggregator.geometry)
+        layers = evidence.layers()
+        return FuelSource(aggregator.site, aggregator.labels, geometry, evidence.prior, layers, self._empty)
+
+    def _write(self, source: FuelSource) -> None:
+        export_site(source, self._config.folder, None, "layers", system_of(source.prior).value, None, None)
+        if self._config.copy_to:
+            _copy(self._config.folder, self._config.copy_to)
+        self._health.note("exported")
+
+
+def _copy(folder: Path, url: str) -> None:
+    """The files of a folder to a store that fsspec has; the STAC item last, so that all it names is there.
+
+    Raises StoreError.
+    """
+    from ltm_ros.archive.results import ResultFolder  # needs the extra `archive`, for those alone who copy
+
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    try:
+        elsewhere = ResultFolder(url)
+        for path in sorted(files, key=lambda path: path == item_path(folder)):
+            elsewhere.put(path, path.name)
+    except (ArchiveError, OSError) as error:
+        raise StoreError(f"{url}: the export cannot be copied there ({error})") from error

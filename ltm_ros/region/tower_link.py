@@ -23,8 +23,8 @@ from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import Outcome, VotesGrid
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
 from ltm_ros.region.identity import Identity
+from ltm_ros.region.inbox import outcomes_heard, sealed_votes, tell_what_waits
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
-from ltm_ros.region.tower_words import outcomes_heard, sealed_votes, tell_what_waits
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S, Backoff

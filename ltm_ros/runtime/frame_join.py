@@ -19,9 +19,8 @@ from ltm_core.cameras.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
-from ltm_msgs_py.sensors import msg_to_attitude, msg_to_fix
+from ltm_msgs_py.sensors import msg_to_attitude, msg_to_camera, msg_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health

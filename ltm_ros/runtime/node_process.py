@@ -14,10 +14,10 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.runtime.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.handler import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
 from ltm_ros.runtime.process_memory import Trimming, settle, steady_allocation
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 EX_IOERR = 74
 """Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""

@@ -1,9 +1,10 @@
-"""Serves handlers by HTTP or HTTPS: the status page, metrics and the labelling page all use this server."""
+"""Answer HTTP requests, on loopback unless the site file says otherwise; check TCP ports."""
 
 from __future__ import annotations
 
 import base64
 import contextlib
+import errno
 import hmac
 import ipaddress
 import json
@@ -17,6 +18,30 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
+
+
+def bind_error(address: str, port: int) -> OSError | None:
+    """Why a port cannot be listened on now; None: it can."""
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address, port))
+        except OSError as error:
+            return error
+    return None
+
+
+def refusal(address: str, port: int, error: OSError) -> str:
+    """What is wrong where the port of health cannot be listened on, and what to do."""
+    remedy = {
+        errno.EADDRINUSE: f"end what uses it (`ss -ltnp 'sport = :{port}'` names it), or name another",
+        errno.EADDRNOTAVAIL: "this machine has no such address now: is that network up? Else name one that it has",
+        errno.EACCES: "ports below 1024 need rights that a service lacks: name a higher one",
+    }.get(error.errno or 0, "name another")
+    return (
+        f"{address}:{port} cannot be listened on ({error.strerror}): {remedy} in `health: {{port: ..., address: ...}}`"
+    )
+
 
 TIMEOUT_S = 10.0
 """Longest wait for the next bytes of a request, and for the client to read the next bytes of a response."""

@@ -9,9 +9,9 @@ from typing import Any
 from ltm_core.base.errors import RasterError, StoreError
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site import Site
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_manifest import AS_GIVEN
-from ltm_msgs_py.confirmed_surface import msg_to_version
+from ltm_core.surface.confirmed_surface import AS_GIVEN
+from ltm_core.surface.surface_versions_io import ConfirmedTerrain
+from ltm_msgs_py.json_topics import msg_to_version
 from ltm_ros.runtime.health import Health, cause_of
 
 

@@ -20,7 +20,7 @@ import ltm_core
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
-from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
+from ltm_ros.tower.health_client import DoctorFinding, DoctorState
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",
@@ -244,7 +244,7 @@ def check_shared_memory() -> Iterator[DoctorFinding]:
 
 
 def check_models() -> Iterator[DoctorFinding]:
-    from ltm_core.vision.label_confidence import doubt_of_photographs, load_calibration
+    from ltm_core.vision.label_rules import doubt_of_photographs, load_calibration
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
 

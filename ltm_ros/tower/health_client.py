@@ -7,16 +7,38 @@ import ipaddress
 import json
 import ssl
 from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.sections import HealthConfig
 from ltm_core.site.site_io import load_site
-from ltm_ros.runtime.ports import bind_error, refusal
-from ltm_ros.runtime.service_credentials import secret
-from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
+from ltm_ros.runtime.ros_environment import secret
+from ltm_ros.runtime.web_server import bind_error, refusal
 from ltm_ros.tower.patient_server import read_token
+
+
+class DoctorState(StrEnum):
+    OK = "ok"
+    OPTIONAL = "optional"
+    """Absent, and only some commands need it."""
+    WARNING = "warning"
+    """Works, but not well."""
+    MISSING = "missing"
+    """The system does not work without it."""
+
+
+@dataclass(frozen=True)
+class DoctorFinding:
+    area: str
+    name: str
+    state: DoctorState
+    detail: str
+    remedy: str = ""
+    """Command that mends it."""
+
 
 LARGEST = 16 << 20
 

@@ -26,15 +26,15 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures.drawing import UNLABELLED, ClassPalette, to_jpeg, to_png
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, to_jpeg, to_png
 from ltm_core.pictures.maps import MapCamera, furnished, interesting_bounds, nearest, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.outlet_node import stream_qos

@@ -11,9 +11,8 @@ from typing import Final
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.ports import refusal
-from ltm_ros.runtime.service_credentials import secret
-from ltm_ros.runtime.web_server import Route, WebServer
+from ltm_ros.runtime.ros_environment import secret
+from ltm_ros.runtime.web_server import Route, WebServer, refusal
 
 RETRY_S: Final = 5.0
 """Pause between two attempts to open the port: shorter than diagnostics keep an error, so that they always show it."""

@@ -17,8 +17,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.tower.releases import PackageFile, Releases, Trial
-from ltm_ros.tower.service import Service
-from ltm_ros.tower.store_copy import copy_stores, return_stores
+from ltm_ros.tower.store_copy import Service, copy_stores, return_stores
 
 LOOK_S = 0.5
 CHECK_S = 1800.0

@@ -1,22 +1,117 @@
-"""Maps of the fuel map's layers for the viewer: fuel models, uncertainty, changes, coverage by cameras."""
+"""Draw the layers of the fuel map and the changes of the terrain; convert core types for Rerun."""
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.base.types import BoolArray, RgbImage
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures import to_jpeg
-from ltm_core.pictures.drawing import ClassPalette
+from ltm_core.geometry.pose import Pose
+from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, CameraMark, FuelCanvas
-from ltm_core.pictures.legend import PAPER
+from ltm_core.pictures.legend import PAPER, UNLABELLED, ClassPalette, error_colors, error_legend
 from ltm_core.raster.dem import Dem
+from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.surface_io import CHANGE_COLORS
 from ltm_ros.fuel_map.pictures import seen_window
+from ltm_ros.viewer.scene_geometry import TexturedMesh
+
+MAX_WIDTH = 960
+
+
+def shown_size(width: int, height: int) -> tuple[int, int]:
+    """(width, height) at which an image of the given size is shown."""
+    scale = min(1.0, MAX_WIDTH / width)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def photo(rgb: RgbImage) -> rr.EncodedImage:
+    """The camera's image (H, W, 3)."""
+    return rr.EncodedImage(contents=to_jpeg(_shrunk(rgb, cv2.INTER_AREA), 80), media_type="image/jpeg")
+
+
+def depth_picture(depth: Float32Array, scale: RangeScale) -> rr.EncodedImage:
+    """Depth (H, W), metres, in colours of `scale`, over its legend."""
+    # Nearest: a mean over a ridge line would show a depth at which there is nothing.
+    colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
+    picture = with_legend(colors, range_legend(colors.shape[1], scale))
+    return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
+
+
+def difference_picture(depth: Float32Array, other: Float32Array) -> rr.EncodedImage:
+    """How far two depths (H, W) lie apart, metres, over the legend."""
+    colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
+    picture = with_legend(colors, error_legend(colors.shape[1]))
+    return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
+
+
+def label_image(labels: UInt8Array) -> rr.SegmentationImage:
+    """Class ids (H, W), drawn over the photo."""
+    return rr.SegmentationImage(_shrunk(labels, cv2.INTER_NEAREST), opacity=0.55, draw_order=1.0)
+
+
+def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
+    """The camera as the 3D view draws it, with its image `image_plane` metres ahead; distortion is not drawn."""
+    width, height = shown_size(camera.width, camera.height)
+    sx, sy = width / camera.width, height / camera.height
+    # Rerun counts pixels from the image's corner, we from the first pixel's centre.
+    centre = (camera.cx + 0.5) * sx, (camera.cy + 0.5) * sy
+    return rr.Pinhole(
+        focal_length=(camera.fx * sx, camera.fy * sy),
+        principal_point=centre,
+        resolution=(width, height),
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=image_plane,
+        color=(255, 90, 60),
+        line_width=rr.Radius.ui_points(0.6),
+    )
+
+
+def stand(pose: Pose) -> tuple[rr.Transform3D, rr.TransformAxes3D]:
+    """Optical frame to map; without the arrows of its axes, which the viewer draws unless told not to."""
+    return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation), rr.TransformAxes3D(0.0)
+
+
+def mesh(textured: TexturedMesh) -> rr.Mesh3D:
+    """Without normals: the texture holds the shade already."""
+    return rr.Mesh3D(
+        vertex_positions=textured.vertices,
+        triangle_indices=textured.triangles,
+        vertex_texcoords=textured.texcoords,
+        albedo_texture=textured.texture,
+    )
+
+
+def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
+    """Names and colours of the classes; unlabelled is clear."""
+    classes: list[tuple[int, str, tuple[int, ...]]] = [
+        (label, str(name), tuple(int(c) for c in np.asarray(palette.colors[label])))
+        for label, name in enumerate(palette.names)
+    ]
+    return rr.AnnotationContext([*classes, (UNLABELLED, "unlabelled", (0, 0, 0, 0))])
+
+
+def distinct_color(index: int) -> tuple[int, int, int]:
+    """The index-th of a row of bright colours: each hue lies where the row so far leaves the widest gap."""
+    golden = (5**0.5 - 1) / 2
+    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, (0.35, 0.65, 1.0)[index % 3], 0.95)
+    return round(red * 255), round(green * 255), round(blue * 255)
+
+
+def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
+    height, width = values.shape[:2]
+    size = shown_size(width, height)
+    return values if size == (width, height) else np.asarray(cv2.resize(values, size, interpolation=method))
+
 
 TITLES = {
     "life_form": "Life form; outlined: no longer the prior map's",
@@ -100,3 +195,74 @@ def _framed(picture: RgbImage, size: tuple[int, int]) -> RgbImage:
     paper = np.full((height, width, 3), PAPER, np.uint8)
     paper[: len(picture), : picture.shape[1]] = picture[:height, :width]
     return paper
+
+
+PICTURE_PIXELS = 1600
+"""Longer side of the picture of changes."""
+MAX_POINTS = 60_000
+"""Changed cells in the 3D view."""
+_COLORS = np.array([CHANGE_COLORS[kind] for kind in ChangeKind], np.uint8)
+
+
+@dataclass(eq=False)
+class ChangeLayer:
+    """The changed cells so far; each update says which cells have another kind now."""
+
+    _cells: dict[tuple[int, int], tuple[float, float, float, int]] = field(default_factory=dict)
+
+    def update(self, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> rr.Points3D:
+        """Take cells (N, 2) row, col with their places (N, 3) and kinds (N,), and draw all that differ by now."""
+        for (row, col), place, kind in zip(cells.tolist(), points.tolist(), kinds.tolist(), strict=True):
+            if kind == ChangeKind.NONE:
+                self._cells.pop((row, col), None)
+            else:
+                self._cells[row, col] = (*place, kind)
+        drawn = np.array(list(self._cells.values()), np.float64).reshape(-1, 4)
+        drawn = drawn[:: 1 + len(drawn) // MAX_POINTS]
+        return rr.Points3D(
+            drawn[:, :3].astype(np.float32),
+            colors=_COLORS[drawn[:, 3].astype(np.int64)],
+            radii=rr.Radius.ui_points(2.5),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ChangePicture:
+    """Kinds of change, thinned for the screen, and where they lie on the grid under them."""
+
+    kinds: UInt8Array
+    """(h, w) ChangeKind, 255 where independent views have not looked."""
+    corner: tuple[float, float]
+    """x, y of its north-west corner, in cells of the grid under it."""
+    pixel: float
+    """Side of a pixel in such cells."""
+
+    @classmethod
+    def over(cls, kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
+        """`kinds` (H, W) of a window of the terrain's grid."""
+        step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
+        corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
+        return cls(_thinned(kinds, step), corner, geometry.resolution * step / under.resolution)
+
+    def archetypes(self) -> tuple[rr.Transform3D, rr.SegmentationImage]:
+        """Class ids, not a JPEG: the viewer takes a row of JPEGs for a video, and a video cannot grow."""
+        place = rr.Transform3D(translation=(*self.corner, 0.0), scale=(self.pixel, self.pixel, 1.0))
+        return place, rr.SegmentationImage(self.kinds, opacity=1.0, draw_order=1.0)
+
+
+def change_classes() -> rr.AnnotationContext:
+    """Colours of the kinds of change; ground that was looked at and has not changed is veiled."""
+    classes = [(kind, kind.name.lower(), (*CHANGE_COLORS[kind], 230)) for kind in ChangeKind]
+    classes[ChangeKind.NONE] = (ChangeKind.NONE, "looked at", (255, 215, 100, 100))
+    return rr.AnnotationContext([*classes, (UNLABELLED, "not looked at", (0, 0, 0, 0))])
+
+
+def _thinned(kinds: UInt8Array, step: int) -> UInt8Array:
+    """Every pixel a block of `step` x `step` cells; a change in any cell of a block stands for the block."""
+    height, width = kinds.shape
+    padded = np.full((-(-height // step) * step, -(-width // step) * step), UNLABELLED, np.uint8)
+    padded[:height, :width] = kinds
+    blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step)
+    changed = np.where(blocks == UNLABELLED, 0, blocks).max(axis=(1, 3))
+    looked = (blocks != UNLABELLED).any(axis=(1, 3))
+    return np.where(looked, changed, UNLABELLED).astype(np.uint8)

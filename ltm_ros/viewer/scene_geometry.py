@@ -14,7 +14,7 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Float64Array, IndexArray, RgbImage, UInt8Array, UInt32Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import label_colors, terrain_colors
-from ltm_core.pictures.drawing import UNLABELLED, ClassPalette
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette
 from ltm_core.raster.dem import Dem
 
 MAX_TRIANGLES = 300_000

@@ -19,15 +19,15 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
-from ltm_core.pictures.drawing import UNLABELLED, ClassPalette
 from ltm_core.pictures.fuel_maps import CameraMark
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
-from ltm_ros.viewer import archetypes, scene_geometry
+from ltm_ros.viewer import fuel_maps as archetypes
+from ltm_ros.viewer import scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
-from ltm_ros.viewer.fuel_maps import FuelMaps
+from ltm_ros.viewer.fuel_maps import ChangeLayer, ChangePicture, FuelMaps, change_classes
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
-from ltm_ros.viewer.terrain_change import ChangeLayer, ChangePicture, change_classes
 
 MAX_POINTS = 15_000
 """Points of one depth image in the 3D view."""

@@ -12,9 +12,9 @@ import numpy as np
 from rclpy.node import Node
 from scenes.small_site import NAME, Frame, SmallSite
 
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic

@@ -28,15 +28,15 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header, ns_to_time
 from ltm_ros.runtime import topics
-from ltm_ros.runtime.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.ros_environment import limit_shutdown
 
 LARGE = 60_000_000
 """Bytes of a message that is too large."""

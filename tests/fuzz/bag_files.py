@@ -20,9 +20,9 @@ from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 
 
 def _bags(folder: Path) -> list[bytes]:

@@ -10,8 +10,8 @@ from scenes.timed_picture import exif_of, jpeg, scene
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
-from ltm_ros.cameras.protocols.camera_list import entry_of, reading_of, time_of
 from ltm_ros.cameras.protocols.exposure import ExposureClock
+from ltm_ros.cameras.protocols.files import entry_of, reading_of, time_of
 from ltm_ros.cameras.protocols.http_pictures import PartSplitter, timing_of
 
 _LIST = settings(kind="camera_list", url="http://127.0.0.1/all.json", image="http://127.0.0.1/{id}.jpg", id="north")

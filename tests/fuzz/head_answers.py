@@ -10,11 +10,10 @@ from pydantic import TypeAdapter
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
-from ltm_core.site.ptz_config import PtzConfig
-from ltm_core.site.source_config import HttpSettings
+from ltm_core.site.source_config import HttpSettings, PtzConfig
 from ltm_ros.cameras.discovery import camera_in
 from ltm_ros.cameras.protocols.http_client import HttpResponse
-from ltm_ros.cameras.ptz.opening import open_ptz
+from ltm_ros.cameras.ptz.makers import open_ptz
 
 _VAPIX = (
     b"pan=12.5\r\ntilt=-3.25\r\nzoom=120\r\nMinPan=-180\r\nMaxPan=180\r\npresetposno1=north\r\npresetposno2=east\r\n"

@@ -12,14 +12,13 @@ from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
 from ltm_core.fire.fire_io import read_landscape
-from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.overlays_io import barrier_codes
 from ltm_core.fuel.prior import BarrierConfig, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_io import read_around
+from ltm_core.raster.dem import Dem, read_around
 from ltm_core.vision.labels import LabelSet
 
 GRID = GridGeometry(480_000.0, 4_150_600.0, 30.0, 27, 20, "EPSG:26911")

@@ -31,12 +31,12 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.surface.surface_manifest import CountedVersion, SurfaceManifest, SurfaceVersion
+from ltm_core.surface.confirmed_surface import CountedVersion, SurfaceManifest, SurfaceVersion
 from ltm_core.surface.surface_versions_io import MANIFEST, SurfaceVersions
 from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture
 from ltm_core.vision.areas import read_areas
-from ltm_core.vision.label_confidence import Calibration
 from ltm_core.vision.label_head import read_label_head
+from ltm_core.vision.label_rules import Calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary

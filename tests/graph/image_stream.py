@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Empty
 
-from ltm_ros.runtime.dds_shutdown import wait_for_quiet
+from ltm_ros.runtime.ros_environment import wait_for_quiet
 
 HEIGHT, WIDTH = 1080, 1920
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

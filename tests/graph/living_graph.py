@@ -10,9 +10,9 @@ from bystander import Bystander
 from scenes.small_site import BEGIN_NS, NAME, TOWER, SmallSite
 from scenes.waiting import wait_for
 
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,

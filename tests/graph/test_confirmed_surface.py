@@ -22,7 +22,7 @@ from ltm_lab.evaluation.update_trial import (
     score_update,
     write_update_site,
 )
-from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
+from ltm_msgs_py.json_topics import msg_to_traced, msg_to_version
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

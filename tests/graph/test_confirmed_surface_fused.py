@@ -13,8 +13,8 @@ from scenes.waiting import wait_for
 
 from ltm_core.pipeline.site_surface import exported_terrain
 from ltm_core.tracing import TerrainTracer
-from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import image_to_msg, msg_to_depth
+from ltm_msgs_py.json_topics import msg_to_traced, msg_to_version
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner

@@ -14,8 +14,8 @@ import pytest
 from bystander import Bystander
 from scenes.small_site import NAME, TOWER, SmallSite
 
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner

@@ -14,7 +14,7 @@ from scenes.waiting import wait_for
 
 from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
-from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.json_topics import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner

@@ -18,9 +18,8 @@ from scenes.waiting import wait_for
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.camera_info import camera_to_msg
-from ltm_msgs_py.pose import pose_to_msg
-from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.pose import correction_to_msg, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner

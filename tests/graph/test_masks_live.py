@@ -15,9 +15,8 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner
-from ltm_ros.recordings.replay.live import LivePlayer
-from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
+from ltm_ros.recordings.replay.run import LivePlayer, ReplayOptions, run_offline
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, camera_topic
 
 # What masks do is tested in tests/replay/test_masks.py, that a living graph makes what a replay makes in test_layouts.

@@ -14,9 +14,9 @@ from scenes.small_site import NAME, TOWER, SmallSite
 from scenes.terrain_frames import write_fusing_site
 from scenes.waiting import wait_for
 
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import time_to_ns
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner

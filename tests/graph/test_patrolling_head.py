@@ -26,8 +26,8 @@ from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_config import written_mount
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.runtime.topics import CAMERA_INFO, FUEL_MAP_UPDATE, POSED_CAMERA_INFO, POSED_POSE, camera_topic, site_topic

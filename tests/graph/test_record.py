@@ -14,8 +14,8 @@ from scenes.waiting import wait_for
 from std_msgs.msg import String
 
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import CAMERA_INFO, LABELS_INFO, POSE, camera_topic

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
 
-from ltm_ros.recordings.replay.live import QUIET, LivePlayer
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
+from ltm_ros.recordings.replay.run import QUIET, LivePlayer
 
 pytestmark = pytest.mark.graph
 

@@ -26,9 +26,8 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import CAMERA_NODES, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.recordings.replay.live import LivePlayer
-from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
+from ltm_ros.recordings.replay.run import LivePlayer, ReplayOptions, run_offline
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,

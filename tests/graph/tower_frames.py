@@ -7,9 +7,9 @@ import time
 from bystander import Bystander
 from scenes.small_site import NAME, SmallSite
 
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 TOPICS = (CAMERA_INFO, POSE, IMAGE_COMPRESSED)

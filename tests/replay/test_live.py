@@ -10,11 +10,11 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
-from ltm_ros.recordings.replay.live import LivePlayer, _moved, _round_ns
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
+from ltm_ros.recordings.replay.run import LivePlayer, _moved, _round_ns
 
 
 @pytest.mark.parametrize("shift", [1, 999_999_999, 1_000_000_000, 86_400_000_000_123])

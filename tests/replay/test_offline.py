@@ -14,11 +14,11 @@ from scenes.networks import write_classifier, write_swapping_head
 from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite, write_small_site
 from typer.testing import CliRunner
 
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_array, msg_to_depth
-from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.json_topics import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_run import last_fuel_map

@@ -10,7 +10,7 @@ from scenes.small_site import BEGIN_NS, FRAMES, NAME, PERIOD_NS, SmallSite
 from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
 from ltm_ros.runtime.topics import DEPTH_IMAGE, TRUTH_LABELS, camera_topic
 
 MESSAGES = FRAMES * (3 + 1)

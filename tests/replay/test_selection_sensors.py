@@ -9,10 +9,10 @@ from sensor_msgs.msg import Imu, NavSatFix
 from ltm_core.geometry.camera import Camera
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
-from ltm_ros.recordings.replay.selection import Selection
+from ltm_ros.recordings.replay.offline import Selection
 
 
 def test_a_phones_fixes_and_attitudes_are_played(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.evidence_merge import PartialEvidence

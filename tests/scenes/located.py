@@ -9,8 +9,7 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.locating.region import marked_pixel
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem

@@ -18,8 +18,8 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_lab.simulator.phone_photo_io import PhonePhoto
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 
 LON, LAT = -118.06, 34.225

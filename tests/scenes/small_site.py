@@ -16,7 +16,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -27,9 +27,9 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import UNLABELLED
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
 from scenes.networks import write_classifier

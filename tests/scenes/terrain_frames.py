@@ -14,9 +14,9 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.topics import LABELS_IMAGE, MEASURED_DEPTH, MEASURED_SIGMA, POSED_CAMERA_INFO, POSED_POSE
 from scenes.networks import write_depth_network
 from scenes.small_site import MAST, PAINT, SKY, SmallSite, write_small_site

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
 from scenes.small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
 from scenes.terrain_frames import HOUR, built_up, mast_pose, photo_of_depth

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_ros.tower.releases import PackageFile, Releases
-from ltm_ros.tower.service import ServiceState
+from ltm_ros.tower.store_copy import ServiceState
 from ltm_ros.tower.upgrade import Places, Upgrade
 
 CONTROL = """Package: {name}

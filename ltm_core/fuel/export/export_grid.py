@@ -12,7 +12,7 @@ from pyproj import Transformer
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
-from ltm_core.fuel.cell_counts import UNSEEN
+from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import Landscape, canopy_bands, surface_codes, terrain_bands

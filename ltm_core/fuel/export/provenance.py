@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS
-from ltm_core.surface.surface_manifest import SurfaceVersion
+from ltm_core.surface.confirmed_surface import SurfaceVersion
 
 NOTHING_SEEN = "nothing seen"
 WITHOUT_DATES = "not known: a map without dates"

@@ -12,7 +12,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.camera_config import PoseConfig
 from ltm_core.cameras.plausibility import PitchDeg
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import pose_covariance
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.raster.dem import Dem

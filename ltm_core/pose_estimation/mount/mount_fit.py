@@ -16,9 +16,7 @@ import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_core.geometry.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
+from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance, vector_of_matrix
 from ltm_core.pose_estimation.mount.mount_verdict import MountPicture, alike, judge_mount, skylines_at
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_pan_tilt, matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
 _UNKNOWN = 1.0

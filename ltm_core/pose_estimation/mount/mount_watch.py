@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import fit_ptz_mount
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection

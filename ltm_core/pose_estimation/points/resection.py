@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_vector
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection_adjustment import (
     PARAMETERS,

@@ -17,8 +17,7 @@ from scipy.optimize import least_squares
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_vector
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
-from ltm_core.vision.label_corrections import cie_lab
+from ltm_core.vision.label_rules import cie_lab
 from ltm_core.vision.labels import Label
 
 ORIENTATIONS = 8

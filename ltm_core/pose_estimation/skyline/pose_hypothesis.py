@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import vector_of_matrix
+from ltm_core.geometry.pose import Pose, vector_of_matrix
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose

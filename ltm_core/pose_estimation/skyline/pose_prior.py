@@ -9,9 +9,7 @@ import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, axes_of_angles, pose_covariance
-from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, axes_of_angles, matrix_of_vector, pose_covariance
 
 UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
 """Sigma of an azimuth of which nothing is known."""

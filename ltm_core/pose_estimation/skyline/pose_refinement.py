@@ -24,8 +24,7 @@ from scipy.linalg import solve_triangular
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance, pose_sigmas
+from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig

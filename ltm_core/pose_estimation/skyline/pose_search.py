@@ -9,17 +9,15 @@ import numpy as np
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.skyline.contour_scores import (
     ContourDirections,
     contour_scores,
     ridge_strength,
     usual_score,
 )
-from ltm_core.pose_estimation.skyline.crest_cover import CoverHeights, everywhere
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine

@@ -20,9 +20,8 @@ from numba import njit
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.crest_cover import farness
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
-from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig, farness
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])

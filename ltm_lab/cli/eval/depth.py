@@ -69,8 +69,8 @@ def depth(
 
     from ltm_core.base.errors import RecordingError
     from ltm_core.base.resources import project_path
-    from ltm_core.depth.class_priors import ClassPriors
     from ltm_core.depth.fusion_config import FusionConfig
+    from ltm_core.depth.ground_sampling import ClassPriors
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
     from ltm_core.pictures import to_png
     from ltm_core.raster.dem import Dem
@@ -84,7 +84,7 @@ def depth(
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
     from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
     from ltm_lab.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
-    from ltm_ros.pages.figures_io import write_figures
+    from ltm_ros.pages.render import write_figures
 
     console = Console()
     place = source if source is not None else project_path("bags/demo/recording")
@@ -166,7 +166,7 @@ _COLUMNS = ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", 
 
 
 def _rows(score: DepthEvaluationScore) -> Iterator[tuple[str, ...]]:
-    from ltm_ros.demo.tables import bin_name
+    from ltm_ros.demo.report import bin_name
 
     for group in dict.fromkeys(row.group for row in score.rows):
         for row in (r for r in score.rows if r.group == group):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_core.fuel.label_errors import LabelErrors
-    from ltm_core.scoring.fuel_change import MapScore, Share
+    from ltm_core.scoring.fuel import MapScore, Share
     from ltm_lab.evaluation.fuel.trial_score import TrialScore
 
 
@@ -124,7 +124,7 @@ def _score_recording(
     from ltm_core.fuel.life_form import LifeForm
     from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.fuel_score import score_fuel_bag
-    from ltm_ros.pages.figures_io import write_figures
+    from ltm_ros.pages.render import write_figures
     from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()

@@ -63,13 +63,13 @@ def segmentation(
     from ltm_core.base.errors import RecordingError
     from ltm_core.base.evenly import evenly
     from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames, without_classes
-    from ltm_core.scoring.overlays_io import write_overlay
+    from ltm_core.pictures.photo_overlays import write_overlay
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.cli.eval.segmentation_tables import print_confusion, print_scores
     from ltm_lab.evaluation.segmentation.network_score import score_frames
-    from ltm_ros.pages.figures_io import write_figures
+    from ltm_ros.pages.render import write_figures
 
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and holds_frames(p)) if folder.is_dir() else []
     sets = [folder] if folder.is_dir() and holds_frames(folder) else inside

@@ -32,7 +32,7 @@ def adapt(
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import DEFAULT_MODEL, NetworkManifest
     from ltm_lab.cli.train.training_run import need_torch
-    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.output import message_bar
 
     need_torch()
     import torch

@@ -10,9 +10,9 @@ import numpy as np
 
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthKind, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.geometry.pose import Pose

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.site.sections import FuelConfig
 from ltm_core.tracing import TerrainTracer

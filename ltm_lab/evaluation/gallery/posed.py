@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.geometry.camera import Camera
@@ -18,7 +18,7 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_check import traced_errors
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.photo_io import read_rgb
+from ltm_core.storage.text_io import read_rgb
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter

@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.storage.photo_io import open_picture, read_rgb
+from ltm_core.storage.text_io import open_picture, read_rgb
 from ltm_lab.evaluation.gallery.parts import Part
 from ltm_lab.evaluation.terrain.canyon_io import PHOTOS, SURVEYS
 from ltm_lab.resources import lab_config

@@ -9,8 +9,7 @@ import numpy as np
 
 from ltm_core.base.types import Float32Array, Float64Array, RgbImage
 from ltm_core.pictures import panel, range_legend, with_legend
-from ltm_core.pictures.drawing import metres
-from ltm_core.pictures.legend import RangeScale, depth_colors, error_colors, error_legend, scale_colors
+from ltm_core.pictures.legend import RangeScale, depth_colors, error_colors, error_legend, metres, scale_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

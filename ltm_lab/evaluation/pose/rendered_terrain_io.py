@@ -14,10 +14,9 @@ import numpy as np
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.geodesy import ray_bend
-from ltm_core.pose_estimation.skyline.crest_cover import CANOPY_SURFACE
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack, with_surface

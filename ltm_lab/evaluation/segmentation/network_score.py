@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.scoring.confidence import CalibrationScore
-from ltm_core.scoring.labels import SegmentationScore
-from ltm_core.scoring.overlays_io import LabelledPhoto
+from ltm_core.pictures.photo_overlays import LabelledPhoto
+from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from ltm_core.base.types import BoolArray
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import fuse
 from ltm_core.raster.dem import Dem

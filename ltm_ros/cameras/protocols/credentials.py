@@ -1,4 +1,4 @@
-"""Reads cameras' passwords from where the site file says they stand, and keeps them out of everything that is said."""
+"""Read the passwords of cameras, and define the errors that cameras cause."""
 
 from __future__ import annotations
 
@@ -7,10 +7,27 @@ import os
 from pathlib import Path
 from urllib.parse import quote, quote_plus
 
+from ltm_core.base.errors import LtmError
 from ltm_core.base.redaction import HIDDEN, redacted
 from ltm_core.site.source_config import NetworkSettings, SecretConfig
-from ltm_ros.cameras.protocols.errors import UnauthorisedError
-from ltm_ros.runtime.service_credentials import FOLDER_VARIABLE, service_credential
+from ltm_ros.runtime.ros_environment import FOLDER_VARIABLE, service_credential
+
+
+class SourceError(LtmError):
+    """A camera did not give what it was asked for; it is asked again, after a while."""
+
+
+class UnauthorisedError(SourceError):
+    """A camera refuses the user or the password: to ask again soon would lock the account."""
+
+
+class StuckPtzError(SourceError):
+    """A PTZ head was sent elsewhere and does not go there."""
+
+
+class PictureError(SourceError):
+    """What a camera gave is no picture that can be used; the connection is well."""
+
 
 LONGEST = 4096
 

@@ -27,7 +27,7 @@ class Direction(Protocol):
     """Reads a PTZ head's encoders, over the network: may block for as long as its time limit."""
 
     def read(self) -> PtzReading:
-        """Raises `SourceError` (`ltm_ros.cameras.protocols.errors`) where the camera does not tell."""
+        """Raises `SourceError` (`ltm_ros.cameras.protocols.credentials`) where the camera does not tell."""
         ...
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from datetime import UTC, tzinfo
 import PIL.Image
 
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.photo_io import BROKEN
+from ltm_core.storage.text_io import BROKEN
 from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 from ltm_ros.recordings.importing.exif import exif_facts
 

@@ -18,8 +18,7 @@ from typing import Any
 import httpx
 
 from ltm_core.site.source_config import HttpSettings
-from ltm_ros.cameras.protocols.credentials import Login
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import CameraTime
 
 REFUSED = (401, 403, 423)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import httpx
 
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError
+from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
 from ltm_ros.cameras.protocols.http_client import WHOLE_FACTOR, HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import UInt8Array
+from ltm_ros.cameras.protocols.credentials import PictureError
 from ltm_ros.cameras.protocols.direction import PtzReading, difference_deg
-from ltm_ros.cameras.protocols.errors import PictureError
 
 
 @dataclass(frozen=True)

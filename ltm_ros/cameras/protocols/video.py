@@ -9,8 +9,7 @@ from urllib.parse import quote, urlsplit, urlunsplit
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.source_config import RtspConfig, V4l2Config
-from ltm_ros.cameras.protocols.credentials import Login
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
 
 TURN_S = 2.0

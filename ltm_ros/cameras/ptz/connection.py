@@ -7,9 +7,8 @@ import xml.etree.ElementTree as ElementTree  # nosec B405 # documents with a DTD
 from collections.abc import Collection, Mapping
 from urllib.parse import SplitResult, urlsplit, urlunsplit
 
-from ltm_core.site.ptz_config import PtzSettings
-from ltm_core.site.source_config import HttpSettings, NetworkSettings, SourceConfig
-from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_core.site.source_config import HttpSettings, NetworkSettings, PtzSettings, SourceConfig
+from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.http_client import TAKEN, HttpClient, HttpResponse
 
 MOST_BYTES = 512 << 10

@@ -18,11 +18,9 @@ import xml.etree.ElementTree as ElementTree  # nosec B405 # parsed by `parsed_xm
 from collections.abc import Mapping
 from xml.sax.saxutils import escape  # nosec B406 # writes only
 
-from ltm_core.site.ptz_config import OnvifConfig
-from ltm_core.site.source_config import SourceConfig
-from ltm_ros.cameras.protocols.credentials import Login
+from ltm_core.site.source_config import OnvifConfig, SourceConfig
+from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
-from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.cameras.ptz.connection import Connection, at_asked_host, found, local, number, parsed_xml, settings_of
 from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 

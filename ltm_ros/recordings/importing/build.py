@@ -15,9 +15,9 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
 from ltm_ros.recordings.importing.photo import Photo

@@ -22,8 +22,7 @@ from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.geometry.pose import Pose
 from ltm_core.storage.text_io import read_text
-from ltm_ros.recordings.importing.sensed import Sensed
-from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
+from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, Sensed, SensorTrack, ascending
 
 SOURCE = "DJI"
 _LARGEST_SRT = 64 << 20

@@ -12,14 +12,11 @@ from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.camera_config import PartialCalibration, PartialPose, PoseConfig
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, moved_covariance
 from ltm_core.site.sections import CameraConfig
-from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
+from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, height_of, photo_time
 from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
-from ltm_ros.recordings.importing.height import height_of
 from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.photo_time import photo_time
 from ltm_ros.recordings.importing.pose_file import PhotoPose
 
 _NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"

@@ -9,11 +9,11 @@ import numpy as np
 from PIL import ImageOps
 
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.photo_io import opened_picture, read_picture
+from ltm_core.storage.text_io import opened_picture, read_picture
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
-from ltm_ros.recordings.importing.sensed import Sensed
+from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 _FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}

@@ -12,7 +12,7 @@ import numpy as np
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
 POSES = "poses.csv"

@@ -10,17 +10,16 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.sensor_pose import held_phone
-from ltm_core.storage.photo_io import LARGEST_FILE
+from ltm_core.storage.text_io import LARGEST_FILE
 from ltm_ros.recordings.importing.arkit import (
     is_record3d,
     is_stray_scanner,
     record3d_pictures,
     stray_scanner_pictures,
 )
-from ltm_ros.recordings.importing.assumptions import Assumptions
+from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
 from ltm_ros.recordings.importing.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
-from ltm_ros.recordings.importing.photo_time import photo_time
 from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
@@ -30,8 +29,7 @@ from ltm_ros.recordings.importing.sensor_logger import (
 )
 from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.recordings.importing.video import SUFFIXES as VIDEO_SUFFIXES
-from ltm_ros.recordings.importing.video import is_video
-from ltm_ros.recordings.importing.video_pictures import video_pictures
+from ltm_ros.recordings.importing.video import is_video, video_pictures
 
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """How a phone was held, by the EXIF orientation of its back camera: its sensor's rows lie along the screen's side."""

@@ -14,9 +14,8 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError, LtmError
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_core.pipeline.site_poses import site_terrain
+from ltm_core.geometry.pose import Pose, pose_covariance
+from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
 from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_io import (

@@ -1,21 +1,233 @@
-"""Runs a whole replay: start the graph, play the recording through it, wait until its work is done, stop it."""
+"""Replay a recording: live over DDS at the pace of its stamps, or offline."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
-from ltm_core.base.errors import LtmError
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.site.site_io import load_site
+from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
 from ltm_ros.recordings.replay import LONGEST_PAUSE
-from ltm_ros.recordings.replay.live import LivePlayer
-from ltm_ros.recordings.replay.offline import replay_offline
-from ltm_ros.recordings.replay.selection import Selection
-from ltm_ros.runtime.ros_environment import apply_to_process
+from ltm_ros.recordings.replay.offline import Selection, replay_offline
+from ltm_ros.runtime.delivery_checks import unmatched
+from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
+
+CLOCK_PERIOD = 0.025
+"""Seconds of real time between `/clock` messages."""
+WAITING = 5
+"""Frames of a camera that wait to be let into the graph, beyond which the recording's time stands still."""
+SILENT = 5.0
+"""Seconds without diagnostics after which nobody waits for a node."""
+QUIET = 2.5
+"""Seconds without any change in a graph's diagnostics after which its work is done."""
+
+
+class LivePlayer:
+    """Publishes a selection and watches the diagnostics of the graph that works on it. A context manager."""
+
+    def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
+        """`rate`: of playing, 2 = twice as fast. `longest_pause`: seconds of real time; where a recording pauses for
+        longer, its clock goes on so long and until the graph has done its work, and steps over the rest. Raises
+        RecordingError unless both are positive.
+        """
+        if not 0 < rate < 1e4:
+            raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
+        if not longest_pause > 0:
+            raise RecordingError(
+                f"the longest pause of a replay must be more than 0 s, such as 10, got {longest_pause}"
+            )
+        self._selection, self._rate, self._longest_pause = selection, rate, longest_pause
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = Node("player", context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        qos = QoSProfile(depth=30, reliability=ReliabilityPolicy.RELIABLE)
+        self._publishers = {
+            topic: self._node.create_publisher(message_class(type_name), topic, qos)
+            for topic, type_name in selection.types.items()
+        }
+        self._clock = self._node.create_publisher(Clock, "/clock", 10)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        self.summaries: dict[str, dict[str, str]] = {}
+        """The last diagnostics of every node, by full name."""
+        self._heard: dict[str, float] = {}
+        self._changed = time.monotonic()
+        self._epoch = (time.monotonic(), selection.begin_ns)
+        self._stopping = threading.Event()
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._spin, self._tick)]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        for thread in self._threads:
+            thread.join()
+        self._executor.shutdown()
+        wait_for_quiet(self._node)
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
+        """Until somebody listens to the images, at least `nodes` nodes have reported and listen to the clock, all have
+        found each other, and nothing of that has changed for a second.
+
+        Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
+        """
+        deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
+        known, loose = 0, list[str]()
+        while time.monotonic() < deadline:
+            counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
+            images = [count for topic, count in counts.items() if "/image_raw" in topic]
+            summaries = dict(self.summaries)
+            known = min(self._clock.get_subscription_count(), len(summaries))
+            loose = unmatched(self._node, summaries)
+            if (now := sum(counts.values()) + known) != last or loose:
+                last, since = now, time.monotonic()
+            if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
+                return
+            time.sleep(0.05)
+        topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
+        raise RecordingError(
+            f"in {timeout:.0f} s nobody has subscribed to {topics}, {known} of {nodes} nodes were up, or they had not "
+            f"found each other ({', '.join(loose) or 'no topic'} not matched): start the site's graph in the same "
+            "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
+        )
+
+    def play(
+        self,
+        loop: bool = False,
+        progress: Callable[[int], None] = lambda done: None,
+        stopped: Callable[[], bool] = bool,
+    ) -> int:
+        """Publish every message at its time; the number published. `stopped` ends it early.
+
+        The recording's time stands still while the graph is behind. With `loop`, stamps of later rounds are moved on
+        with the clock: a stamp stands for one moment only.
+        """
+        round_ns = _round_ns(self._selection)
+        self._epoch = (time.monotonic(), self._selection.begin_ns)
+        published, shift = 0, 0
+        while True:
+            for message in self._selection:
+                self._sleep_until(message.log_time_ns + shift, stopped)
+                self._wait_for_room(stopped)
+                if stopped():
+                    return published
+                self._publish_clock()  # no node shall receive a message from its future
+                self._publishers[message.topic].publish(_moved(message.raw, shift) if shift else message.raw)
+                published += 1
+                progress(published)
+            if not loop:
+                return published
+            shift += round_ns
+
+    def drain(self, nodes: Collection[str], timeout: float = 120.0) -> bool:
+        """Wait until the nodes' diagnostics stand still with empty queues: all work is done. False after `timeout`."""
+        deadline = time.monotonic() + timeout
+        self._changed = time.monotonic()
+        while time.monotonic() < deadline:
+            if self._idle(self.summaries.get(name) for name in nodes):
+                return True
+            time.sleep(0.1)
+        return False
+
+    def now_ns(self) -> int:
+        """The replay's time."""
+        real, bag_ns = self._epoch
+        return bag_ns + round(max(0.0, time.monotonic() - real) * self._rate * 1e9)
+
+    def _wait_for_room(self, stopped: Callable[[], bool]) -> None:
+        """A live camera's frames are shed where the graph is behind; those of a recording come through, later."""
+        at = self.now_ns()
+        while self._behind() and not stopped():
+            self._epoch = (time.monotonic() + 1.0, at)  # in a second time goes on: until then it stands still
+            time.sleep(0.05)
+        self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
+
+    def _behind(self) -> bool:
+        recent = time.monotonic() - SILENT
+        return any(
+            int(summary.get("waiting", "0")) > WAITING and self._heard[name] > recent
+            for name, summary in list(self.summaries.items())
+        )
+
+    def _sleep_until(self, bag_ns: int, stopped: Callable[[], bool]) -> None:
+        steps_at = time.monotonic() + self._longest_pause
+        while (wait := (bag_ns - self.now_ns()) / 1e9 / self._rate) > 0 and not stopped():
+            now = time.monotonic()
+            if now >= steps_at and self._idle(self.summaries.values()):
+                self._epoch = (now, bag_ns)
+                return
+            time.sleep(min(wait, 0.1))
+
+    def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
+        """Nothing has moved for a while, and nothing waits or is at work: a large frame is, for longer than a while."""
+        busy = ("queue", "waiting", "in_flight")
+        empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
+        return empty and time.monotonic() - self._changed > QUIET
+
+    def _tick(self) -> None:
+        while not self._stopping.wait(CLOCK_PERIOD):
+            self._publish_clock()
+
+    def _publish_clock(self) -> None:
+        self._clock.publish(Clock(clock=ns_to_time(self.now_ns())))
+
+    def _spin(self) -> None:
+        while not self._stopping.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            summary = {item.key: item.value for item in status.values}
+            before = self.summaries.get(status.name, {})
+            if any(before.get(key) != summary.get(key) for key in ("frames_in", "frames_out", "dropped")):
+                self._changed = time.monotonic()
+            self._heard[status.name] = time.monotonic()
+            self.summaries[status.name] = summary
+
+
+def _round_ns(selection: Selection) -> int:
+    """How long one round of a loop takes: the selection and a pause as between two of its frames, at least a second,
+    for a recording of one photo has no length.
+    """
+    span = selection.end_ns - selection.begin_ns
+    return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
+
+
+def _moved(cdr: bytes, shift_ns: int) -> bytes:
+    """A serialised stamped message with its header's stamp moved: sec and nanosec follow the 4-byte encapsulation."""
+    order = "<" if cdr[1] & 1 else ">"
+    sec, nanosec = struct.unpack_from(f"{order}iI", cdr, 4)
+    stamp = ns_to_time(sec * 1_000_000_000 + nanosec + shift_ns)
+    return cdr[:4] + struct.pack(f"{order}iI", stamp.sec, stamp.nanosec) + cdr[12:]
+
 
 NodeParameters = dict[str, ParameterValue]
 

@@ -17,11 +17,11 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_window
 from ltm_msgs_py.image import ENCODINGS, image_to_msg, msg_to_array
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, msg_to_votes, votes_to_msg
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import LATEST_NS, ns_to_time, time_to_ns
 
 quick = settings(max_examples=60, deadline=None)

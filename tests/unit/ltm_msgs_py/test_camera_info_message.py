@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo
 
 from ltm_core.base.errors import CameraError
 from ltm_core.geometry.camera import Camera
-from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
+from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 
 CAMERA = Camera(1920, 1080, 1550.25, 1549.5, 961.0, 538.75, (-0.1155, 0.02, 1e-4, -2e-4, 0.003))
 

@@ -9,7 +9,7 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import MessageError
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.label_info import label_set_to_msg, msg_to_model
+from ltm_msgs_py.json_topics import label_set_to_msg, msg_to_model
 
 LABELS = LabelSet(
     names=("sky", "grass", "tree"),

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from ltm_core.fuel.cell_visibility import cell_visibility
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, pose_covariance
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.config import PoseErrorConfig
 from ltm_msgs_py.pose import UNKNOWN_VARIANCES, msg_to_covariance, pose_to_msg

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes.depth_order import depth_order
 
-from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusionVerdict, fuse
 from ltm_core.geometry.camera import Camera

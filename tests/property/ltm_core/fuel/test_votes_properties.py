@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scenes.traced_votes import cast_votes
 
-from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose

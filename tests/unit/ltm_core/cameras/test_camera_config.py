@@ -15,7 +15,7 @@ from ltm_core.cameras.camera_config import CalibrationConfig, PartialCalibration
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import pose_covariance
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import load_yaml

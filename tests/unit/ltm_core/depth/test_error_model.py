@@ -7,10 +7,9 @@ import pytest
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.base.types import Float64Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.error_model import estimate_errors, expected_prediction, invert, octaves
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.ground_sampling import GroundSamples, ground_samples
+from ltm_core.depth.ground_sampling import ClassPriors, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.scale_fit import fit_scale, fitted_line
 from ltm_core.depth.topodepth import DepthSource, FusionVerdict, fuse

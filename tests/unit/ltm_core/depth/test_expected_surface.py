@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, depth_scene
 
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.scale_fit import ScaleFit

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.error_model import (
     OCTAVES,
     ErrorModel,
@@ -17,6 +16,7 @@ from ltm_core.depth.error_model import (
     interpolation_table,
 )
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.guided_upsampling import NetworkView, guided_coefficients, upsample_pixel, upsample_row
 from ltm_core.depth.occlusion_prior import (
     DepthDiscontinuities,

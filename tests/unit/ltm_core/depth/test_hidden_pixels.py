@@ -8,7 +8,7 @@ from scenes.depth_scene import CAMERA, TREE, depth_scene
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
-from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.depth.topodepth import DepthSource, FusedDepth, FusionVerdict, fuse

@@ -8,7 +8,7 @@ import pytest
 from scenes.depth_scene import depth_scene
 
 from ltm_core.base.types import BoolArray
-from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse, measure
 from ltm_core.vision.labels import Label, LabelSet

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, SKY, TREE, depth_scene
 
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import PoseCheckConfig
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.geometry.camera import Camera
 from ltm_core.vision.labels import LabelSet

@@ -11,10 +11,9 @@ from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import FusionSettings, expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
-from ltm_core.depth.ground_sampling import ground_samples
+from ltm_core.depth.ground_sampling import ClassPriors, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale

@@ -13,7 +13,7 @@ from pyproj import Transformer
 from rasterio.transform import Affine, from_origin
 
 from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.fuel.fuel_map_io import read_fuel_map, resampled, write_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 

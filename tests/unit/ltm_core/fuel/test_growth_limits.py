@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 
 from ltm_core.base.types import Float32Array
-from ltm_core.fuel.growth_limits import PARTS, GroundLimits, GrowthLimits
+from ltm_core.fuel.life_form import PARTS, GroundLimits, GrowthLimits
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ImageError
-from ltm_core.fuel.cell_counts import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 

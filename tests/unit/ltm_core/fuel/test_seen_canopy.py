@@ -14,7 +14,7 @@ from ltm_core.fuel.stand_allometry import ForestType, crown_fuel
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
+from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
 FINE = GridGeometry(0.0, 120.0, 2.0, 90, 60)
 FUEL = GridGeometry(0.0, 120.0, 30.0, 6, 4)

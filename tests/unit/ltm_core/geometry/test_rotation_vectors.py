@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.geometry.rotations import matrix_of_vector, nearest_vector
+from ltm_core.geometry.pose import matrix_of_vector, nearest_vector
 
 
 @pytest.mark.parametrize(("told", "to", "expected"), [(179.0, -179.0, -181.0), (-179.0, 540.0, 541.0), (5.0, 1.0, 5.0)])

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from ltm_core.geometry.sun import sun_elevation
+from ltm_core.geometry.geodesy import sun_elevation
 
 
 def degrees(latitude: float, longitude: float, moment: str) -> float:

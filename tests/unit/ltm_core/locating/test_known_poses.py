@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.known_poses import MOST, KnownPoses
+from ltm_core.locating.tracks import MOST, KnownPoses
 
 
 def pose(azimuth_deg: float) -> Pose:

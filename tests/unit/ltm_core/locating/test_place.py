@@ -10,7 +10,7 @@ from scenes.located import CAMERA, hills
 
 from ltm_core.base.errors import RegionError
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.place import place_views
+from ltm_core.locating.answer import place_views
 from ltm_core.visibility.point_visibility import PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 

@@ -8,9 +8,8 @@ from scipy.special import ndtr
 from scipy.stats import norm
 
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.directions import KNOTS, DirectionTable
+from ltm_core.locating.directions import KNOTS, DirectionTable, SightLikelihood, sight_likelihood
 from ltm_core.locating.sight_fan import SightFan, sight_fan
-from ltm_core.locating.sight_likelihood import SightLikelihood, sight_likelihood
 from ltm_core.raster.dem import Dem
 
 pytestmark = pytest.mark.kernel

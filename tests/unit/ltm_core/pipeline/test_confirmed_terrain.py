@@ -15,8 +15,7 @@ from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import confirmed_terrain, exported_terrain, surface_versions
 from ltm_core.site.sections import DemConfig
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
-from ltm_core.surface.confirmed_terrain import ConfirmedTerrain
-from ltm_core.surface.surface_versions_io import FOLDER
+from ltm_core.surface.surface_versions_io import FOLDER, ConfirmedTerrain
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.fuel_map.services import write_landscapes
 

@@ -14,8 +14,7 @@ import pytest
 from ltm_core.base.errors import RasterError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster import prepared_heights_io as module
-from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_io import prepare_heights
+from ltm_core.raster.dem import Dem, prepare_heights
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_core.surface.confirmed_surface import ConfirmedSurface

@@ -11,12 +11,11 @@ import rasterio.shutil
 from rasterio.transform import from_origin
 
 from ltm_core.base.errors import RasterError
-from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.prior import PriorConfig
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_io import read_around
+from ltm_core.raster.dem import Dem, read_around
 
 
 def sparse(path: Path, side: int, dtype: str) -> Path:

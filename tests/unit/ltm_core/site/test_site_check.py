@@ -10,7 +10,7 @@ import pytest
 import yaml
 from scenes.networks import write_classifier, write_swapping_head
 
-from ltm_core.base.finding import SiteVerdict
+from ltm_core.base.errors import SiteVerdict
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.photo_io import check_picture, open_picture
+from ltm_core.storage.text_io import check_picture, open_picture
 
 
 def png_of(width: int, height: int) -> bytes:

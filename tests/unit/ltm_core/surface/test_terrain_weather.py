@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes.small_scenario import small_scenario
 
-from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.label_errors import LabelErrors

@@ -18,7 +18,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
-from ltm_ros.cli.viewshed import viewshed as command
+from ltm_ros.cli.trace import viewshed as command
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -10,8 +10,7 @@ import yaml
 from PIL import Image
 from scenes.small_site import MAST, write_small_site
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.base.finding import SiteVerdict
+from ltm_core.base.errors import ConfigError, SiteVerdict
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.label_heads.temperature_scaling import fit_exponent
+from ltm_core.label_heads.head_fit import fit_exponent
 from ltm_core.vision.label_rules import LabelAgreement, agreed
 
 

@@ -20,7 +20,6 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.pipeline.fusing_step import FusingConfig, depth_manifest
 from ltm_core.site.networks import site_segmenter
 from ltm_core.site.site import Site
-from ltm_core.vision.label_confidence import load_calibration
 from ltm_core.vision.label_head import (
     LabelHead,
     LabelHeadFile,
@@ -29,7 +28,7 @@ from ltm_core.vision.label_head import (
     read_label_head,
     write_label_head,
 )
-from ltm_core.vision.label_rules import LabelAgreement
+from ltm_core.vision.label_rules import LabelAgreement, load_calibration
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter

@@ -17,7 +17,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.tracing import TerrainTracer
-from ltm_core.vision.label_confidence import load_calibration
+from ltm_core.vision.label_rules import load_calibration
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.manifest import DEFAULT_MODEL, MODEL_PATH_VARIABLE, NetworkManifest
 from ltm_core.vision.segmenter import Segmenter

@@ -10,8 +10,7 @@ import pytest
 import yaml
 from scenes.small_site import TOWER, write_small_site
 
-from ltm_core.base.errors import ConfigError
-from ltm_core.base.finding import SiteVerdict
+from ltm_core.base.errors import ConfigError, SiteVerdict
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site

@@ -12,9 +12,9 @@ from ltm_core.base.resources import project_path
 from ltm_core.site.site_io import load_site
 from ltm_lab.bench.graph_site import SENT, Load, stamped, write_site
 from ltm_lab.cli.bench import bench
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_size
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import describe
 

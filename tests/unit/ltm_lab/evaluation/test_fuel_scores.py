@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, ImageError, RecordingError
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.scoring.fuel_change import score_map
+from ltm_core.scoring.fuel import score_map
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.label_confidence import Calibration, load_calibration
+from ltm_core.vision.label_rules import Calibration, load_calibration
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli

@@ -10,7 +10,7 @@ from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray
-from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels

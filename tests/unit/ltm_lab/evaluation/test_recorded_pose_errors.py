@@ -7,11 +7,10 @@ import pytest
 from scenes.phone_site import phone_site
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.demo.pose_errors import recorded_pose_errors
+from ltm_ros.demo.score import recorded_pose_errors
 
 SIGMAS = (4.0, 7.0, 8.2, 1.0, 2.0)
 

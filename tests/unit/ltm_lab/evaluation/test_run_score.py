@@ -14,25 +14,25 @@ from std_msgs.msg import String
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.scoring.fuel_change import Share
+from ltm_core.scoring.fuel import Share
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.cli.eval.score_table import print_table
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.run_score import BagScore, score_bag
 from ltm_lab.evaluation.score_tables import as_json, tables
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.demo.score import SHARED, TRUTHS
 from ltm_ros.recordings.recorded_run import Recorded
 

@@ -9,7 +9,7 @@ import pytest
 from scenes.rasters import rough_terrain
 from typer.testing import CliRunner
 
-from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -21,11 +21,11 @@ from ltm_core.vision.labels import LabelSet
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.score_report import sheets_of
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.recorded_run import Recorded
 
 CAMERA = Camera.from_fov(96, 60, 60.0)

@@ -17,9 +17,9 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_lab.evaluation.simulated_bag import write_simulated_bag
 from ltm_lab.simulator.scenario import LAST_NS
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import LATEST_NS, stamp_of
 
 CAMERA = Camera(30, 18, 25.0, 26.0, 14.0, 9.0, (-0.1, 0.02, 0.0, 0.001, 0.0))

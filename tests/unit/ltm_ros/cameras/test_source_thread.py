@@ -8,9 +8,9 @@ from scenes.timed_picture import jpeg, scene
 from scenes.waiting import wait_for
 
 from ltm_core.geometry.camera import Camera
-from ltm_ros.cameras import source_thread
+from ltm_ros.cameras import opening as source_thread
+from ltm_ros.cameras.opening import SourceThread
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing, Timing
-from ltm_ros.cameras.source_thread import SourceThread
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.heartbeat import Activity
 

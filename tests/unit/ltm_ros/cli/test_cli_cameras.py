@@ -24,7 +24,7 @@ from ltm_core.pose_estimation.mount.mount_io import read_readings
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.cameras.discovery import discover
-from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cli.cameras_watch import state_table
 from ltm_ros.cli.main import cli
 

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
+from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem

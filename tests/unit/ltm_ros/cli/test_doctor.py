@@ -14,10 +14,10 @@ import typer
 from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
-from ltm_ros.cli.doctor import doctor as command
+from ltm_ros.cli.tower import doctor as command
 from ltm_ros.launching import shared_memory
 from ltm_ros.tower import doctor
-from ltm_ros.tower.doctor_finding import DoctorFinding, DoctorState
+from ltm_ros.tower.health_client import DoctorFinding, DoctorState
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
 

@@ -27,7 +27,7 @@ from typer.testing import CliRunner
 
 import ltm_ros.fuel_map.export
 from ltm_core.base.errors import ConfigError, ImageError
-from ltm_core.fuel.cell_counts import CoverageMap
+from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelClimate, fuel_models
 from ltm_core.fuel.colors import code_color, code_colors, code_names
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes

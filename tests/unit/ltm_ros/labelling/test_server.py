@@ -17,8 +17,7 @@ from PIL import Image
 
 from ltm_core.vision.areas import read_areas
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.labelling.server import MOST_BYTES, LabelServer
-from ltm_ros.labelling.session import LabelSession
+from ltm_ros.labelling.server import MOST_BYTES, LabelServer, LabelSession
 
 WIDTH, HEIGHT = 320, 200
 SHAPES = {"shapes": [{"kind": "polygon", "name": "sky", "points": [[0, 0], [300, 0], [300, 90]]}]}

@@ -13,7 +13,7 @@ from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.label_heads.labelled_frames import read_frames
 from ltm_core.vision.areas import NamedArea, areas_of, labels_of, read_areas, write_areas
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.labelling.session import LabelSession
+from ltm_ros.labelling.server import LabelSession
 
 WIDTH, HEIGHT = 60, 40
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from scenes.small_site import write_small_site
 
-from ltm_core.base.finding import SiteFinding, SiteVerdict
+from ltm_core.base.errors import SiteFinding, SiteVerdict
 from ltm_core.raster import prepared_heights_io
 from ltm_core.raster.prepared_heights_io import heights_path
 from ltm_ros.launching import site_check

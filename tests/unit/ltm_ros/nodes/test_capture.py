@@ -19,12 +19,11 @@ from scenes.rasters import rough_terrain
 from ltm_core.base.errors import CameraError, ConfigError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.raster.dem import Dem
-from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.health import Health

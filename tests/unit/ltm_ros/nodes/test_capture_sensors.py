@@ -19,12 +19,11 @@ from ltm_core.base.errors import ConfigError, PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, pose_covariance
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.runtime.health import Health

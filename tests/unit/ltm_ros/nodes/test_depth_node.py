@@ -14,9 +14,9 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.nodes.depth import DepthConfig, DepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FINISHED, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE

@@ -28,8 +28,8 @@ from scenes.fuel_frames import (
 from scenes.fuel_map_node import Node, state
 
 from ltm_core.base.errors import ConfigError, LtmError, MessageError
+from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
@@ -37,7 +37,7 @@ from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_VOTES
 

@@ -11,10 +11,10 @@ from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, GRASS, MAST, SmallSite, write_small_site
 
 from ltm_core.vision.labels import Label
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.nodes.fuel_votes import FuelVotesHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig

@@ -21,9 +21,8 @@ from ltm_core.base.errors import ConfigError, LtmError, MessageError, RegionErro
 from ltm_core.locating.sighting import Sighting
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.raster.dem import Dem
-from ltm_msgs_py.camera_info import camera_to_msg
-from ltm_msgs_py.pose import msg_to_covariance, pose_to_msg
-from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.locate import LocateConfig, LocateHandler

@@ -15,8 +15,7 @@ from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
@@ -24,10 +23,9 @@ from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.masks import write_mask
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import image_to_msg
-from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
-from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
+from ltm_msgs_py.pose import correction_to_msg, msg_to_correction, msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler
 from ltm_ros.nodes.pose import PoseHandler, PoseKeepingConfig

@@ -19,9 +19,9 @@ from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import DepthSource
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.nodes.topodepth import TopoDepthConfig, TopoDepthHandler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (

@@ -15,7 +15,7 @@ from scenes.region_scene import REGION, RegionScene, write_region_scene
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.uplink.config import BrokerConfig, UplinkConfig
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
-from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.json_topics import label_set_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, UplinkHandler, UplinkNodeConfig, sector
 from ltm_ros.region.tower_link import TowerLink

@@ -9,9 +9,8 @@ from typing import Any, cast
 import pytest
 from scenes.waiting import wait_for
 
-from ltm_ros.recordings import recording_thread
-from ltm_ros.recordings.bounded_recording import BoundedRecording
-from ltm_ros.recordings.recording_thread import RecordingThread
+from ltm_ros.recordings import bounded_recording as recording_thread
+from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingThread
 from ltm_ros.runtime.health import Health
 
 

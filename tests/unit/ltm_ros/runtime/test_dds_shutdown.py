@@ -13,9 +13,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the ROS extra is not installed")
 
-from ltm_ros.runtime import dds_shutdown
+from ltm_ros.runtime import ros_environment as dds_shutdown
 
-LEAVE = "import sys, time; from ltm_ros.runtime.dds_shutdown import limit_shutdown; limit_shutdown(0.2); "
+LEAVE = "import sys, time; from ltm_ros.runtime.ros_environment import limit_shutdown; limit_shutdown(0.2); "
 
 
 def leave(last_act: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_check import CLOCKS_SET_NS, MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.stamp_join import CLOCKS_SET_NS, MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 
 NOW = 1_800_000_000 * 10**9
 S = 10**9

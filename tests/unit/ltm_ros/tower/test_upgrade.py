@@ -18,8 +18,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import Field, StoreSchema
 from ltm_ros.tower.releases import PackageError, Trial
-from ltm_ros.tower.service import ServiceError, ServiceState, SystemdService
-from ltm_ros.tower.store_copy import copy_stores, return_stores
+from ltm_ros.tower.store_copy import ServiceError, ServiceState, SystemdService, copy_stores, return_stores
 from ltm_ros.tower.upgrade import UpgradeError
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")

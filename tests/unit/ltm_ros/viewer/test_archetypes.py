@@ -9,7 +9,7 @@ from ltm_core.geometry.camera import Camera
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer import archetypes
+from ltm_ros.viewer import fuel_maps as archetypes
 
 
 def test_shown_pinhole_projects_to_the_middle_of_the_same_place() -> None:

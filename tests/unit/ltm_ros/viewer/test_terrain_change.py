@@ -9,7 +9,7 @@ from ltm_core.geometry.grid import GridGeometry
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer.terrain_change import ChangePicture
+from ltm_ros.viewer.fuel_maps import ChangePicture
 
 
 def test_changes_lie_in_the_map_and_stay_there_as_their_window_grows() -> None:

@@ -16,7 +16,8 @@ from ltm_core.geometry.grid import GridGeometry
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer import RerunView, archetypes
+from ltm_ros.viewer import RerunView
+from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer.fuel_maps import FuelMaps
 
 

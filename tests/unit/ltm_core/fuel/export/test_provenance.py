@@ -17,7 +17,6 @@ import rasterio
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.companion_files_io import style_path, write_item
-from ltm_core.fuel.export.kmz_io import write_kmz
 from ltm_core.fuel.export.landscape import LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import (
@@ -28,6 +27,7 @@ from ltm_core.fuel.export.provenance import (
     landscape_units,
     software,
 )
+from ltm_core.fuel.export.viewer_files_io import write_kmz
 from ltm_core.fuel.life_form import NODATA, life_form_labels
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry

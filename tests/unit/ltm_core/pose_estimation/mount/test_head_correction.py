@@ -12,16 +12,14 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.errors import StoreError
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
-from ltm_core.geometry.rotations import matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_vector, pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
-from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
+from ltm_msgs_py.pose import correction_to_msg, msg_to_correction
 
 PANS = (20.0, 110.0, 205.0, 290.0)
 LEAN = np.radians([0.3, -0.25, 0.9])

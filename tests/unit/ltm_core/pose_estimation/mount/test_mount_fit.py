@@ -11,8 +11,7 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.errors import PoseError
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.pose_estimation.mount import mount_fit
 from ltm_core.pose_estimation.mount.mount_fit import MountFit, fit_mount, widened
 from ltm_core.pose_estimation.skyline.find_pose import find_pose

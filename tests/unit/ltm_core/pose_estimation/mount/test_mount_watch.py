@@ -7,8 +7,7 @@ import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ltm_core.pose_estimation.skyline.crest_cover import BARE_EARTH, CoverHeights, CrestCover
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CoverHeights, CrestCover
 from ltm_core.vision.labels import UNLABELLED, Label
 
 COVER = CrestCover(

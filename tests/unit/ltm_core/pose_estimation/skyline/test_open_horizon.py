@@ -10,8 +10,7 @@ import pytest
 from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_sigmas
+from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose

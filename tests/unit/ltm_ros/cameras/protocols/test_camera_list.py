@@ -11,8 +11,8 @@ import pytest
 from scenes.http_camera import HttpCamera, Request, running
 from scenes.source_under_test import Sourced, settings
 
-from ltm_ros.cameras.protocols.camera_list import CameraListReader, entry_of, time_of
-from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.cameras.protocols.credentials import SourceError
+from ltm_ros.cameras.protocols.files import CameraListReader, entry_of, time_of
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 from ltm_ros.runtime.clocks import SystemClock
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
-from ltm_ros.cameras.protocols.errors import SourceError
+from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraReader
 

@@ -19,8 +19,8 @@ from scenes.timed_picture import jpeg, scene, time_in, with_time
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.cameras.camera_source import Gaze
+from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
-from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
 from ltm_ros.runtime.clocks import SystemClock
 
 PASSWORD = "NORTH_PASSWORD"

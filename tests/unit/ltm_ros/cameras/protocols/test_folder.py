@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from scenes.source_under_test import MOST_BYTES, Sourced, TurnedClock, settings
 from scenes.timed_picture import exif_of, jpeg, scene
 
-from ltm_ros.cameras.protocols.errors import PictureError, SourceError
-from ltm_ros.cameras.protocols.folder import MOST_FILES, FolderReader
+from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
+from ltm_ros.cameras.protocols.files import MOST_FILES, FolderReader
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing
 
 NOW = 1_790_000_000.0

@@ -13,7 +13,7 @@ from scenes.timed_picture import time_in
 
 from ltm_core.geometry.camera import Camera
 from ltm_ros.cameras.opening import open_reader
-from ltm_ros.cameras.protocols.errors import UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 from ltm_ros.runtime.clocks import SystemClock
 
 CALIBRATION = Camera.from_fov(*SIZE, 62.0)

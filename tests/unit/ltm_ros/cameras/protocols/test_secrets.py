@@ -22,8 +22,7 @@ from scenes.waiting import wait_for
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import redacted
 from ltm_core.site.site_io import load_site
-from ltm_ros.cameras.protocols.credentials import Login, Secret, read_secret
-from ltm_ros.cameras.protocols.errors import UnauthorisedError
+from ltm_ros.cameras.protocols.credentials import Login, Secret, UnauthorisedError, read_secret
 from ltm_ros.nodes.source import SourceHandler, SourceNodeConfig
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.health import Health

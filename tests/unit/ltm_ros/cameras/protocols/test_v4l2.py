@@ -11,7 +11,7 @@ from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import scene, time_in, with_time
 
 from ltm_core.geometry.camera import Camera
-from ltm_ros.cameras.readiness import doubts_of
+from ltm_ros.cameras.opening import doubts_of
 from ltm_ros.runtime.clocks import SystemClock
 
 av = pytest.importorskip("av", reason="the extra rtsp is not installed")

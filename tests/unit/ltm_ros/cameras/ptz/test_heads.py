@@ -11,14 +11,12 @@ from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.waiting import wait_for
 
-from ltm_core.site.ptz_config import PtzConfig
-from ltm_core.site.source_config import RtspConfig, SnapshotConfig
-from ltm_ros.cameras.protocols.errors import SourceError, UnauthorisedError
+from ltm_core.site.source_config import PtzConfig, RtspConfig, SnapshotConfig
+from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.ptz.connection import parsed_xml, settings_of
 from ltm_ros.cameras.ptz.head import PtzHead, tolerance_of
-from ltm_ros.cameras.ptz.isapi_vapix import VapixPtzHead
+from ltm_ros.cameras.ptz.makers import VapixPtzHead, open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
-from ltm_ros.cameras.ptz.opening import open_ptz
 
 KINDS: dict[str, dict[str, Any]] = {
     "vapix": {"kind": "vapix"},

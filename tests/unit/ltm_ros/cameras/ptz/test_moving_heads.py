@@ -19,15 +19,14 @@ from scenes.timed_picture import jpeg, scene
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
-from ltm_core.site.ptz_config import OnvifConfig, PatrolConfig, VapixConfig
-from ltm_core.site.source_config import SecretConfig
+from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig, VapixConfig
 from ltm_ros.cameras.camera_source import Frame, Gaze
-from ltm_ros.cameras.gaze import MountPoses
+from ltm_ros.cameras.opening import MountPoses
+from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
-from ltm_ros.cameras.protocols.errors import SourceError
 from ltm_ros.cameras.protocols.picture import CameraImage, Timing
 from ltm_ros.cameras.ptz.head import PtzDirection, PtzPatrol, tolerance_of
-from ltm_ros.cameras.ptz.opening import open_ptz
+from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.runtime.clocks import SystemClock
 
 MODEL = MountModel(Pose.from_angles((10.0, 20.0, 900.0), 30.0, 0.8, -0.5), math.radians(0.3), np.zeros((7, 7)))

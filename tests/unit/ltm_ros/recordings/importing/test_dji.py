@@ -12,7 +12,7 @@ from scenes.movie_file import movie
 from scenes.phone_site import FRAME, GROUND, LAT, LON, imported, phone_site, picture
 
 from ltm_core.base.errors import LtmError, PoseError, RecordingError
-from ltm_core.geometry.pose_covariance import pose_covariance
+from ltm_core.geometry.pose import pose_covariance
 from ltm_core.site.site import Site
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos

@@ -10,7 +10,7 @@ from scenes.phone_site import imported
 
 from ltm_core.base.resources import project_path
 from ltm_core.site.site_io import load_site
-from ltm_ros.demo.pose_errors import recorded_pose_errors
+from ltm_ros.demo.score import recorded_pose_errors
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 

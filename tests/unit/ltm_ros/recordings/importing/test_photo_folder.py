@@ -8,8 +8,7 @@ import yaml
 from scenes.phone_site import FRAME, imported, phone_site, taken
 
 from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.geometry.pose import Pose
-from ltm_core.geometry.pose_covariance import pose_covariance, pose_sigmas
+from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_lab.simulator.phone_photo_io import write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_ros.recordings.importing.assumptions import Assumptions

@@ -14,7 +14,7 @@ from scenes.phone_site import GROUND, LAT, LON, STAMP, imported, phone_site, pic
 from ltm_core.base.errors import ConfigError, LtmError, PoseError, RecordingError
 from ltm_core.cameras.sensor_pose import phone_camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
 from ltm_core.site.site import Site
 from ltm_lab.simulator.phone_photo_io import PhonePhoto, write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger

@@ -11,7 +11,7 @@ from scenes.phone_site import FRAME, GROUND, LAT, LON, STAMP, imported, phone_si
 
 from ltm_core.base.errors import CameraError, PoseError, RecordingError
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
 from ltm_core.site.site import Site
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 from ltm_msgs_py.bag.reader import BagReader

@@ -1,0 +1,267 @@
+"""Query PTZ heads of Hikvision (ISAPI), Axis (VAPIX) and Reolink, and open the head that a site file states.
+
+Query Hikvision heads by ISAPI and Axis heads by VAPIX.
+
+Hikvision PTZ heads by ISAPI. Source: ISAPI 2.0, PTZCtrl; fields as cameras send them.
+
+Units differ from page to page: tenths of a degree in `status`, degrees with decimals in `absoluteEx`.
+
+Reolink PTZ heads by the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of
+the position's fields from reolink-aio 0.22.
+
+Own code: reolink-aio is asynchronous and asks a camera for all it has before it tells a position; that needs two calls.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import quote
+
+from ltm_core.site.source_config import (
+    HttpSettings,
+    IsapiConfig,
+    OnvifConfig,
+    PtzConfig,
+    ReolinkConfig,
+    SourceConfig,
+    VapixConfig,
+)
+from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.direction import PtzReading
+from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of
+from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, spacing_for, token_of, tolerance_of
+from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+
+
+class IsapiPtzHead:
+    """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these PTZ heads (0 level, 90
+    straight down): `mount.tilt_sign: -1`."""
+
+    def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
+        self._connection = connection or Connection(settings_of(config, source))
+        self._base = f"/ISAPI/PTZCtrl/channels/{config.channel}"
+        self._tenths = config.units == "tenths"
+        self.spacing = spacing_for(tolerance_of(config).angle_deg)
+
+    def read(self) -> PtzReading:
+        page, place = ("status", ("AbsoluteHigh",)) if self._tenths else ("absoluteEx", ())
+        root = parsed_xml(self._connection.ask(f"{self._base}/{page}").body)
+        at = time.monotonic()
+        values = []
+        for name in ("azimuth", "elevation", "absoluteZoom"):
+            element = found(root, *place, name)
+            if element is None:
+                raise SourceError(f"the PTZ head's page {page} holds no {name}: write the other units as ptz.units")
+            values.append(number(element.text, name))
+        scale = 0.1 if self._tenths else 1.0
+        return PtzReading(values[0] * scale, values[1] * scale, values[2], None, at)
+
+    def limits(self) -> PtzLimits:
+        """In the units of `status`, whatever the readings are in: so cameras state them."""
+        root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
+
+        def both(scale: float, *names: str) -> tuple[float, float] | None:
+            place = found(root, *names)
+            ends = None if place is None else (found(place, "Min"), found(place, "Max"))
+            if ends is None or ends[0] is None or ends[1] is None:
+                return None
+            return number(ends[0].text, names[-1]) * scale, number(ends[1].text, names[-1]) * scale
+
+        space = "AbsolutePanTiltPositionSpace"
+        zoom = both(1.0 if self._tenths else 0.1, "AbsoluteZoomPositionSpace", "ZRange")
+        return PtzLimits(both(0.1, space, "XRange"), both(0.1, space, "YRange"), zoom)
+
+    def presets(self) -> Mapping[str, str]:
+        root = parsed_xml(self._connection.ask(f"{self._base}/presets").body)
+        known = {}
+        for element in root.iter():
+            if local(element) == "PTZPreset":
+                token, name = found(element, "id"), found(element, "presetName")
+                enabled = found(element, "enabled")
+                if token is not None and token.text and (enabled is None or enabled.text == "true"):
+                    known[(name.text if name is not None else None) or token.text] = token.text
+        return known
+
+    def go_to(self, preset: str) -> None:
+        self._connection.ask(f"{self._base}/presets/{token_of(self.presets(), preset)}/goto", "PUT")
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+_PAGE = "/axis-cgi/com/ptz.cgi"
+_PRESET = re.compile(r"presetposno(\d+)")
+
+
+class VapixPtzHead:
+    """Degrees: pan clockwise, tilt upwards. It says neither when it read them nor whether it moves."""
+
+    def __init__(self, config: VapixConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
+        self._connection = connection or Connection(settings_of(config, source))
+        self._camera = f"&camera={config.camera}"
+        self.spacing = spacing_for(tolerance_of(config).angle_deg)
+
+    def read(self) -> PtzReading:
+        said = self._lines("query=position")
+        pan, tilt = (number(said.get(axis), axis) for axis in ("pan", "tilt"))
+        return PtzReading(pan, tilt, number(said.get("zoom", "1"), "zoom"), None, time.monotonic())
+
+    def limits(self) -> PtzLimits:
+        said = {name.lower(): value for name, value in self._lines("query=limits").items()}
+
+        def both(axis: str) -> tuple[float, float] | None:
+            ends = said.get(f"min{axis}"), said.get(f"max{axis}")
+            return None if None in ends else (number(ends[0], axis), number(ends[1], axis))
+
+        return PtzLimits(both("pan"), both("tilt"), both("zoom"))
+
+    def presets(self) -> Mapping[str, str]:
+        found = {}
+        for name, value in self._lines("query=presetposall").items():
+            match = _PRESET.fullmatch(name)
+            if match is not None:
+                found[value] = match[1]
+        return found
+
+    def go_to(self, preset: str) -> None:
+        token_of(self.presets(), preset)  # where it has none of that name, it says nothing
+        self._ask(f"gotoserverpresetname={quote(preset)}", accepted=(200, 204))
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _ask(self, query: str, accepted: tuple[int, ...] = (200,)) -> str:
+        body = self._connection.ask(f"{_PAGE}?{query}{self._camera}", accepted=accepted).body
+        text = body.decode("utf-8", "replace")
+        if text.lstrip().lower().startswith("error"):
+            raise SourceError(f"the PTZ head answers {text.strip()[:80]!r} to {query.partition('=')[2]}")
+        return text
+
+    def _lines(self, query: str) -> dict[str, str]:
+        lines = (line.partition("=") for line in self._ask(query).splitlines())
+        said = {name.strip(): value.strip() for name, sign, value in lines if sign}
+        if not said and query != "query=presetposall":
+            raise SourceError("the camera tells no position by VAPIX: it has no PTZ head, or speaks something else")
+        return said
+
+
+_reolink_PAGE = "/cgi-bin/api.cgi"
+_LOGIN_AGAIN = -6
+"""Code of an answer to a token that has run out."""
+_BEFORE_END_S = 60.0
+
+
+class ReolinkPtzHead:
+    """Pan and tilt in the camera's own counts, which are divided by the steps a degree of the site file."""
+
+    def __init__(
+        self, config: ReolinkConfig, source: SourceConfig | None, connection: Connection | None = None
+    ) -> None:
+        settings = settings_of(config, source)
+        self._login = Login.of(settings)
+        # User and password go into the log-in's body, not into each request.
+        self._connection = connection or Connection(
+            HttpSettings(url=settings.url, timeout=settings.timeout, ca=settings.ca, check_name=settings.check_name)
+        )
+        self._config = config
+        self._token, self._token_until = "", 0.0
+        self.spacing = spacing_for(tolerance_of(config).angle_deg)
+
+    def read(self) -> PtzReading:
+        channel = self._config.channel
+        said = _part(self._ask("GetPtzCurPos", {"PtzCurPos": {"channel": channel}}), "PtzCurPos")
+        at = time.monotonic()
+        focus = _part(self._ask("GetZoomFocus", {"channel": channel}), "ZoomFocus")
+        zoom = _part(focus, "zoom").get("pos", 0)
+        pan, tilt = (number(str(said.get(key)), key) for key in ("Ppos", "Tpos"))
+        return PtzReading(
+            pan / self._config.pan_steps_per_deg,
+            tilt / self._config.tilt_steps_per_deg,
+            number(str(zoom), "zoom"),
+            None,
+            at,
+        )
+
+    def limits(self) -> PtzLimits:
+        return PtzLimits()
+
+    def presets(self) -> Mapping[str, str]:
+        said = self._ask("GetPtzPreset", {"channel": self._config.channel}).get("PtzPreset") or []
+        if not isinstance(said, list):
+            raise SourceError("the camera tells its presets in no form that is known")
+        rows = [row for row in said if isinstance(row, dict) and row.get("enable", 1) == 1 and "id" in row]
+        return {str(row.get("name") or row["id"]): str(row["id"]) for row in rows}
+
+    def go_to(self, preset: str) -> None:
+        number = int(token_of(self.presets(), preset))
+        where = {"channel": self._config.channel, "op": "ToPos", "speed": 32, "id": number}
+        self._ask("PtzCtrl", where)
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _ask(self, command: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        if time.monotonic() > self._token_until:
+            self._log_in()
+        code, value = self._send(command, parameters, f"&token={self._token}")
+        if code == _LOGIN_AGAIN:
+            self._log_in()
+            code, value = self._send(command, parameters, f"&token={self._token}")
+        if code:
+            raise SourceError(
+                f"the camera refuses {command} (code {code}): it may have no PTZ head, or the user no right"
+            )
+        return value
+
+    def _log_in(self) -> None:
+        password = self._login.password.reveal() if self._login.password is not None else ""
+        user = {"User": {"userName": self._login.user or "", "password": password}}
+        code, value = self._send("Login", user, "")
+        token = _part(value, "Token")
+        if code or not token.get("name"):
+            raise UnauthorisedError(f"the camera refuses the user {self._login.user} (code {code}): mend the password")
+        self._token = str(token["name"])
+        lease = number(str(token.get("leaseTime", 3600)), "leaseTime")
+        self._token_until = time.monotonic() + max(lease - _BEFORE_END_S, 1.0)
+
+    def _send(self, command: str, parameters: Mapping[str, Any], token: str) -> tuple[int, dict[str, Any]]:
+        body = json.dumps([{"cmd": command, "action": 0, "param": parameters}]).encode()
+        kind = {"content-type": "application/json"}
+        answer = self._connection.ask(f"{_PAGE}?cmd={command}{token}", "POST", body, kind)
+        try:
+            (said,) = json.loads(answer.body)
+            code = int(said.get("code", 0))
+            if code:
+                code = int((said.get("error") or {}).get("rspCode", code))
+            value = said.get("value") or {}
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
+            raise SourceError("the camera answers no JSON of Reolink's: check url and kind of ptz") from None
+        if not isinstance(value, dict):
+            raise SourceError(f"the camera answers {command} in no form that is known")
+        return code, value
+
+
+def _part(answer: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """What an answer holds by that name, nothing where it has none. Raises SourceError where it is no such thing."""
+    part = answer.get(key) or {}
+    if not isinstance(part, dict):
+        raise SourceError(f"the camera answers {key} in no form that is known ({str(part)[:80]!r})")
+    return part
+
+
+def open_ptz(config: PtzConfig, source: SourceConfig | None, connection: Connection | None = None) -> PtzHead:
+    """Asks nothing yet. `connection`: one that there is already. Raises SourceError, and UnauthorisedError where the
+    password cannot be read."""
+    match config:
+        case VapixConfig():
+            return VapixPtzHead(config, source, connection)
+        case IsapiConfig():
+            return IsapiPtzHead(config, source, connection)
+        case OnvifConfig():
+            return OnvifPtzHead(config, source, connection)
+        case ReolinkConfig():
+            return ReolinkPtzHead(config, source, connection)

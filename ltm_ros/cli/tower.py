@@ -1,0 +1,214 @@
+"""`ltm status`, `doctor`, `upgrade` and `rollback`: commands of an installed tower."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ltm_ros.cli.output import print_findings, print_table
+
+if TYPE_CHECKING:
+    from ltm_ros.tower.upgrade import Upgrade
+
+
+INSTALLED_SITE = Path("/etc/ltm/site.yaml")
+STYLES = {"ok": "green", "troubled": "yellow", "silent": "bold red", "missing": "bold red"}
+
+
+def status(
+    site: Annotated[Path, typer.Argument(help="Site file (YAML), with the section `health`.")] = INSTALLED_SITE,
+    json_: Annotated[bool, typer.Option("--json", help="Print what the tower says as JSON.")] = False,
+) -> None:
+    """Ask a running tower how it is. Exit code 0 where all nodes report and all frames come, else 1."""
+    import json
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.tower.health_client import ask
+
+    config = load_site(site).health
+    if config is None:
+        raise ConfigError(f"{site}: has no section `health`; add `health: {{}}`, and start the tower again")
+    said: dict[str, Any] = ask(config, "/status.json")
+    if json_:
+        typer.echo(json.dumps(said, indent=2))
+    else:
+        _print_status(said)
+    raise typer.Exit(0 if said["ready"] else 1)
+
+
+def _print_status(said: Mapping[str, Any]) -> None:
+    """Print what `TowerStatus.as_dict` returns."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console()
+    wrong = said["wrong"]
+    console.print(
+        f"[bold]{escape(said['site'])}[/]: {'all is well' if not wrong else f'{len(wrong)} things are wrong'}"
+    )
+    for line in wrong:
+        console.print(f"  - {escape(line)}", style="yellow", highlight=False)
+    cameras = []
+    for one in said["cameras"]:
+        dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
+        cells = (
+            one["name"],
+            _seconds(one["frame_age_s"], " ago"),
+            str(one["frames_in"]),
+            str(one["finished"]),
+            dropped,
+            _seconds(one["latency_s"]),
+            one["pose"],
+        )
+        cameras.append(tuple(map(escape, cells)))
+    nodes = []
+    for one in said["nodes"]:
+        values = one["values"]
+        work = values.get("work_p95_ms")
+        nodes.append(
+            (
+                escape(one["name"]),
+                f"[{STYLES[one['state']]}]{one['state']}[/]",
+                escape(values.get("frames_in", "")),
+                escape(values.get("frames_out", "")),
+                escape(values.get("dropped", "")),
+                escape(f"{work} ms" if work else ""),
+                escape(one["said"][:80]),
+            )
+        )
+    columns = ("camera", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose")
+    print_table(console, "", columns, cameras)
+    print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)
+    if (outbox := said["outbox"]) is not None:
+        link = "the region's map is there" if outbox["link_up"] else "the region's map cannot be reached"
+        console.print(
+            escape(
+                f"outbox: {outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, the oldest of "
+                f"{outbox['age_s']:.0f} s ago; {link}"
+            ),
+            highlight=False,
+        )
+    kept = "; ".join(f"{d['folder']} {d['free'] / 1e9:.1f} of {d['total'] / 1e9:.0f} GB free" for d in said["disks"])
+    used = ", ".join(f"{name} {size / 1e6:.0f} MB" for name, size in said["process_memory"].items())
+    sync = {True: "kept right", False: "kept right by nothing", None: "not known"}[said["clock"]["synchronised"]]
+    console.print(escape(f"clock {sync}, set {said['clock_steps']} times; {kept}"), highlight=False)
+    console.print(
+        escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available; {used}"),
+        highlight=False,
+    )
+    console.print(escape(", ".join(f"{name} {version}" for name, version in said["versions"].items())), highlight=False)
+
+
+def _seconds(value: float | None, end: str = "") -> str:
+    return "none" if value is None else f"{value:.1f} s{end}"
+
+
+def doctor(
+    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    site: Annotated[
+        Path | None, typer.Option(help="Site file of a tower, for its port; default: /etc/ltm/site.yaml, if there.")
+    ] = None,
+) -> None:
+    """Look at the installation. Exit code 1 when something required is missing."""
+    from rich.console import Console
+
+    from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
+    from ltm_ros.tower.health_client import DoctorState
+
+    findings = examine(site)
+    if json:
+        typer.echo(as_json(findings))
+        raise typer.Exit(0 if healthy(findings) else 1)
+    styles = {
+        DoctorState.OK: "green",
+        DoctorState.OPTIONAL: "dim",
+        DoctorState.WARNING: "yellow",
+        DoctorState.MISSING: "bold red",
+    }
+    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
+    print_findings(Console(), rows)
+    # Below the table, unbroken, so that they can be copied.
+    for finding in findings:
+        if finding.remedy:
+            typer.echo(f"{finding.state} {finding.name}: {finding.remedy}")
+    missing = [finding.name for finding in findings if finding.state is DoctorState.MISSING]
+    typer.echo(f"missing: {', '.join(missing)}" if missing else "nothing required is missing")
+    raise typer.Exit(1 if missing else 0)
+
+
+READY_MINUTES = 2.0
+"""Kernels are compiled before, so a good release starts in seconds; a tower shall not stand still for longer than
+three minutes, and the former release needs some of them."""
+
+
+def upgrade(
+    package: Annotated[Path, typer.Argument(help="Debian package of a release (`make deb`).")],
+    ready_minutes: Annotated[
+        float, typer.Option(min=0.1, help="Time in which all its nodes must be ready; else the former release returns.")
+    ] = READY_MINUTES,
+) -> None:
+    """Run another release of LTM; where it does not come up, the former one returns by itself. As root.
+
+    The new release is asked first (`ltm doctor`, `ltm check`, its kernels), while the former one works. The stores are
+    copied before it is started.
+    """
+    import os
+    import subprocess  # nosec B404 # argument lists, no shell
+
+    from ltm_ros.tower.releases import PackageFile
+
+    change = _upgrade(ready_minutes)
+    opened = PackageFile.open(package)
+    change.install(opened)
+    # Now dpkg is told, and takes over its files: the service runs them already.
+    ran = subprocess.run(  # nosec B603 B607 # no shell; root's own PATH
+        ["dpkg", "--install", str(opened.path)], env=os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    )
+    if ran.returncode:
+        typer.echo("-- dpkg did not take it: `dpkg --configure ltm` says why; the release runs all the same", err=True)
+        raise typer.Exit(1)
+
+
+def rollback(
+    to: Annotated[str, typer.Option(help="Version to return to. Default: the former one.")] = "",
+    unconfirmed: Annotated[
+        bool,
+        typer.Option("--unconfirmed", help="Only where an upgrade was cut short; the service's own start asks for it."),
+    ] = False,
+    ready_minutes: Annotated[float, typer.Option(min=0.1, help="Time in which it must be ready.")] = READY_MINUTES,
+) -> None:
+    """Run the former release of LTM again. As root."""
+    change = _upgrade(ready_minutes)
+    if unconfirmed:
+        returned = change.return_unconfirmed()
+        typer.echo(f"-- back on {returned}: the release on trial had not come up" if returned else "-- nothing to do")
+        return
+    change.go_back(to)
+
+
+def _upgrade(ready_minutes: float) -> Upgrade:
+    import os
+    import signal
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_ros.tower.releases import ROOT, Releases
+    from ltm_ros.tower.store_copy import SystemdService
+    from ltm_ros.tower.upgrade import Places, Upgrade
+
+    releases = Releases()
+    _ = releases.current  # first: that this is an installed tower at all
+    if os.geteuid() != 0 or not os.access(ROOT, os.W_OK):
+        raise ConfigError("releases are changed by root: sudo ltm upgrade ...")
+    # A radio link that drops takes the shell with it, and its terminal: the change goes on, or back, to its end.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    return Upgrade(releases, SystemdService(), Places(), _say, ready_minutes * 60.0)
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError):
+        typer.echo(f"-- {line}")
