@@ -1,4 +1,4 @@
-"""Makes the photos of ltm_lab/config/training/near_photos.yaml from the packages that hold them, unpacked in one folder.
+"""Make the photos of ltm_lab/config/training/near_photos.yaml from the packages that hold them, unpacked.
 
     python tools/near_photos.py PACKAGES SKIES OUT
 

@@ -1,10 +1,8 @@
 """Define the constants of depth fusion; read those of a network from the file beside its manifest.
 
-Every constant of depth fusion, in one place, each with what it means and where it comes from.
-
-Three origins: *derived* from geometry or arithmetic, with no choice left; *fitted* to rendered frames by
-`ltm-lab train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; and *chosen* by a person on the
-development scenarios, by RMSE of `ltm-lab eval depth`. What each stage is worth, `ltm-lab eval depth --without STAGE` tells.
+Each constant has one of three origins: *derived* from geometry or arithmetic, with no choice left; *fitted* to
+rendered frames by `ltm-lab train fusion`, which writes them beside a depth network as `<network>_fusion.yaml`; or
+*chosen* on the development scenarios by the RMSE of `ltm-lab eval depth`.
 
 Log odds are natural logarithms of p / (1 - p).
 """

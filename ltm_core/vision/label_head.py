@@ -81,8 +81,8 @@ _DIGITS: Final = 4
 
 
 class LabelHeadFile(StrictModel):
-    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
-    `classes`, a column for each of the map's channels. `one_view`: it was taught by one view and is for that
+    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
+    each of `classes`, a column for each of the map's channels. `one_view`: it was taught by one view and is for that
     alone. `calibration`: how its labels err, on photos held out.
     """
 

@@ -89,8 +89,8 @@ class Segmenter:
     ) -> "Segmenter":
         """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
 
-        With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for the
-        head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
+        With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for
+        the head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
         """
         manifest = NetworkManifest.find(path_or_name).serving(head)
         file = find_label_head(head, manifest, heads)

@@ -1,4 +1,4 @@
-"""The command `ltm-lab`: evaluation, training, simulator and benchmarks. Commands import what they need when they run."""
+"""The command `ltm-lab`. Commands import what they need when they run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltm_ros.cli.main import EXTRAS, run_command_line
 
 cli = typer.Typer(
     name="ltm-lab",
-    help="The laboratory of LTM: render landscapes with truth, score the product, train its networks, measure its cost.",
+    help="The laboratory of LTM: render landscapes, score the product, train networks, measure cost.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,

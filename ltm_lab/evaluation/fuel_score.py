@@ -1,4 +1,4 @@
-"""`ltm-lab eval fuel BAG`: scores the fuel map made from a recording's votes, beside the majority vote and the prior."""
+"""`ltm-lab eval fuel BAG`: score the fuel map of a recording beside the majority vote and the prior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes the report of `ltm-lab eval BAG --report`: scores, and pictures of labels, depth and fuel against their truth."""
+"""Write the report of `ltm-lab eval BAG --report`: scores, and pictures of labels, depth and fuel beside truth."""
 
 from __future__ import annotations
 

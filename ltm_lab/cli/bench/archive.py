@@ -1,4 +1,4 @@
-"""`ltm-lab bench archive`: how fast archives are reprocessed, and whether a simulated month gives one map in all ways."""
+"""`ltm-lab bench archive`: how fast archives are reprocessed, and whether a month always gives the same map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm-lab eval`: scores against truth. `ltm-lab eval BAG` scores a recorded run; the other commands score one part each.
+"""`ltm-lab eval`: scores against truth. `ltm-lab eval BAG` scores a recorded run, the others one part each.
 
 A part is one module `ltm_lab/cli/eval/<part>.py` with a function of the same name, which imports what it needs when it
 runs.

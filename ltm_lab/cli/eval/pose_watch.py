@@ -1,4 +1,4 @@
-"""`ltm-lab eval pose-watch`: the live watch of mounts on rendered frames: false alarms, turns that are noticed, time."""
+"""`ltm-lab eval pose-watch`: the live watch of mounts on rendered frames: false alarms, detected turns, time."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class SimulatedVotes:
 
 
 def simulated_votes(folder: Path, segmenter: Segmenter, labels: LabelSet) -> SimulatedVotes:
-    """Of all frames of a folder of `ltm-lab simulate` with one date: each photo labelled by the network, its rays traced
-    over the DEM that is handed to the system. Raises RecordingError for a folder of another kind.
+    """Return the votes of all frames of a folder of `ltm-lab simulate` with one date: each photo is labelled by the
+    network and traced over the outdated DEM. Raises RecordingError for a folder of another kind.
     """
     rasters = sorted((folder / "truth").glob("*/life_form.tif"))
     if len(rasters) != 1:

@@ -44,7 +44,7 @@ class Case(StrEnum):
 
 @dataclass(frozen=True)
 class SmokeJob:
-    """Smoke trials on one site: a raster, a folder of `ltm-lab simulate` with its cameras, or (None) synthetic mountains of
+    """Smoke trials on one site: a raster, a folder of `ltm-lab simulate` with its cameras, or (None) mountains drawn by
     the seed. `dem_error`: sigma of the heights in metres, None for a tenth of a cell. `boxed`: a box is marked, or a
     pixel is clicked on.
     """

@@ -74,8 +74,8 @@ class RenderedSite:
             for name in ("dem_around.tif", "dem_region.tif"):
                 if not (self.folder / name).is_file():
                     raise RecordingError(
-                        f"{self.folder / name} is missing; write it with `ltm-lab simulate SCENARIO --out {self.folder} "
-                        "--site-only`"
+                        f"{self.folder / name} is missing; write it with `ltm-lab simulate SCENARIO "
+                        f"--out {self.folder} --site-only`"
                     )
                 levels.append(Dem.open(self.folder / name).in_frame(frame))
             dem = DemStack(levels)

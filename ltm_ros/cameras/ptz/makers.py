@@ -149,7 +149,7 @@ class VapixPtzHead:
         return said
 
 
-_reolink_PAGE = "/cgi-bin/api.cgi"
+_REOLINK_PAGE = "/cgi-bin/api.cgi"
 _LOGIN_AGAIN = -6
 """Code of an answer to a token that has run out."""
 _BEFORE_END_S = 60.0

@@ -19,7 +19,10 @@ CALLER = (
 )
 CONSTANTS = "from kernels.origin import OFFSET\n"
 ORIGIN = "OFFSET = {offset}\n"
-INIT = "from pathlib import Path\nfrom ltm_core.base.numba_cache import use_own_cache\nuse_own_cache(Path(__file__).parent)\n"
+INIT = """from pathlib import Path
+from ltm_core.base.numba_cache import use_own_cache
+use_own_cache(Path(__file__).parent)
+"""
 
 
 @pytest.fixture(autouse=True)
