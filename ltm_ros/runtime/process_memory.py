@@ -33,8 +33,8 @@ def steady_allocation() -> None:
     Two things else add megabytes hours later. glibc's malloc gives each thread a heap of its own, up to eight a core,
     and what one thread allocates and another frees, as messages are, leaves holes in all of them. And NumPy asks for
     huge pages (2 MB) where arrays of 4 MB lie, so the kernel makes them of what is left of such arrays in the heap,
-    whenever it comes by. They saved no processor time (`ltm-lab bench graph`). Where the user has chosen (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`), and with
-    another C library, nothing is done.
+    whenever it comes by. They saved no processor time (`ltm-lab bench graph`). Where the user has chosen
+    (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`), and with another C library, nothing is done.
     """
     libc = _libc()
     chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
