@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_lab.evaluation.truth_frames_io import TruthFrame, read_index, read_truth_frames
+from ltm_lab.frames.truth_frames_io import TruthFrame, read_index, read_truth_frames
 from ltm_lab.simulator.phone_photo_io import PhonePhoto, write_phone_photo
 from ltm_lab.simulator.sensor_logger_io import write_sensor_logger
 

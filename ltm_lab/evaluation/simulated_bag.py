@@ -11,7 +11,7 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.types import Float32Array
-from ltm_lab.evaluation.truth_frames_io import TruthFrame, read_index, read_truth_frames
+from ltm_lab.frames.truth_frames_io import TruthFrame, read_index, read_truth_frames
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg

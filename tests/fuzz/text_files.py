@@ -40,7 +40,7 @@ from ltm_core.vision.label_rules import Calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
-from ltm_lab.evaluation.truth_frames_io import read_truth_frames
+from ltm_lab.frames.truth_frames_io import read_truth_frames
 from ltm_lab.simulator.scenario import Scenario
 from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader

@@ -83,7 +83,7 @@ def depth(
     from ltm_lab.evaluation.depth.depth_maps_io import read_depth_map
     from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
     from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
-    from ltm_lab.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
+    from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_ros.pages.render import write_figures
 
     console = Console()
@@ -94,7 +94,7 @@ def depth(
         possible = NOTHING_BEYOND
         frame_of_map = site_frame(place)
     else:
-        from ltm_lab.evaluation.truth_frames import recorded_truth_frames
+        from ltm_lab.frames.truth_frames import recorded_truth_frames
         from ltm_ros.recordings.recorded_run import Recorded
 
         recorded = Recorded.find(place, site)

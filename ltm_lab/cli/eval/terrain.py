@@ -144,7 +144,7 @@ def _simulated_frames(
     from ltm_core.vision.segmenter import Segmenter
     from ltm_lab.evaluation.terrain.frame_score import network_depth, score_frames, true_depth
     from ltm_lab.evaluation.terrain.hillside_scenes import Noise
-    from ltm_lab.evaluation.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
+    from ltm_lab.frames.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
 
     known = dates(folder)
     if not known or (date or known[-1]) not in known:

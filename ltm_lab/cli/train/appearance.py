@@ -29,8 +29,8 @@ def appearance(
     from ltm_core.fuel.life_form import LifeForm
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import Segmenter
+    from ltm_lab.evaluation.fuel.cell_appearance_io import learn_cell_appearance, write_cell_appearance
     from ltm_lab.evaluation.fuel.simulated_votes import simulated_votes
-    from ltm_lab.training.cell_appearance_io import learn_cell_appearance, write_cell_appearance
 
     console = Console()
     segmenter, labels = Segmenter.open(model, threads=threads), LabelSet.load()

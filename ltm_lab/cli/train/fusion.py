@@ -39,7 +39,7 @@ def fusion(
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import NetworkManifest
     from ltm_core.vision.segmenter import Segmenter
-    from ltm_lab.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
+    from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_lab.training.fusion_fit import fit_fusion
     from ltm_lab.training.fusion_samples import FrameSamples, frame_samples
 

@@ -22,7 +22,7 @@ from ltm_core.fuel.cell_appearance_model import CellAppearanceModel
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, form_counts
 from ltm_core.fuel.votes import CellVotes
-from ltm_lab.training.cell_appearance_fit import seen_cells
+from ltm_lab.evaluation.fuel.cell_appearance_fit import seen_cells
 
 LEAST_PIXELS_MEASURED = 10
 """Least pixels that a cell must have in a frame to be measured."""

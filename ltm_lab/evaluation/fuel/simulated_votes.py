@@ -14,7 +14,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_lab.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, scenario_name, site_frame
+from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, scenario_name, site_frame
 
 
 @dataclass(frozen=True, eq=False)

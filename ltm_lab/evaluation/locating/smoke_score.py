@@ -22,7 +22,7 @@ from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_lab.evaluation.locating.control_points import PlaceScore
 from ltm_lab.evaluation.locating.smoke_sites import MAST, SmokeSite, ranged_mountains, smoke_site
 from ltm_lab.evaluation.locating.smoke_trials import PoseErrors, SeenPlume, random_plume, seen_plume, sighting
-from ltm_lab.evaluation.truth_frames_io import open_dem, read_truth_frames
+from ltm_lab.frames.truth_frames_io import open_dem, read_truth_frames
 
 NEAREST, FARTHEST = 800.0, 10_000.0
 """Metres from a tower to smoke."""

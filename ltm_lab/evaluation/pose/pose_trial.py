@@ -18,7 +18,7 @@ from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, 
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, RenderedSite
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 
 OPEN = 0.5
 """Smallest share of the open horizon of a view that counts as open."""

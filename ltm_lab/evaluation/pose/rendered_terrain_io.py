@@ -23,7 +23,7 @@ from ltm_core.raster.dem_stack import DemStack, with_surface
 from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
-from ltm_lab.evaluation.truth_frames_io import (
+from ltm_lab.frames.truth_frames_io import (
     TruthFrame,
     dates,
     is_curved,

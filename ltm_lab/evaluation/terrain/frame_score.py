@@ -28,7 +28,7 @@ from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.metrics.change import ChangeScore, score_change
 from ltm_lab.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
 from ltm_lab.evaluation.terrain.hillside_scenes import Noise
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 
 HOUR_NS = 3_600_000_000_000
 _SURE = np.diag([1e-6] * 3 + [1e-12] * 3)

@@ -18,10 +18,10 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
+from ltm_lab.evaluation.fuel.cell_appearance_fit import LEAST_CELLS, fit_cell_appearance, seen_cells
+from ltm_lab.evaluation.fuel.cell_appearance_io import LearntLook, learn_cell_appearance, write_cell_appearance
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
 from ltm_lab.evaluation.fuel.simulated_votes import SimulatedVotes
-from ltm_lab.training.cell_appearance_fit import LEAST_CELLS, fit_cell_appearance, seen_cells
-from ltm_lab.training.cell_appearance_io import LearntLook, learn_cell_appearance, write_cell_appearance
 
 HEIGHT, WIDTH = 31, 44
 GRID = GridGeometry(0.0, 30.0 * HEIGHT, 30.0, WIDTH, HEIGHT)

@@ -14,7 +14,7 @@ from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.depth.fused_depth import DepthEvaluation, Given, upsampled_labels
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 
 CLASSES = ClassPriors.of(LabelSet.load())
 

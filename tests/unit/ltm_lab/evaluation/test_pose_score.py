@@ -15,7 +15,7 @@ from ltm_core.tracing.holes import NOTHING_BEYOND
 from ltm_lab.evaluation.pose.mount_trial import run_mount_trial
 from ltm_lab.evaluation.pose.pose_trial import PoseScore, PoseTrial, Sensor, Spread, disturbed, run_trial
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, prepared
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 
 SMALL = Camera.from_fov(320, 200, 50.0)
 

@@ -15,7 +15,7 @@ from ltm_lab.evaluation.metrics.change import ChangeScore
 from ltm_lab.evaluation.terrain.frame_score import score_frames, true_depth
 from ltm_lab.evaluation.terrain.hillside_scenes import Noise
 from ltm_lab.evaluation.terrain.hillside_score import HillsideScore, TrialSummary
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 
 
 def scored(change: ChangeScore, before: float, after: float) -> HillsideScore:

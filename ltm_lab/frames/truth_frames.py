@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.site.site import Site
-from ltm_lab.evaluation.truth_frames_io import TruthFrame
+from ltm_lab.frames.truth_frames_io import TruthFrame
 from ltm_ros.recordings.frame_stream import FrameStream
 
 

@@ -15,9 +15,9 @@ from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.label_errors import LabelCorrelation
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.vision.labels import LabelSet
+from ltm_lab.evaluation.fuel.cell_appearance_fit import fit_cell_appearance, seen_cells
 from ltm_lab.evaluation.fuel.label_correlation import look_correlation, looks
 from ltm_lab.evaluation.fuel.simulated_votes import SimulatedVotes
-from ltm_lab.training.cell_appearance_fit import fit_cell_appearance, seen_cells
 
 _HEAD = """\
 # What a fuel cell of each life form looks like to this network, and how its errors hang together (docs/fuel_map.md).
