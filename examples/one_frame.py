@@ -4,7 +4,7 @@
 
 Takes the first frame of one tower of the shipped recording (`bags/demo`) through the paper's chain: pose, tracing
 (Algorithm 1), labels, depth fusion (TopoDepth), votes, fuel map. `tests/replay/test_one_frame_example.py` holds every
-array equal to what the nodes make of that frame; docs/one_frame.md explains the steps.
+array equal to what the nodes make of that frame; docs/how/one_frame.md explains the steps.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ PLACES = {
 }
 CONFFILES = ("etc/ltm/site.yaml", "etc/ltm/environment")
 """Are the administrator's once installed."""
-DOCUMENTS = ("deployment", "site_file", "security", "commands", "graph", "recordings", "runtime")
+DOCUMENTS = ("start", "site", "cameras", "deployment", "recordings", "region", "ros")
 UNUSED = ("numba/tests", "numpy/*/tests", "scipy/*/tests", "scipy/*/*/tests", "llvmlite/tests", "rclpy/test")
 """Of the packages of others: their own tests, a sixth of the whole."""
 

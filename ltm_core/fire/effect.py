@@ -2,7 +2,7 @@
 
 Draws fuel maps from what is known of each cell: what the doubt about fuel means for a fire.
 
-The shares of life forms in a cell have a Dirichlet distribution (`docs/fuel_map.md`); a draw takes them from it, and
+The shares of life forms in a cell have a Dirichlet distribution (`docs/how/fuel.md`); a draw takes them from it, and
 the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees
 with. Cells beside each other are not independent, since a network mislabels stands and not cells: the draws of a form
 go through a Gaussian copula, whose field is a smooth one, as wide as the context that the map uses, and an

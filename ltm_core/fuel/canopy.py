@@ -179,7 +179,7 @@ _LEAST_SHARE = 0.1
 """Of a fuel cell that must have been seen as standing."""
 _SEEN_ABOVE = 0.8
 """Mean height of a canopy from above by that of what is seen of it from the side, weighted by height; this and what
-follows was chosen on rendered sites (docs/exports.md)."""
+follows was chosen on rendered sites (ltm_lab/records/2026-11-exports.md)."""
 _SAID = 1 / 3
 """Standard error of a height that a map said before, by that height."""
 

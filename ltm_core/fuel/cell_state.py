@@ -29,7 +29,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.storage.tile_store_schema import Field
 
 CROWN_ASPECT: Final = 2.5
-"""b / r of the crowns; this and what follows was chosen on rendered sites (docs/exports.md)."""
+"""b / r of the crowns; this and what follows was chosen on rendered sites (ltm_lab/records/2026-11-exports.md)."""
 _SURE: Final = 0.95
 """Of the share of pixels: beyond it, and below 1 - it, the network's own errors are all that is seen."""
 _BLIND: Final = 0.5

@@ -4,7 +4,7 @@ A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l |
 What a frame shows (`frame_evidence`) is kept by view, the direction in which it looks at the cell, and by epoch; of
 each view the newest epochs are kept. What all looks are worth together is a function of that state and of the time of
 asking, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
-any order. docs/fuel_map.md has the mathematics.
+any order. docs/how/fuel.md has the mathematics.
 """
 
 from __future__ import annotations

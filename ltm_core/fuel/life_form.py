@@ -122,7 +122,7 @@ class GrowthLimits(StrictModel):
     steepest_deg: float | None = Field(50.0, gt=0, lt=90)
     """Slope of the ground over the width of a fuel cell, degrees, above which nothing that is labelled grass, shrub or
     tree is believed. Of what LANDFIRE calls so in the Santa Ana Mountains 0.4, 0.5 and 1.2 % is steeper, about the
-    Tubbs fire 0.2 % at most, in Vermont nothing (docs/fuel_map.md)."""
+    Tubbs fire 0.2 % at most, in Vermont nothing (ltm_lab/records/2026-11-fuel_map.md)."""
     tree_line_m: float | None = None
     """Elevation in the DEM's datum, metres, above which no tree is believed. Give the highest that stands reach on the
     site, not their mean: what is above it is not counted, whatever the picture shows."""

@@ -1,4 +1,4 @@
-"""`python -m chaos [--minutes 30] [--seed N] [--soak] [--json FILE]`; see `docs/security.md`."""
+"""`python -m chaos [--minutes 30] [--seed N] [--soak] [--json FILE]`; see `ltm_lab/records/2026-11-security.md`."""
 
 from chaos.command import main
 

@@ -14,7 +14,7 @@ from ltm_core.vision.smoke import WORKING_WIDTH
 from ltm_ros.nodes.recorder import RecorderConfig
 from ltm_ros.runtime.stamp_join import REMEMBERED as STAMPS
 
-STATED = "docs/runtime.md, memory over months"
+STATED = "ltm_lab/records/2026-11-runtime.md, memory over months"
 _FILE_MINUTES = RecorderConfig.model_fields["file_seconds"].default / 60
 _STORE = f"{CACHE_KB} kB of a store's file: its first tiles, then 18 bytes a frame that is counted, for two hours here"
 _PICTURE_KB = WORKING_WIDTH**2 * 9 / 16 * (1 + 1 / 8 + 4 / 16) / 1000

@@ -2,7 +2,7 @@
 
 A process of its own, so that it comes and goes as strangers do. It says how many messages it sent. None of them makes a
 whole frame that a node could take: whoever is inside the graph can send such in a camera's name, and no node can tell
-(`docs/security.md`).
+(`ltm_lab/records/2026-11-security.md`).
 """
 
 from __future__ import annotations

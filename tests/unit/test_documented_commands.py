@@ -223,6 +223,19 @@ def test_links_lead_to_files(page: Path) -> None:
     assert [target for target in local if not (page.parent / target).exists()] == []
 
 
+@pytest.mark.parametrize("root", ["ltm_core", "ltm_msgs_py", "ltm_ros", "config", "packaging", "bags", "examples"])
+def test_pages_that_the_code_names_exist(root: str) -> None:
+    files = [
+        file for file in (REPOSITORY / root).rglob("*") if file.suffix in (".py", ".yaml", ".xml", ".md", ".service")
+    ]
+    named = {
+        (ids(file), page)
+        for file in files
+        for page in re.findall(r"\bdocs/[\w/]+\.md", file.read_text(encoding="utf-8"))
+    }
+    assert {(file, page) for file, page in named if not (REPOSITORY / page).exists()} == set()
+
+
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_named_files_exist(page: Path) -> None:
     """Paths from the repository's root, also with wildcards; modules named without their folder."""
@@ -290,18 +303,29 @@ def test_yaml_keys_exist(page: Path) -> None:
             assert "kind" in given, f"neither a site nor a pose file nor depth_maps.yaml: {sorted(given)}"
 
 
-CAPABILITIES = (
-    "tracing", "pose", "depth", "fuel_map", "terrain", "locating", "exports", "recordings", "viewer", "simulator",
-    "evaluation", "cameras",
-)  # fmt: skip
+WITHOUT_COMMAND = ("accuracy", "glossary")
+"""Pages of docs that are no tasks."""
+TASKS = [page for page in sorted((REPOSITORY / "docs").glob("*.md")) if page.stem not in WITHOUT_COMMAND]
 
 
-@pytest.mark.parametrize("name", CAPABILITIES)
-def test_a_capability_is_told_in_five_lines(name: str) -> None:
-    title, *said = (REPOSITORY / f"docs/{name}.md").read_text(encoding="utf-8").splitlines()[:5]
+@pytest.mark.parametrize("page", TASKS, ids=ids)
+def test_a_page_opens_with_a_command(page: Path) -> None:
+    title, _, text = page.read_text(encoding="utf-8").partition("\n")
     assert title.startswith("# ")
-    asked = ("What it does", "How good", "How to run it", "Where it fails")
-    assert all(line.startswith(f"- **{question}.** ") for line, question in zip(said, asked, strict=True))
+    opening = text.partition("\n## ")[0]
+    assert "```sh\n" in opening
+    assert "\n|" not in opening.partition("```sh\n")[0], "tables come after the first command"
+
+
+MOST_WORDS = {"README.md": 900, "CHANGELOG.md": 1500, "docs/**/*.md": 25_000, "ltm_lab/README.md": 700}
+
+
+@pytest.mark.parametrize("pattern", MOST_WORDS)
+def test_the_pages_are_short(pattern: str) -> None:
+    pages = list(REPOSITORY.glob(pattern))
+    words = {ids(page): len(page.read_text(encoding="utf-8").split()) for page in pages}
+    assert words
+    assert sum(words.values()) <= MOST_WORDS[pattern], words
 
 
 def test_the_readmes_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

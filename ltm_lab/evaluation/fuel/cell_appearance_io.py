@@ -20,11 +20,12 @@ from ltm_lab.evaluation.fuel.label_correlation import look_correlation, looks
 from ltm_lab.evaluation.fuel.simulated_votes import SimulatedVotes
 
 _HEAD = """\
-# What a fuel cell of each life form looks like to this network, and how its errors hang together (docs/fuel_map.md).
-# appearance: weights of a one, then of the label shares of the cell (grass, shrub, tree, bare, water, built, burned),
-# of these times the labels' confidence over 0.7, of the cell before it and of the one behind; a row each incidence.
-# correlation: of what two cells of a stand, two frames of a view, two views show beyond what their form lets expect,
-# on sites that the looks were not learnt from.
+# Appearance of the fuel cells of each life form to this network, and the correlation of its errors (docs/how/fuel.md).
+# appearance: weights of a constant, of the label shares of the cell (grass, shrub, tree, bare, water, built, burned),
+# of these shares times the labels' confidence over 0.7, of the cell in front and of the cell behind; one row for each
+# incidence.
+# correlation: what two cells of a stand, two frames of a view, and two views have in common beyond their life form,
+# on sites that were not used to learn the appearance.
 """
 
 

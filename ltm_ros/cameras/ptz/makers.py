@@ -231,7 +231,7 @@ class ReolinkPtzHead:
     def _send(self, command: str, parameters: Mapping[str, Any], token: str) -> tuple[int, dict[str, Any]]:
         body = json.dumps([{"cmd": command, "action": 0, "param": parameters}]).encode()
         kind = {"content-type": "application/json"}
-        answer = self._connection.ask(f"{_PAGE}?cmd={command}{token}", "POST", body, kind)
+        answer = self._connection.ask(f"{_REOLINK_PAGE}?cmd={command}{token}", "POST", body, kind)
         try:
             (said,) = json.loads(answer.body)
             code = int(said.get("code", 0))
