@@ -41,6 +41,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_lab.frames.truth_frames_io import read_truth_frames
+from ltm_lab.resources import lab_config
 from ltm_lab.simulator.scenario import Scenario
 from ltm_lab.training.config import TrainingConfig
 from ltm_msgs_py.bag.reader import BagReader
@@ -66,6 +67,10 @@ def _texts(*texts: str) -> Callable[[Path], list[bytes]]:
 
 def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
     return lambda folder: [config_path(name).read_bytes() for name in names]
+
+
+def _of_laboratory(*names: str) -> Callable[[Path], list[bytes]]:
+    return lambda folder: [lab_config(name).read_bytes() for name in names]
 
 
 def _site(folder: Path) -> list[bytes]:
@@ -202,10 +207,10 @@ TEXT_FILES = (
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
     _yaml(
         "scenario",
-        _shipped("scenarios/demo.yaml", "scenarios/felled_44.yaml"),
+        _of_laboratory("scenarios/demo.yaml", "scenarios/felled_44.yaml"),
         lambda path: load_yaml(path, Scenario),
     ),
-    _yaml("training", _shipped("training/quick.yaml"), lambda path: load_yaml(path, TrainingConfig)),
+    _yaml("training", _of_laboratory("training/quick.yaml"), lambda path: load_yaml(path, TrainingConfig)),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
     _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),
     _yaml(

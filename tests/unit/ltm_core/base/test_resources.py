@@ -13,7 +13,7 @@ from ltm_core.base.resources import config_path, project_path
 
 
 def test_in_a_checkout() -> None:
-    assert config_path("labels.yaml") == Path(resources.__file__).parents[1] / "config/labels.yaml"
+    assert config_path("labels.yaml") == Path(resources.__file__).parents[2] / "config/labels.yaml"
     assert project_path("bags/demo").is_dir()
 
 

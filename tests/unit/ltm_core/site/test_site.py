@@ -20,7 +20,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.vision.label_head import find_label_head
 from ltm_core.vision.manifest import NetworkManifest
 
-REPOSITORY = Path(__file__).parents[3]
+REPOSITORY = Path(__file__).parents[4]
 SITE: dict[str, Any] = {
     "name": "ridge",
     "crs": "EPSG:32611",
@@ -127,7 +127,7 @@ def test_a_camera_that_is_not_there(tmp_path: Path) -> None:
 def test_calibrations() -> None:
     assert CalibrationConfig(width=8, height=6, hfov_deg=90).camera() == Camera.from_fov(8, 6, 90)
     assert CalibrationConfig(width=8, height=6, fx=5).camera() == Camera(8, 6, 5, 5, 3.5, 2.5)
-    stated = CalibrationConfig(width=8, height=6, fx=5, fy=6, cx=3, cy=2, distortion=(0.1, 0, 0, 0, 0))
+    stated = CalibrationConfig(width=8, height=6, fx=5, fy=6, cx=3, cy=2, k1=0.1)
     assert stated.camera() == Camera(8, 6, 5, 6, 3, 2, (0.1, 0, 0, 0, 0))
 
 

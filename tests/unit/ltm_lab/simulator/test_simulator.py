@@ -12,6 +12,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.config_io import load_yaml
+from ltm_lab.resources import lab_config
 from ltm_lab.simulator import noise_fields
 from ltm_lab.simulator.camera_setup import ImagingConfig, PatrolConfig, ViewsConfig
 from ltm_lab.simulator.erosion import drainage_area
@@ -79,7 +80,7 @@ def test_scenario_without_eyes_is_refused(tmp_path: Path) -> None:
 
 
 def test_committed_scenarios_load() -> None:
-    files = sorted((Path(__file__).parents[4] / "config" / "scenarios").glob("*.yaml"))
+    files = sorted(lab_config("scenarios/demo.yaml").parent.glob("*.yaml"))
     assert files
     names = [load_yaml(f, Scenario).name for f in files]
     assert names == [f.stem for f in files]

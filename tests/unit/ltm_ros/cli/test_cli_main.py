@@ -92,8 +92,8 @@ def _raising(error: Exception) -> None:
             "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",
         ),
         (
-            ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba"),
-            "ltm: needs mitsuba: pip install 'ltm[sim]'",
+            ModuleNotFoundError("No module named 'rerun'", name="rerun"),
+            "ltm: needs rerun: pip install 'ltm[view]'",
         ),
     ],
 )

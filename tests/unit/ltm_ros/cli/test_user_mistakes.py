@@ -222,8 +222,6 @@ MISTAKES = [
             "run site.yaml --logs file/logs",
             "record --site site.yaml --out file/bag",
             "import --images photos --site site.yaml --out file/bag",
-            "simulate scenario.yaml --out file/frames",
-            "eval bag --json file/score.json",
             "check site.yaml --out file/check.png",
         )
     ),

@@ -91,7 +91,7 @@ def test_its_message_and_its_variance_in_each_direction() -> None:
     np.testing.assert_allclose(after[3:, 3:], slopes @ joint @ slopes.T, atol=1e-15)
 
 
-def test_a_restart_keeps_it_and_reads_files_from_before_it(tmp_path: Path) -> None:
+def test_a_restart_keeps_it(tmp_path: Path) -> None:
     kept, path = MountWatch(terrain(), CONFIG), memory_file(tmp_path, "mast")
     found = PoseCorrection(LEAN, np.eye(3) * 1e-6, 0.014, np.array([1e-8, 0.0, -1e-8, 2e-6]))
     kept.recall(MountState.HELD, found, "4 pictures agree")
@@ -100,11 +100,6 @@ def test_a_restart_keeps_it_and_reads_files_from_before_it(tmp_path: Path) -> No
     assert recall_memory(path, again, "terms")
     assert again.correction.tilt_zero == found.tilt_zero
     np.testing.assert_array_equal(again.correction.tilt_covariance, found.tilt_covariance)
-    older = {key: value for key, value in json.loads(path.read_text()).items() if not key.startswith("tilt")}
-    path.write_text(json.dumps(older))
-    assert recall_memory(path, again, "terms")
-    assert again.correction.tilt_zero == 0.0
-    assert not again.correction.tilt_covariance.any()
     np.testing.assert_array_equal(again.correction.rotation, LEAN)
 
 

@@ -21,8 +21,9 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
-from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.segmenter import Segmentation
 from ltm_ros.cli.main import cli
+from ltm_ros.recordings.importing import refinement
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.refinement import CompassError, PoseRefinement
@@ -145,7 +146,7 @@ def test_network_and_mask_are_the_camera_s_own(
         asked.append((site.name, camera))
         return Network()
 
-    monkeypatch.setattr(Segmenter, "of", of)
+    monkeypatch.setattr(refinement, "site_segmenter", of)
     rows, columns = ((part.start - 0.5, part.stop - 0.5) for part in roof)
     corners = [[columns[0], rows[0]], [columns[1], rows[0]], [columns[1], rows[1]], [columns[0], rows[1]]]
     content = yaml.safe_load((tmp_path / "site.yaml").read_text())
