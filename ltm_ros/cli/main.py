@@ -28,13 +28,13 @@ from ltm_ros.cli.train import train
 from ltm_ros.cli.view import view
 
 _PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""A file or a file system that the user must see to: what was checked before may change while a command works."""
+"""Errors of a file or file system that the user must fix; it may have changed since the command's checks."""
 
 
 def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> None:
-    """Run `cli` as `program`; `extras`: what to install for each optional Python package that a command needs."""
+    """Run `cli` as `program`. `extras`: what to install for each optional Python package."""
     if not sys.stdout.isatty():
-        os.environ.setdefault("COLUMNS", "120")  # a log is no 80 characters wide: tables would lose figures
+        os.environ.setdefault("COLUMNS", "120")  # wide enough that tables in a log lose no figures
     try:
         cli()
     except LtmError as error:
