@@ -62,7 +62,7 @@ cli = typer.Typer(
 )
 START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
     "Start here",
-    "Cameras and poses",
+    "Run the command line `ltm`.",
     "Maps",
     "Recordings",
     "Tower and region",
