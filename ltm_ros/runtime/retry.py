@@ -1,4 +1,4 @@
-"""The pauses between attempts that fail: cameras, stores, disks and processes all wait by this rule."""
+"""Compute the pauses between failing attempts, for cameras, stores, disks and processes."""
 
 from __future__ import annotations
 

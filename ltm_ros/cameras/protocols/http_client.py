@@ -213,7 +213,7 @@ class HttpClient:
         if status in accepted:
             return
         if status in REFUSED:
-            who = f'user "{self._login.user}"' if self._login.user else "a request without user and password"
+            who = f"user {self._login.user}" if self._login.user else "a request without user and password"
             raise UnauthorisedError(f"the camera rejected {who} (HTTP {status}). Check the user name and password")
         if 300 <= status < 400:
             place = self._login.redact(response.headers.get("location", "elsewhere"))

@@ -175,7 +175,7 @@ class _Stream:
             )
         except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError):
             raise UnauthorisedError(
-                f"the camera refuses the user {self._config.user or '(none)'}: mend user and password"
+                f"the camera rejected user {self._config.user or '(none)'}. Check the user name and password"
             ) from None
         except (av.error.FFmpegError, OSError, ValueError) as error:
             raise SourceError(f"no stream: {self.said(error)}") from None

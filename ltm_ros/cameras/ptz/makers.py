@@ -221,7 +221,7 @@ class ReolinkPtzHead:
         code, value = self._send("Login", user, "")
         token = _part(value, "Token")
         if code or not token.get("name"):
-            raise UnauthorisedError(f'the camera rejected user "{self._login.user}" (code {code}). Check the password')
+            raise UnauthorisedError(f"the camera rejected user {self._login.user} (code {code}). Check the password")
         self._token = str(token["name"])
         lease = number(str(token.get("leaseTime", 3600)), "leaseTime")
         self._token_until = time.monotonic() + max(lease - _BEFORE_END_S, 1.0)

@@ -110,7 +110,7 @@ class SoapClient:
         return inside
 
     def _unauthorised(self, how: str) -> UnauthorisedError:
-        who = f'user "{self._login.user}"' if self._login.user else "a request without user and password"
+        who = f"user {self._login.user}" if self._login.user else "a request without user and password"
         return UnauthorisedError(f"the camera rejected {who} by ONVIF ({how}). Check the user name and password")
 
     def _security(self) -> str:
