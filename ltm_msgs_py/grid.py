@@ -77,7 +77,7 @@ def tile_to_msg(
     row, col, height, width = window
     if row < 0 or col < 0 or height < 1 or width < 1 or row + height > geometry.height or col + width > geometry.width:
         raise MessageError(
-            f"tile row, col, height, width = {window} leaves the grid of {geometry.height} x {geometry.width} cells"
+            f"tile row, col, height, width = {window} is outside the grid of {geometry.height} x {geometry.width} cells"
         )
     part = classes[row : row + height, col : col + width]
     return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
@@ -93,7 +93,7 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
     height, width = int(info.height), int(info.width)
     if height < 1 or width < 1 or len(msg.data) != height * width:
         raise MessageError(
-            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values, must hold width * height >= 1"
+            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values; it needs width * height >= 1"
         )
     # info.resolution is float32 on the wire: take the shortest decimal that it stands for, so 0.1 comes back as 0.1.
     resolution = float(str(np.float32(info.resolution)))
@@ -106,7 +106,8 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
     turned = max(abs(q.x), abs(q.y), abs(q.z))
     if not (turned <= 1e-6 and abs(abs(q.w) - 1) <= 1e-3):
         raise MessageError(
-            f"OccupancyGrid's origin is turned: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, 1)"
+            f"OccupancyGrid's origin is rotated: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, "
+            "1) are supported"
         )
     cells = np.frombuffer(msg.data, np.int8).reshape(height, width)
     if cells.min() < -1:
@@ -132,13 +133,13 @@ def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, 
         or abs(col - round(col)) > 1e-3
     ):
         raise MessageError(
-            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m does not fall on the "
-            f"cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
+            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m is not aligned with "
+            f"the cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
         )
     window = (round(row), round(col), tile.height, tile.width)
     if min(window[:2]) < 0 or window[0] + tile.height > grid.height or window[1] + tile.width > grid.width:
         raise MessageError(
-            f"tile row, col, height, width = {window} leaves the grid of {grid.height} x {grid.width} cells"
+            f"tile row, col, height, width = {window} is outside the grid of {grid.height} x {grid.width} cells"
         )
     return window
 
@@ -171,7 +172,7 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     kind = take(columns, "change", np.uint8, _WHAT)
     shift, *place = (take(columns, name, np.float32, _WHAT) for name in ("shift", "x", "y", "z"))
     if (kind > max(ChangeKind)).any():
-        raise MessageError(f"{_WHAT}: change is {int(kind.max())}, no kind of change; there are 0 to {max(ChangeKind)}")
+        raise MessageError(f"{_WHAT}: change is {int(kind.max())}; valid kinds are 0 to {max(ChangeKind)}")
     return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
 
 

@@ -238,19 +238,19 @@ def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
         )
     # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
-        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
+        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is truncated: it has no end-of-image marker")
     if found == "png" and not png_is_whole(data):
-        raise ImageError(f"{what} ({len(data)} bytes of png) is cut short: its chunks state more bytes than it has")
+        raise ImageError(f"{what} ({len(data)} bytes of png) is truncated: its chunks state more bytes than it has")
     if found == "jpeg" and (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
         raise ImageError(
-            f"{what} ({len(data)} bytes of jpeg) has {scans} scans, at most {_MOST_SCANS} are decoded; save it anew"
+            f"{what} ({len(data)} bytes of jpeg) has {scans} scans, at most {_MOST_SCANS} are decoded; save it again"
         )
     return _stated_size(data, f"{what} ({len(data)} bytes of {found})"), found
 
 
 def _spec(encoding: str, taken: tuple[str, ...], purpose: str) -> _Encoding:
     if encoding not in taken or encoding not in ENCODINGS:
-        raise ImageError(f"image encoding {encoding!r} is not taken here {purpose}; taken: {', '.join(taken)}")
+        raise ImageError(f"image encoding {encoding!r} is not supported {purpose}; supported: {', '.join(taken)}")
     return ENCODINGS[encoding]
 
 

@@ -85,7 +85,7 @@ def msg_to_traced(msg: Any) -> tuple[int, str]:
     told = _parsed(msg, "depth info")
     stamp = told.get("stamp_ns")
     if isinstance(stamp, bool) or not isinstance(stamp, int) or not 0 <= stamp < 2**63:
-        raise MessageError(f"depth info has the stamp {stamp!r}; whole nanoseconds from 0 on are right")
+        raise MessageError(f"depth info has the stamp {stamp!r}; expected whole nanoseconds >= 0")
     return stamp, _version(told, "surface")
 
 
@@ -96,7 +96,7 @@ def _parsed(msg: Any, what: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         told = None
     if not isinstance(told, dict):
-        raise MessageError(f"{what} is no JSON mapping of at most {_LONGEST} characters: {text[:80]!r}")
+        raise MessageError(f"{what} is not a JSON mapping of at most {_LONGEST} characters: {text[:80]!r}")
     return told
 
 
@@ -104,4 +104,6 @@ def _version(told: dict[str, Any], key: str) -> str:
     version = told.get(key)
     if version == AS_GIVEN or (isinstance(version, str) and re.fullmatch(VERSION, version, re.ASCII)):
         return version
-    raise MessageError(f"{key} {str(version)[:80]!r} is no version of a surface: 16 hexadecimal digits, or nothing")
+    raise MessageError(
+        f"{key} {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
+    )

@@ -56,7 +56,7 @@ def columns_to_msg(
     """
     lengths = {name: column.shape for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
-        raise MessageError(f"point columns must be one-dimensional and equally long, got {lengths}")
+        raise MessageError(f"point columns must be one-dimensional and of equal length, got {lengths}")
     (count,) = next(iter(lengths.values()))
     fields, dtypes, offset = [], [], 0
     for name, column in columns.items():
@@ -99,13 +99,13 @@ def msg_to_columns(msg: Any) -> Columns:
         if dtype is None or field.count != 1:
             raise MessageError(
                 f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}; "
-                f"taken: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
+                f"supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
             )
         if field.name in names:
-            raise MessageError(f"PointCloud2 has the field {field.name!r} twice")
+            raise MessageError(f"PointCloud2 has duplicate field {field.name!r}")
         if field.offset < 0 or field.offset + dtype.itemsize > point_step:
             raise MessageError(
-                f"PointCloud2 field {field.name!r} at offset {field.offset} leaves its point of {point_step} bytes"
+                f"PointCloud2 field {field.name!r} at offset {field.offset} exceeds its point of {point_step} bytes"
             )
         names.append(field.name)
         formats.append(dtype.newbyteorder(">" if msg.is_bigendian else "<"))
@@ -137,8 +137,8 @@ def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], s
     most = most_bytes(cells, names)
     if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
         raise MessageError(
-            f"votes of {source} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
-            f"the fuel grid has {cells}, whose votes take {most} bytes at most"
+            f"votes of {source} state {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; the fuel "
+            f"grid has {cells}, whose votes have at most {most} bytes"
         )
     return columns_to_votes(msg_to_columns(msg), geometry, names, stamp_of(msg), source)
 
@@ -189,9 +189,9 @@ def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
     columns = msg_to_columns(msg)
     x, y = (take(columns, axis, np.float32, "fuel cells") for axis in "xy")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise MessageError("fuel cells: a point has no finite place")
+        raise MessageError("fuel cells: a point has no finite position")
     rows, cols = geometry.cell_of(x, y)
     if not np.all(geometry.contains(rows, cols)):
-        raise MessageError(f"fuel cells: a point lies outside the fuel grid, {geometry.bounds} in the map frame")
+        raise MessageError(f"fuel cells: a point is outside the fuel grid, {geometry.bounds} in the map frame")
     layers = {name: take(columns, name, dtype, "fuel cells") for name, dtype in _FIELDS.items()}
     return FuelCells(np.asarray(rows, np.int64), np.asarray(cols, np.int64), layers)

@@ -60,7 +60,7 @@ def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:
     """
     stamped_in = msg.header.frame_id
     if frame_id is not None and stamped_in != frame_id:
-        raise PoseError(f"pose is given in frame {stamped_in!r}, wanted {frame_id!r}")
+        raise PoseError(f"pose is in frame {stamped_in!r}, expected {frame_id!r}")
     pose = msg.pose.pose if hasattr(msg.pose, "pose") else msg.pose
     p, q = pose.position, pose.orientation
     return Pose.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
@@ -79,13 +79,13 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
     variances = given.diagonal()
     if np.isnan(given).any() or (variances < 0).any():
         raise PoseError(
-            f"pose covariance has the variances {variances.tolist()}: it must hold numbers, and no negative variances; "
-            "send zeros where it is not known"
+            f"pose covariance has the variances {variances.tolist()}: it needs numbers without negative "
+            "variances; send zeros if it is unknown"
         )
     known = variances < UNKNOWN_VARIANCES
     matrix = given[np.ix_(known, known)]
     if not np.isfinite(matrix).all():
-        raise PoseError(f"pose covariance must be finite where it is known, got {given.tolist()}")
+        raise PoseError(f"pose covariance must be finite if it is known, got {given.tolist()}")
     _check_correlations(matrix)
     if known.all():
         return (given + given.T) / 2
@@ -111,8 +111,8 @@ def _check_correlations(matrix: Float64Array) -> None:
         or (len(matrix) and np.linalg.eigvalsh(correlations).min() < -1e-6)
     ):
         raise PoseError(
-            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; "
-            "send zeros where it is not known"
+            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; send "
+            "zeros if it is unknown"
         )
 
 
@@ -151,10 +151,10 @@ def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
     Raises MessageError: another frame, no point, too many, numbers that are not finite.
     """
     if msg.header.frame_id != frame_id:
-        raise MessageError(f"region is given in frame {msg.header.frame_id!r}, wanted {frame_id!r}, in pixels")
+        raise MessageError(f"region is in frame {msg.header.frame_id!r}, expected {frame_id!r}, in pixels")
     points = [msg.point] if hasattr(msg, "point") else msg.polygon.points
     if not 1 <= len(points) <= MOST_VERTICES:
-        raise MessageError(f"a region has 1 to {MOST_VERTICES} points, got {len(points)}")
+        raise MessageError(f"a region needs 1 to {MOST_VERTICES} points, got {len(points)}")
     outline = np.array([(point.x, point.y) for point in points], np.float64)
     if not np.isfinite(outline).all():
         raise MessageError("a region's points must be finite pixels")

@@ -32,7 +32,7 @@ def time_to_ns(time: Any) -> int:
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
         raise MessageError(
-            f"stamp sec={sec} nanosec={nanosec} is no time: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
+            f"stamp sec={sec} nanosec={nanosec} is invalid: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
         )
     return sec * NS_PER_S + nanosec
 

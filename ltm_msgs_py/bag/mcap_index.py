@@ -125,7 +125,7 @@ class McapIndex:
                 size = sum(len(message.data) for *_, message in wanted)
                 if held and held + size > _MOST_WAITING:
                     overlap = (
-                        f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} are read"
+                        f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} is the limit"
                     )
                     self._note(offset, ValueError(overlap))
                     continue
@@ -168,21 +168,21 @@ class McapIndex:
             head = stream.read(_RECORD_HEAD.size)
             if len(head) < _RECORD_HEAD.size:
                 self.damage.append(
-                    f"{self.path} ends at byte {size} without a footer (was its recorder killed?); "
-                    f"all records before byte {offset} are read"
+                    f"{self.path} ends at byte {size} without a footer (was its recorder killed?); all records "
+                    f"before byte {offset} are used"
                 )
                 return
             opcode, length = _RECORD_HEAD.unpack(head)
             if offset + _RECORD_HEAD.size + length > size:
                 self.damage.append(
-                    f"{self.path} is cut short: the record at byte {offset} should have {length} bytes, the file "
-                    f"ends at byte {size} (was its recorder killed?); all records before it are read"
+                    f"{self.path} is truncated: the record at byte {offset} should have {length} bytes, the file "
+                    f"ends at byte {size} (was its recorder killed?); all records before it are used"
                 )
                 return
             if opcode == Opcode.FOOTER and offset + _TAIL.size == size:
                 return
             if opcode == Opcode.FOOTER or opcode not in _OPCODES:
-                self._note(offset, ValueError(f"opcode {opcode} does not belong there"))
+                self._note(offset, ValueError(f"unexpected opcode {opcode}"))
             try:
                 self._take(stream, offset, opcode, length)
             except _BROKEN as error:
@@ -244,13 +244,13 @@ class McapIndex:
         if len(kept) < len(messages):
             latest = max(max(message.log_time, message.publish_time) for message in messages)
             self._damaged(
-                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages are of times up to {latest} ns, "
-                f"later than {LATEST_NS} ns, and left out"
+                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages have times up to {latest} "
+                f"ns, later than {LATEST_NS} ns, and are ignored"
             )
         return kept
 
     def _note(self, offset: int, error: BaseException) -> None:
-        note = f"{self.path}: the record at byte {offset} is broken and left out ({type(error).__name__}: {error})"
+        note = f"{self.path}: the record at byte {offset} is corrupt and ignored ({type(error).__name__}: {error})"
         if self._damaged(note) and _refused(error):
             self.unread.append(note)
 
@@ -303,7 +303,7 @@ def _records(chunk: Chunk) -> list[McapRecord]:
         opcode, length = _RECORD_HEAD.unpack_from(whole, at)
         count += 1
         if opcode not in _CHUNK_OPCODES or count > most:
-            raise ValueError(f"record {count} of the chunk is of opcode {opcode}; {most} records at most are read")
+            raise ValueError(f"record {count} of the chunk has opcode {opcode}; at most {most} records are read")
         at += _RECORD_HEAD.size + length
     plain = replace(chunk, compression="", data=whole, uncompressed_size=len(whole))
     return list(breakup_chunk(plain, validate_crc=True))
@@ -315,7 +315,7 @@ def _decompressed(chunk: Chunk) -> bytes:
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))
     if stated > _LARGEST_CHUNK:
-        raise ValueError(f"chunk says that it has {stated} bytes, more than {_LARGEST_CHUNK}")
+        raise ValueError(f"chunk states a size of {stated} bytes, more than {_LARGEST_CHUNK}")
     match chunk.compression:
         case "":
             return bytes(chunk.data)
@@ -323,14 +323,16 @@ def _decompressed(chunk: Chunk) -> bytes:
             return bytes(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated))
         case "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=stated))
-    raise ValueError(f"compression {chunk.compression!r} is not known; zstd, lz4 and none are read")
+    raise ValueError(f"unknown compression {chunk.compression!r}; zstd, lz4 and none are supported")
 
 
 def _not_mcap(path: Path, magic: bytes) -> str:
     if not magic:
-        return f"{path} is empty: it is no MCAP file"
+        return f"{path} is empty, not an MCAP file"
     if magic.startswith(b"SQLite"):
-        return f"{path} is a sqlite3 bag, only MCAP is read: convert it with `ros2 bag convert` or `rosbags-convert`"
+        return (
+            f"{path} is a sqlite3 bag, only MCAP is supported: convert it with `ros2 bag convert` or `rosbags-convert`"
+        )
     if magic.startswith(b"#ROSBAG"):
-        return f"{path} is a ROS 1 bag, only MCAP is read: convert it with `rosbags-convert`"
-    return f"{path} is no MCAP file: it begins with {magic.hex(' ')}, expected {MAGIC.hex(' ')}"
+        return f"{path} is a ROS 1 bag, only MCAP is supported: convert it with `rosbags-convert`"
+    return f"{path} is not an MCAP file: it begins with {magic.hex(' ')}, expected {MAGIC.hex(' ')}"

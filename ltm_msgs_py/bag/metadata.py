@@ -156,7 +156,7 @@ def bag_files(folder: Path) -> list[Path] | None:
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise RecordingError(
-            f"{path} is not rosbag2 metadata: it lacks rosbag2_bagfile_information.relative_file_paths"
+            f"{path} is not rosbag2 metadata: it has no rosbag2_bagfile_information.relative_file_paths"
         )
     storage, mode = info.get("storage_identifier"), str(info.get("compression_mode") or "none").lower()
     if storage != "mcap" or mode != "none":
@@ -170,6 +170,6 @@ def bag_files(folder: Path) -> list[Path] | None:
         # A name of more than 255 bytes is an OSError to whoever asks for its file.
         known = len(name.encode()) <= 255 and file.is_file()
         if not known or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise RecordingError(f"{path} lists the file {name!r:.200}, which is not in {folder}")
+            raise RecordingError(f"{path} lists the file {name!r:.200}, which does not exist in {folder}")
         files.append(file)
     return files

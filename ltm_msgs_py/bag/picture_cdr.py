@@ -65,7 +65,7 @@ def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
     """The picture of a serialised message. Raises RecordingError on bytes that do not decode, ImageError on another
     type."""
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
-        raise ImageError(f"{type_name} holds no picture; taken: {COMPRESSED_TYPE} and {RAW_TYPE}")
+        raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
         fields = _Fields(raw)
         stamp = fields.number("i") * NS_PER_S + fields.number("I")
@@ -84,7 +84,9 @@ class _Fields:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < _HEAD or raw[0] != 0 or raw[1] not in (0, 1):
-            raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, plain CDR with 00 00 or 00 01")
+            raise ValueError(
+                f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected plain CDR (00 00 or 00 01)"
+            )
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
     def number(self, form: str) -> int:
@@ -100,6 +102,6 @@ class _Fields:
     def data(self) -> memoryview:
         length = self.number("I")
         if self._at + length > len(self._bytes):
-            raise ValueError(f"a field of {length} bytes at {self._at} leaves them")
+            raise ValueError(f"a field of {length} bytes at {self._at} exceeds them")
         self._at += length
         return self._bytes[self._at - length : self._at]

@@ -153,7 +153,7 @@ class BagReader:
             return files
         files = sorted(self.path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))  # _2 before _10
         if not files:
-            raise RecordingError(f"{self.path} is no bag: it holds neither metadata.yaml nor any .mcap file")
+            raise RecordingError(f"{self.path} is not a bag: it has neither metadata.yaml nor an .mcap file")
         self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its .mcap files")
         return files
 

@@ -66,7 +66,7 @@ def finish_cut_file(path: Path) -> None:
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         if file.read(len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{path} is no MCAP file; it stays as it is")
+            raise RecordingError(f"{path} is not an MCAP file; it was not changed")
         content = _scan(file, size)
         file.truncate(content.end)
         file.seek(content.end)

@@ -27,7 +27,7 @@ def split_type_name(type_name: str) -> tuple[str, str]:
     """(package, message) of `package/msg/Message`. Raises RecordingError on any other form."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise RecordingError(f"{type_name!r} is no message type name; expected the form package/msg/Message")
+        raise RecordingError(f"{type_name!r} is not a message type name; expected the form package/msg/Message")
     return match[1], match[2]
 
 

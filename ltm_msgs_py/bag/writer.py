@@ -150,7 +150,7 @@ class BagWriter:
             raise RecordingError(f"topic {topic} holds {known.type_name} in {self.path}, not {type_name}")
         if len(cdr) < 4 or cdr[0] != 0:
             raise RecordingError(
-                f"{len(cdr)} bytes for {topic} are no CDR message: its 4-byte encapsulation header is missing"
+                f"{len(cdr)} bytes for {topic} are not a CDR message: the 4-byte encapsulation header is missing"
             )
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns <= LATEST_NS and 0 <= sent_ns <= LATEST_NS):

@@ -79,7 +79,7 @@ def cost_note(planned: Plan) -> str:
     """Return what the columns of `cost_rows` mean for this run."""
     to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
     return (
-        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} held more than once; core-hours to "
-        f"{to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} as of "
-        "single frames"
+        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} of them duplicates; core-hours "
+        f"to {to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} "
+        "as of single frames"
     )

@@ -54,7 +54,7 @@ class Cluster:
                 raise ArchiveError(f"{self.address}: give --tls-ca, --tls-cert and --tls-key, PEM files")
         elif place.scheme != "tcp" or not _loopback(place.hostname or ""):
             raise ArchiveError(
-                f"{self.address}: a scheduler runs whatever it is sent, so beyond this machine only tls:// is taken"
+                f"{self.address}: a scheduler executes any code it is sent, so other hosts must use tls://"
             )
 
 
@@ -139,7 +139,7 @@ def on_cluster(cluster: Cluster) -> Engine:
             client = Client(cluster.address, security=security, timeout="20s")
         except (OSError, TimeoutError) as error:
             raise ArchiveError(
-                f"{cluster.address}: no scheduler answers there ({error}); start `dask scheduler` and `dask worker`, "
+                f"{cluster.address}: no scheduler responds ({error}); start `dask scheduler` and `dask worker`, "
                 "with certificates of the same authority"
             ) from error
         with client:
@@ -170,7 +170,7 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: J
         except TimeoutError:
             if not client.nthreads():
                 _log.warning(
-                    "%s has no workers; the run waits for some: `dask worker %s` with the cluster's certificates",
+                    "%s has no workers; waiting for workers: `dask worker %s` with the cluster's certificates",
                     *[client.scheduler.address] * 2,
                 )
             fill()
@@ -193,7 +193,7 @@ def _said(error: BaseException | None, status: str) -> str:
     if error is None:
         return f"the task is {status}"
     if type(error).__name__ == "KilledWorker":
-        return "worker after worker died of it: out of memory, or a picture that ends the process"
+        return "several workers died of it: out of memory, or an image that crashes the process"
     return str(error)
 
 

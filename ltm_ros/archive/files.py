@@ -134,8 +134,8 @@ class ArchiveFiles:
                     yield place
                     return
         raise ArchiveError(
-            f"{name} was another one, or gone from the cache, each of {_CHANGES} times that it was fetched; wait until "
-            "it is whole, or raise --cache-gb"
+            f"{name} changed, or was deleted from the cache, each of {_CHANGES} times that it was fetched; wait "
+            "until it is complete, or raise --cache-gb"
         )
 
     def _place(self, about: StoredFile) -> Path:
@@ -166,7 +166,7 @@ class ArchiveFiles:
                     store.get_file(path, str(partial))
                     found = _fresh(store, path)
                     if partial.stat().st_size != found.size_bytes:
-                        raise OSError(f"{partial.stat().st_size} of {found.size_bytes} bytes came")
+                        raise OSError(f"received {partial.stat().st_size} of {found.size_bytes} bytes")
                     return found == about
 
                 if asked(about.name, fetch):
@@ -178,8 +178,8 @@ class ArchiveFiles:
         """Removes what was not read for longest and nobody holds. What others hold or fetch may go beyond the bound."""
         if about.size_bytes > self._cache.most_bytes:
             raise ArchiveError(
-                f"{about.name} has {about.size_bytes} bytes, more than the {self._cache.most_bytes} that may lie in "
-                f"{self._cache.folder}; raise --cache-gb"
+                f"{about.name} has {about.size_bytes} bytes, more than the cache size of {self._cache.most_bytes} "
+                f"in {self._cache.folder}; raise --cache-gb"
             )
         kept = []
         for place in self._cache.own.iterdir():
@@ -243,8 +243,8 @@ def asked(name: str, action: Callable[[], T]) -> T:
                 raise
             if tried == TRIES:
                 raise ArchiveError(
-                    f"{name} cannot be read just now ({_words(error)}, asked {TRIES} times); check the "
-                    "store and the network, then run again"
+                    f"{name} cannot be read now ({_words(error)}, tried {TRIES} times); check the store and the "
+                    "network, then run again"
                 ) from error
             time.sleep(backoff.failed())
     raise AssertionError("the last try returns or raises")
@@ -261,9 +261,11 @@ def _words(error: Exception) -> str:
 
 def _store_of(url: str) -> tuple[Any, str]:
     if "::" in url:  # to fsspec a chain of stores: of a file named so, it would read another one
-        raise ArchiveError(f"{url}: addresses with :: are not taken; rename it")
+        raise ArchiveError(f"{url}: addresses with :: are not supported; rename it")
     try:
         store, path = fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:
-        raise ArchiveError(f"{url}: no place of archives ({error}); give a folder, a file or s3://bucket/") from error
+        raise ArchiveError(
+            f"{url}: not a location of archives ({error}); give a folder, a file or s3://bucket/"
+        ) from error
     return store, str(path)

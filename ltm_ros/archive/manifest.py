@@ -122,8 +122,8 @@ def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rul
     """Of these cameras' frames. Raises ArchiveError for a site whose poses hang on the order of frames."""
     if site.refine_poses is not None:
         raise ArchiveError(
-            f"site {site.name} refines poses (refine_poses): a frame's pose then hangs on those before it; write what "
-            "was found into the site file (ltm pose) and take the section out of it for the archive"
+            f"site {site.name} refines poses (refine_poses): a frame's pose then depends on earlier frames. Write "
+            "the refined pose into the site file (ltm pose) and remove the section for the archive"
         )
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for camera in cameras:
@@ -160,8 +160,8 @@ def _join_camera(
             if message.stamp_ns in known:
                 manifest.repeated += 1
                 if known[message.stamp_ns] != message.content:
-                    health.drop("two_pictures", f"{file} has another picture of stamp {message.stamp_ns} ns; the first "
-                                "is taken: leave out the archive that is wrong")  # fmt: skip
+                    health.drop("two_pictures", f"{file} has a different image with stamp {message.stamp_ns} ns; "
+                                                "the first is used: remove the wrong archive")  # fmt: skip
             elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
                 known[message.stamp_ns] = message.content
                 if pictures.repeats(message.content):

@@ -54,11 +54,11 @@ def refuse_terrain(site: Site) -> None:
         raise ArchiveError(f"site {site.name} has no section `terrain`: add one, or run without --terrain")
     if not site.depth_model or site.nodes.get("terrain", {}).get("depth_from_elsewhere"):
         raise ArchiveError(
-            f"site {site.name}: the terrain of an archive needs what a depth network measures in its pictures: give "
-            "`depth_model` a network, and no depth from elsewhere, or run without --terrain"
+            f"site {site.name}: the terrain of an archive needs depth from a network: set `depth_model` to a "
+            "depth network, without depth_from_elsewhere, or run without --terrain"
         )
     if site.terrain.trace_confirmed:
         raise ArchiveError(
-            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes then "
-            "hang on those before it; take the setting out of the site file for the archive, or run without --terrain"
+            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes "
+            "then depend on earlier frames. Remove the setting for the archive, or run without --terrain"
         )

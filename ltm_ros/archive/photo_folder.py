@@ -71,7 +71,7 @@ def photo_messages(
         camera = _camera_of(row, site, listed)
         try:
             if name not in there:
-                raise ImageError(f"{listed.name} names {name}, which is not beside it")
+                raise ImageError(f"{listed.name} lists {name}, which does not exist beside it")
             yield from _messages(there[name], row, camera, site, around, files)
         except (ArchiveError, ConfigError):
             raise
@@ -87,7 +87,7 @@ def _messages(
     from rclpy.serialization import serialize_message  # workers that read no folder shall not wait for it
 
     if photo.size_bytes > LARGEST_FILE:
-        raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; a photo has {LARGEST_FILE >> 20} MiB at most")
+        raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; the maximum is {LARGEST_FILE >> 20} MiB")
     with files.at_hand(photo.name) as path:
         data = path.read_bytes()
     read = photo_of(data, Path(photo.name))  # which errors name, not its place in the cache
@@ -108,8 +108,8 @@ def _messages(
 def _camera_of(row: PhotoPose, site: Site, listed: StoredFile) -> str:
     if row.camera is None and len(site.cameras) > 1:
         raise ConfigError(
-            f"{listed.name}, {row.name}: the site has the cameras {', '.join(site.cameras)}; say in a column `camera` "
-            "which one took it"
+            f"{listed.name}, {row.name}: the site has the cameras {', '.join(site.cameras)}; name the camera in a "
+            "column `camera`"
         )
     name = row.camera or next(iter(site.cameras))
     site.camera(name)

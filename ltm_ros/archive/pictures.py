@@ -50,8 +50,8 @@ class ArchiveImageReader:
         found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
         if found is None:
             raise ArchiveError(
-                f"{frame.file} no longer holds the picture of {frame.topic} that was found there at log time "
-                f"{frame.log_time_ns} ns: it has changed since; run again"
+                f"{frame.file} no longer contains the image of {frame.topic} at log time {frame.log_time_ns} ns: "
+                "the file has changed; run again"
             )
         return found
 
@@ -73,7 +73,7 @@ class ArchiveImageReader:
             if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
                 return picture
         if reader.unread:
-            raise ArchiveError(f"{frame.file} cannot be read just now: {'; '.join(reader.unread)}")
+            raise ArchiveError(f"{frame.file} cannot be read now: {'; '.join(reader.unread)}")
         return None
 
     def _reader(self, name: str) -> BagReader:
@@ -85,7 +85,7 @@ class ArchiveImageReader:
                 try:
                     reader = BagReader(path)
                 except RecordingError as error:
-                    raise ArchiveError(f"{error}; it was there when the archive was looked through") from error
+                    raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
                 self._open[name] = held.pop_all(), reader
         return self._open[name][1]
 
@@ -123,5 +123,5 @@ def _small(picture: CompressedPicture | RawPicture) -> UInt8Array:
         return picture.rgb()
     found = cv2.imdecode(np.frombuffer(picture.data, np.uint8), _REDUCED[scale] | cv2.IMREAD_IGNORE_ORIENTATION)
     if found is None:
-        raise ImageError(f"picture of {len(picture.data)} bytes is corrupt: OpenCV cannot decode it")
+        raise ImageError(f"image of {len(picture.data)} bytes is corrupt: OpenCV cannot decode it")
     return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)

@@ -117,6 +117,5 @@ def evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns
 
 def other_files(site: str) -> ArchiveError:
     return ArchiveError(
-        f"{site}, or a file that it names, is another one here than where the run was started; give all workers the "
-        "same files"
+        f"{site}, or a file that it names, differs from that of the run; give all workers the same files"
     )

@@ -198,8 +198,8 @@ def _own_store(results: ResultFolder, name: str) -> str:
         found = sha256_of(file)
     if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
-            f"{results.url}/{name} is not what the last run wrote: a node may have gone on from it; move it away "
-            "or name another folder"
+            f"{results.url}/{name} is not what the last run wrote: a node may have continued from it; move it "
+            "away or give another folder"
         )
     return found
 

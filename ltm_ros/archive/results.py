@@ -29,7 +29,9 @@ class ResultFolder:
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
-            raise ArchiveError(f"{url}: no place for results ({error}); give a folder or s3://bucket/folder") from error
+            raise ArchiveError(
+                f"{url}: not a location for results ({error}); give a folder or s3://bucket/folder"
+            ) from error
 
     @property
     def local(self) -> Path | None:
@@ -91,7 +93,7 @@ class ResultFolder:
             if self.local is not None:
                 raise
             raise ArchiveError(
-                f"{self.url} cannot be used just now ({type(error).__name__}: {error}); check the address, the "
+                f"{self.url} cannot be used now ({type(error).__name__}: {error}); check the address, the "
                 "credentials and the network, then run again"
             ) from error
 

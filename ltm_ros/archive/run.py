@@ -226,9 +226,9 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
     if manifest.unread:
         first = manifest.unread[0]
         return (
-            f"{len(manifest.unread)} recordings could not be read, and nobody knows how many frames they hold: no map "
-            f"was written; {planned.results.url}/{RUN} names them, the first is {first.place} ({first.why}); run "
-            "again, or leave out of ARCHIVES what is none"
+            f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
+            f"written; {planned.results.url}/{RUN} lists them, the first is {first.place} ({first.why}); run "
+            "again, or remove invalid files from ARCHIVES"
         )
     joining, working = manifest.failures, failures[len(manifest.failures) :]
     found = len(manifest.frames) + sum(failure.count for failure in joining)
@@ -240,7 +240,7 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
             return (
                 f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.results.url}/{RUN} names them, --max-failed lets more of them be"
+                f"{planned.results.url}/{RUN} lists them; to accept more, raise --max-failed"
             )
     return ""
 
@@ -255,7 +255,7 @@ def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
 
 def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
     if not planned.options.terrain:
-        return "not worked: what the terrain tells the fuel map is none of this"
+        return "not computed: this part has no terrain results for the fuel map"
     return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 

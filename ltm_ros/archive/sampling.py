@@ -60,7 +60,7 @@ class Sample:
             return cls()
         found = re.fullmatch(r"([1-9][0-9]*)/(hour|day)", text)
         if found is None:
-            raise ArchiveError(f"sample {text!r}: write all, or a number a span such as 4/day or 1/hour")
+            raise ArchiveError(f"sample {text!r}: give all, or a number per time span such as 4/day or 1/hour")
         return cls(int(found[1]), _SPANS[found[2]])
 
     @property
@@ -204,7 +204,7 @@ def place_of(site: Site) -> tuple[float, float]:
 
 
 LOOKS = "looks"
-REPEATED = "repeated: the camera had sent the same picture before"
+REPEATED = "repeated: the camera sent the same image before"
 
 
 def chosen(

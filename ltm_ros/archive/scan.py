@@ -120,8 +120,8 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
             inside.append(Recording((listed, *photos)))
         if not inside:
             raise ArchiveError(
-                f"{archive}: holds no recordings (*.mcap) and no photos with a {POSES}; photos of other kinds become a "
-                "recording with `ltm import`"
+                f"{archive}: contains no recordings (*.mcap) and no photos with a {POSES}; convert other photos "
+                "with `ltm import`"
             )
         found.update({recording.name: recording for recording in inside})
     return list(found.values())
@@ -157,7 +157,7 @@ def _scanned_bag(
         wanted = topics.keys() & reader.topics().keys()
         messages = [_scanned(message, topics[message.topic]) for message in reader.messages(wanted)]
         if reader.unread:
-            raise ArchiveError(f"{name} cannot be read just now: {'; '.join(reader.unread)}")
+            raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
         return messages, [note.replace(str(path), name) for note in reader.damage]
 
 

@@ -72,7 +72,7 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
     those of the run, OSError where results cannot be read or written just now."""
     if (own := code_digest()) != settings.code:
         raise ArchiveError(
-            f"this worker's program has the digest {own}, that of the run is {settings.code}: install the same version "
+            f"this worker's program has the digest {own}, the run's is {settings.code}: install the same version "
             "on all workers"
         )
     results = ResultFolder(settings.results)

@@ -103,17 +103,17 @@ def fuel_sheets(
         "fuel_layers": Sheet(
             "How sure the map is",
             fuel_sheet(whole, after, palette),
-            "Life forms and fuel models of all cells, the doubt that is left, and how many cameras see each.",
+            "Life forms and fuel models of all cells, remaining uncertainty, and number of cameras that see each cell.",
         ),
         "fuel_change": Sheet(
             "Before and after",
-            change_sheet(part, before, after, palette, ("prior map", "with what the cameras saw")),
-            f"The map that the run started from, and the one it ended with; {changed:,} cells have changed.",
+            change_sheet(part, before, after, palette, ("prior map", "with evidence from cameras")),
+            f"Fuel map at the start and at the end of the run; {changed:,} cells have changed.",
         ),
         "fuel_coverage": Sheet(
             "Coverage",
             coverage_sheet(part, coverage),
-            "In how many frames each camera saw a cell, and how much ground lay under one of its pixels at best.",
+            "Number of frames in which each camera saw a cell, and the smallest ground footprint of one pixel.",
         ),
     }
 
@@ -124,7 +124,7 @@ def write_pictures(
     fuel_map: RgbImage,
     labels: LabelSet,
     scale: RangeScale,
-    title: str = "fuel map of all frames and cameras",
+    title: str = "fuel map from all cameras",
 ) -> None:
     """PNG files: an overview of the frame that looks deepest into the land, the map, and every frame's sheet."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -176,6 +176,6 @@ def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]
         ("frames", str(frames)),
         ("network", site.model),
         ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
-        ("wall time", f"{seconds:.0f} s, start of the graph included"),
+        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
         ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
     ]

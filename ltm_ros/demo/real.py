@@ -67,7 +67,7 @@ def run_real_demo(
     site = load_site(site_path)
     folder = site.dem.path.parent
     if not (folder / PHOTO).is_file():
-        raise RecordingError(f"{folder / PHOTO}: the real photo is not here; it is not part of the repository")
+        raise RecordingError(f"{folder / PHOTO}: the real photo is missing; it is not part of the repository")
     labels = LabelSet.load(config_path(site.labels))
     out.mkdir(parents=True, exist_ok=True)
     import_photos([folder / PHOTO], out / "imported", poses, site)
@@ -79,7 +79,7 @@ def run_real_demo(
     seconds = time.monotonic() - started
     frames = list(recorded_frames(out / "recording", site))
     if not frames:
-        raise RecordingError(f"the graph sent no depth and labels for {PHOTO}; see {out / 'log'}")
+        raise RecordingError(f"the graph published no depth and labels for {PHOTO}; see {out / 'log'}")
     dem = site.open_dem()
     points = control_points(folder / CONTROL_POINTS, frames[0], dem, site)
     nodes = node_rows(summaries)
@@ -143,8 +143,8 @@ def _table(points: list[ControlPoint]) -> Table:
     ]
     over_all, over_clear = medians(points)
     note = (
-        f"Median distance {over_all:.2f} m over all {len(points)} points, {over_clear:.2f} m over those that the DEM "
-        f"does not hide. Hidden: on the line of sight from the camera the DEM's surface misses the surveyed point by "
-        f"more than {OCCLUDED_BEYOND:g} m."
+        f"Median distance {over_all:.2f} m over all {len(points)} points, {over_clear:.2f} m over points that the "
+        f"DEM does not hide. Hidden: on the line of sight, the DEM's surface is more than {OCCLUDED_BEYOND:g} m "
+        "from the surveyed point."
     )
     return Table("Control points", ("point", "u, px", "v, px", "range, m", "distance, m", "hidden"), rows, note)

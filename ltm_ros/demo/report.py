@@ -228,9 +228,9 @@ def depth_table(score: RunScore) -> Table | None:
     )
     sources = {row.source for row in score.depth}
     if any(row.against == SHARED for row in score.depth):
-        note += " Shared: against the surface, on pixels where every source has a depth, so that sources compare."
+        note += "Shared: against the surface, on pixels where every source has a depth, to compare the sources."
     if "network" in sources:
-        note += " Network: its own depth at the scale that the terrain gave it; published where that fit was sound."
+        note += "Network: its own depth, scaled by the terrain; published where the fit was sound."
     return Table(
         "depth", ("source, against", "true depth", "pixels", "RMSE m", "MAE m", "median m", "bias m"), rows, note
     )
@@ -242,11 +242,11 @@ def fuel_maps_table(score: RunScore) -> Table | None:
     rows = [(name, one.seen, one.right, percent(one.right / max(1, one.seen))) for name, one in maps if one is not None]
     if len(rows) < 2:
         return None
-    note = "Cells that a recorded frame voted in; life form against the true one."
+    note = "Cells with votes from recorded frames; estimated life form against the true one."
     if (changes := score.fuel_changes) is not None:
         found, false = changes.found, changes.false_flips
         note += (
-            f" Of {found.of:,} cells that are no more what the prior says the map has found {found.count:,}, of "
-            f"{false.of:,} that are it has changed {false.count:,}."
+            f"Of {found.of:,} cells that differ from the prior, the map detected {found.count:,}; of {false.of:,} "
+            f"unchanged cells it changed {false.count:,}."
         )
     return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)

@@ -167,9 +167,7 @@ class RunTally:
         have = {part for _, part in self._stream.counts}
         lacking = []
         if score.frames == 0:
-            lacking.append(
-                "all that is scored on frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)"
-            )
+            lacking.append("all scores of frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)")
         for name, topic in DEPTH_SOURCES.items():
             if name not in have:
                 lacking.append(f"depth, {name}: the bag has no {topic.name}")

@@ -99,10 +99,10 @@ def walk_sheet(walk: Walk) -> Sheet:
     return Sheet(
         "A walk with a phone",
         walk.picture,
-        f"{walk.photos} simulated photos. The phone's compass is off by {told:.1f}° in the median. {walk.accepted} "
-        f"poses were found in the pictures; they say how far off the compass is in the others, too: then it is "
-        f"{refined:.1f}°. Labels are right in {share[0]:.0f} % of the cells by the phone's poses, in {share[1]:.0f} % "
-        f"by those that were found, and in {share[2]:.0f} % by the true ones.",
+        f"{walk.photos} simulated photos. The median compass error of the phone is {told:.1f}°. {walk.accepted} "
+        f"poses were found in the photos; their compass errors correct the others, to a median of {refined:.1f}°. "
+        f"Correct labels: {share[0]:.0f} % of the cells with the phone's poses, {share[1]:.0f} % with the found "
+        f"poses, {share[2]:.0f} % with the true poses.",
     )
 
 

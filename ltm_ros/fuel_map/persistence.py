@@ -122,7 +122,7 @@ class FuelMapPersistence:
             return before
         if len(self._batch) >= UNSAVED_FRAMES or self._batch_bytes > UNSAVED_BYTES:
             raise StoreError(
-                f"the store has been away for {len(self._batch)} frames; no more are taken until it is back"
+                f"the store has not been writable for {len(self._batch)} frames; no more are accepted until it is"
             )
         payload = votes_to_bytes(votes) if self._durable and not self._failed else b""
         window = self.map.add(votes)
@@ -204,8 +204,8 @@ class FuelMapPersistence:
         if (took := time.monotonic() - begun) > SLOW_S:
             self._health.trouble(
                 "store_slow",
-                f"the disk took {took:.1f} s to keep {len(self._batch)} frames: look whether it fails (smartctl), or "
-                "who else writes to it",
+                f"the disk took {took:.1f} s to store {len(self._batch)} frames: check its health (smartctl), and "
+                "what else writes to it",
             )
         return self._succeed(bool(tiles))
 
@@ -277,7 +277,7 @@ class FuelMapPersistence:
             self.failure = str(error)
             self._pace.failed()
             self._health.trouble(
-                cause_of(error), f"{error}; the map begins empty, {len(self._batch)} frames are in memory only"
+                cause_of(error), f"{error}; the map starts empty, {len(self._batch)} frames are in memory only"
             )
             return
         self._pace.succeeded()

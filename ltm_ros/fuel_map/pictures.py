@@ -52,7 +52,7 @@ def when(text: str) -> int:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise ConfigError(f"{text!r} is no date; write 2026-05-31 or 2026-05-31T12:00:00Z") from error
+        raise ConfigError(f"{text!r} is not a date; give 2026-05-31 or 2026-05-31T12:00:00Z") from error
     moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
     end = 86400 if len(text) == len("2026-05-31") else 1
     return (int(moment.timestamp()) + end) * 10**9 - 1

@@ -40,7 +40,7 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
     """
     geometry = evidence.geometry
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise MessageError(f"query at ({x}, {y}): a point has finite coordinates")
+        raise MessageError(f"query at ({x}, {y}): give finite coordinates")
     fractional = geometry.to_grid(x, y)
     row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in fractional)
     if not geometry.contains(row, col):
@@ -94,12 +94,14 @@ def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
     """The cells in a PolygonStamped. Raises MessageError on another frame, no polygon, or one that holds no cell."""
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
-        raise MessageError(f"region is given in frame {message.header.frame_id!r}, wanted 'map'")
+        raise MessageError(f"region is in frame {message.header.frame_id!r}, expected 'map'")
     if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
         raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
     cells = _cells_in(corners, geometry)
     if not cells.any():
-        raise MessageError(f"region from {corners[0]} on holds no cell of the map, {geometry.bounds} in the map frame")
+        raise MessageError(
+            f"region from {corners[0]} on contains no cell of the map, {geometry.bounds} in the map frame"
+        )
     return DrawnRegion(cells, stamp_of(message))
 
 

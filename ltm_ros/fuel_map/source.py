@@ -84,7 +84,7 @@ class FuelSource:
         if moment is None:
             return self.layers
         if self.store is None:
-            raise ConfigError(f"the map as of {moment} is known to a store (.ltm) only, which keeps its history")
+            raise ConfigError(f"the map as of {moment} needs a store (.ltm), which keeps its history")
         from ltm_ros.fuel_map.pictures import layers_as_of, when
 
         return layers_as_of(self.store, self.empty, when(moment))
@@ -131,7 +131,7 @@ class FuelSource:
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""
         if self.evidence is None or self.store is None:
-            raise ConfigError("who has seen a cell is known to a store (.ltm), or a bag with votes")
+            raise ConfigError("coverage needs a store (.ltm), or a bag with votes")
         seen = {name: self.evidence.seen_by(name) for name in self.store.sources()}
         return {name: cells for name, cells in seen.items() if cells.any()}
 

@@ -63,7 +63,7 @@ class SurfaceListener:
         cells = self._grid.width * self._grid.height
         count = int(message.height) * int(message.width)
         if count > cells or len(message.data) > cells * _POINT_BYTES:
-            raise MessageError(f"terrain update names {count} cells in {len(message.data)} bytes; there are {cells}")
+            raise MessageError(f"terrain update has {count} cells in {len(message.data)} bytes; there are {cells}")
         self._check_frame(message, "terrain update")
         if self._refuse_future("the terrain's update", stamp_of(message)):
             return
@@ -109,7 +109,9 @@ class SurfaceListener:
         strange = (kinds > max(ChangeKind)) & (kinds != UNSEEN)
         if strange.any():
             row, col = np.argwhere(strange)[0]
-            raise MessageError(f"terrain change: kind {kinds[row, col]} at row {row}, col {col}; there are 0 to 3")
+            raise MessageError(
+                f"terrain change: invalid kind {kinds[row, col]} at row {row}, col {col}; valid are 0 to 3"
+            )
         self._newest = stamp
         self._waiting = self._last = _Heard(stamp, kinds, place)
         return self.retry()
@@ -152,4 +154,4 @@ class SurfaceListener:
 
     def _check_frame(self, message: Any, what: str) -> None:
         if message.header.frame_id != "map":
-            raise MessageError(f"{what} is given in frame {message.header.frame_id!r}, wanted 'map'")
+            raise MessageError(f"{what} is in frame {message.header.frame_id!r}, expected 'map'")

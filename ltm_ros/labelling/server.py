@@ -73,7 +73,7 @@ class LabelSession:
         stems = [path.stem for path in self._paths]
         twice = sorted({stem for stem in stems if stems.count(stem) > 1})
         if twice:
-            raise ConfigError(f"{folder}: several photos are called {twice[0]}, and would share {twice[0]}_labels.png")
+            raise ConfigError(f"{folder}: several photos are named {twice[0]}, and would share {twice[0]}_labels.png")
         self.labels = LabelSet.load() if segmenter is None else segmenter.labels
         self._segmenter = segmenter
         self._lock = threading.Lock()
@@ -129,7 +129,7 @@ class LabelSession:
         known = {*self.labels.names, MASKED, ERASED}
         unknown = sorted({shape.name for shape in shapes} - known)
         if unknown:
-            raise ConfigError(f"no class is called {unknown[0]!r}; classes: {', '.join(sorted(known))}")
+            raise ConfigError(f"unknown class {unknown[0]!r}; classes: {', '.join(sorted(known))}")
         width, height = _size(path)
         areas: list[NamedArea] = []
         for shape in shapes:

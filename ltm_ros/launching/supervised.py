@@ -66,7 +66,7 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
 
 
 def signal_at_parents_death(number: int) -> None:
-    """Send this process a signal when its parent, the thread that started it, ends. Each thread may request one signal."""
+    """Send this process a signal when its parent, the thread that started it, ends. Each thread may request one."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 

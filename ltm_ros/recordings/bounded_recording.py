@@ -48,7 +48,7 @@ class RecordingLimits:
         try:
             disk = disk_bytes(path)
         except OSError as error:
-            raise RecordingError(f"cannot look at the disk of {path}: {error}") from error
+            raise RecordingError(f"cannot read the disk usage of {path}: {error}") from error
         most = min(RING_BYTES, int(RING_SHARE * disk)) if max_bytes < 0 else max_bytes or None
         floor = min(FLOOR_BYTES, int(FLOOR_SHARE * disk)) if min_free_bytes < 0 else min_free_bytes
         size = file_bytes if most is None else max(1, min(file_bytes, most // 4))
@@ -81,7 +81,7 @@ class BoundedRecording:
         self._retry_at = 0.0
         self._backoff = Backoff(RETRY_S, LONGEST_RETRY_S)
         for folder in self._ring.repair():
-            self._tell(f"{folder} was not finished; it is now, and ends with its last whole chunk")
+            self._tell(f"{folder} was not finished; it now ends with its last complete chunk")
         try:
             self._open()
         except RecordingError as error:
@@ -144,7 +144,7 @@ class BoundedRecording:
     def close(self) -> bool:
         """Finish the bag; whether it is whole."""
         for topic in self._held:
-            self._health.drop("disk", f"the last message of {topic} came while nothing could be recorded")
+            self._health.drop("disk", f"the last message of {topic} came while recording was stopped")
         return self._writer is None or self._try(self._writer.close)
 
     def _open(self) -> BagWriter:
@@ -173,18 +173,18 @@ class BoundedRecording:
         """Looks at the disk; a recording that stops ends its file, so that it can be read meanwhile."""
         before, low = self._floor.low, self._floor.look()
         if low and not before:
-            self._tell(f"recording stops: {self._why_low()}")
+            self._tell(f"recording stopped: {self._why_low()}")
             if self._writer is not None:
                 self._try(self._writer.end_file)
         elif before and not low:
-            self._tell(f"recording goes on: {self._floor.free / 1e6:.0f} MB are free")
+            self._tell(f"recording continues: {self._floor.free / 1e6:.0f} MB are free")
         return low
 
     def _why_low(self) -> str:
         free, least, again = (f"{n / 1e6:.0f} MB" for n in (self._floor.free, self._floor.floor, self._floor.again))
         return (
-            f"{free} are free on the disk of {self._path}, recording leaves {least}; remove what is not needed (from "
-            f"{again} on it goes on), or lower min_free_bytes"
+            f"{free} are free on the disk of {self._path}, but recording needs {least}; delete files (recording "
+            f"continues from {again} on), or lower min_free_bytes"
         )
 
     def _try(self, act: Callable[[], None]) -> bool:
@@ -274,7 +274,7 @@ class RecordingThread:
         """Write a message; where too many wait, or too large ones, it is dropped and counted as `overload`."""
         with self._lock:
             if self._bytes + len(cdr) > self._most_bytes or self._messages >= self._most_messages:
-                waiting = f"{self._messages} messages ({self._bytes >> 20} MB) wait for the disk"
+                waiting = f"{self._messages} messages ({self._bytes >> 20} MB) are queued for the disk"
                 self._health.drop("overload", f"{waiting}; record fewer topics")
                 return
             self._bytes += len(cdr)
@@ -318,6 +318,6 @@ class RecordingThread:
 
     def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         if time.monotonic() > self._stop_at:
-            self._health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for what waited at the end")
+            self._health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for the queued messages at the end")
             return
         self._recording.write(topic, type_name, cdr, log_time_ns)

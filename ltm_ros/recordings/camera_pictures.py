@@ -31,7 +31,7 @@ def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
         if path.suffix.lower() in PICTURES and path.is_file() and not path.stem.endswith(("_labels", "_mask"))
     )
     if not found:
-        raise RecordingError(f"{folder}: no photos called {pattern!r}; {', '.join(PICTURES)} are read")
+        raise RecordingError(f"{folder}: no photos match {pattern!r}; supported: {', '.join(PICTURES)}")
     return found
 
 
@@ -55,7 +55,9 @@ def recorded_pictures(
     needed = ("photo",) if view is None else ("photo", "pose")
     stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or _looks_at(f.take("pose"), view)]
     if not stamps:
-        raise RecordingError(f"{bag}: no picture of {camera} has a pose that looks to view {view.name if view else ''}")
+        raise RecordingError(
+            f"{bag}: no image of {camera} has a pose in the direction of view {view.name if view else ''}"
+        )
     wanted = set(evenly(stamps, most))
     frames = [(f.stamp_ns, f.take("photo")) for f in stream.frames(needed) if f.stamp_ns in wanted]
     return [f"{camera}_{stamp}" for stamp, _ in frames], [photo for _, photo in frames]
@@ -93,8 +95,8 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     views = [PosedCamera(name, cameras[name], pose) for name in cameras for pose in poses[name]]
     if not views:
         raise RecordingError(
-            f"{bag}: holds no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); its "
-            f"topics are {stream.topics}"
+            f"{bag}: contains no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); "
+            f"its topics are {stream.topics}"
         )
     return views
 

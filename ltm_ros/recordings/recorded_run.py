@@ -61,9 +61,9 @@ class Recorded:
         folder = truth or path.resolve().parent
         dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
         if date is None and len(dates) > 1:
-            raise RecordingError(f"{folder} holds the truth of {', '.join(dates)}: name the bag's date with --date")
+            raise RecordingError(f"{folder} contains the truth of {', '.join(dates)}: give the bag's date with --date")
         if date is not None and date not in dates:
-            raise RecordingError(f"{folder} holds no truth of {date!r}; it has {', '.join(dates) or 'none'}")
+            raise RecordingError(f"{folder} contains no truth of {date!r}; it has {', '.join(dates) or 'none'}")
         return cls(bag, path, load_site(path), folder, date)
 
     @property
@@ -111,7 +111,9 @@ def _site_of(bag: Path) -> Path:
                 return project_path(shipped)
             except LtmError:
                 continue
-    raise RecordingError(f"{bag}: no site.yaml beside it, and none ships for {', '.join(sorted(names))}: give --site")
+    raise RecordingError(
+        f"{bag}: no site.yaml beside it, and no shipped site has the cameras {', '.join(sorted(names))}: give --site"
+    )
 
 
 def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
@@ -121,8 +123,8 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
         camera = calibration.camera()
     if camera is None:
         raise RecordingError(
-            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} gives no "
-            "calibration: record camera_info too"
+            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} has no "
+            "calibration: record camera_info, too"
         )
     return camera.height, camera.width
 
@@ -141,6 +143,6 @@ def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, Labe
     for message in reader.messages([topic]):
         last = message
     if last is None:
-        raise RecordingError(f"{bag} holds no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
+        raise RecordingError(f"{bag} has no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
     classes, geometry = msg_to_classes(reader.decode(last))
     return classes, site.in_crs(geometry), LabelSet.load(config_path(site.labels))

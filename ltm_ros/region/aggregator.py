@@ -79,13 +79,13 @@ class Aggregator:
         frame it is, answered in words."""
         try:
             if tower not in self._config.towers:
-                raise MessageError(f"{tower!r} is no tower of {self._config.name}: add it to towers in region.yaml")
+                raise MessageError(f"{tower!r} is not a tower of {self._config.name}: add it to towers in region.yaml")
             self._health.received(f"/{self._config.name}/{tower}/votes")
             envelope = self.identity.opened(content, tower)
             start = header_of(HeaderStart, envelope)
             if (start.region, start.tower) != (self._config.name, tower):
                 raise MessageError(
-                    f"votes on the topic of {tower} in {self._config.name} are of {start.tower} in {start.region}"
+                    f"votes on the topic of {tower} in {self._config.name} are from {start.tower} in {start.region}"
                 )
         except LtmError as error:
             # Nobody knows whose frame it is, or may be told.
@@ -123,12 +123,12 @@ class Aggregator:
         tower, camera, stamp = frame
         if start.version != VERSION:
             raise MessageError(
-                f"votes of version {start.version}; {self._config.name} reads {VERSION}: update the older side"
+                f"votes of version {start.version}, but {self._config.name} reads {VERSION}: update the older side"
             )
         source = f"{tower}_{camera}"
         if source not in self.site.cameras:
             raise MessageError(
-                f"{source} is no camera of {self.site.name}: add it to cameras in {self._config.site.name}"
+                f"{source} is not a camera of {self.site.name}: add it to cameras in {self._config.site.name}"
             )
         header = header_of(VotesHeader, envelope)
         counting = self.persistence.seen(source, stamp)
@@ -148,7 +148,7 @@ class Aggregator:
             if self.persistence.stored(source, stamp):
                 self._answer(frame)
         elif counting is Counting.TOO_OLD:
-            self._health.drop("too_old", f"votes of {source} of stamp {stamp} ns are older than what is remembered")
+            self._health.drop("too_old", f"votes of {source} of stamp {stamp} ns are older than the remembered stamps")
             self._answer(frame)
         else:
             self._health.note("empty_votes")
@@ -186,7 +186,7 @@ class Aggregator:
 
 def _message(content: bytes) -> PointCloud2:
     if len(content) > MAX_BYTES:
-        raise MessageError(f"votes of {len(content)} bytes; {MAX_BYTES} at most are taken")
+        raise MessageError(f"votes of {len(content)} bytes; the maximum is {MAX_BYTES}")
     try:
         return deserialize_message(content, PointCloud2)
     except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError

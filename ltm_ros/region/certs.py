@@ -52,7 +52,8 @@ class TrialAuthority:
         for name in (region, *clients):
             if not re.fullmatch(NAME, name) or name in _RESERVED:
                 raise ConfigError(
-                    f"{name!r}: a name has a-z, 0-9 and _, begins with a letter, and is none of {', '.join(_RESERVED)}"
+                    f"{name!r}: a name consists of a-z, 0-9 and _, begins with a letter, and is none of "
+                    f"{', '.join(_RESERVED)}"
                 )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -98,16 +99,16 @@ class TrialAuthority:
         if certificate_file.exists():
             if not key_file.exists():
                 raise ConfigError(
-                    f"{key_file}: the authority's key is not there, without which nothing new can be made; put it "
-                    "back while `ltm certs` runs, then away again"
+                    f"{key_file}: the authority's key is missing, but needed for new certificates; put it back "
+                    "while `ltm certs` runs, then remove it again"
                 )
             try:
                 key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
                 certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
             except ValueError as error:
-                raise ConfigError(f"{self.folder}: holds no authority that `ltm certs` made") from error
+                raise ConfigError(f"{self.folder}: contains no authority made by `ltm certs`") from error
             if not isinstance(key, ec.EllipticCurvePrivateKey):
-                raise ConfigError(f"{key_file}: not made by `ltm certs`; name another folder")
+                raise ConfigError(f"{key_file}: not made by `ltm certs`; give another folder")
             return key, certificate
         made = self._key(AUTHORITY)
         certificate = (
@@ -132,8 +133,7 @@ class TrialAuthority:
             key = None
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise ConfigError(
-                f"{path}: no key on an elliptic curve in PEM, and it has no certificate; it stays as it is: move it "
-                "away"
+                f"{path}: not an elliptic curve key in PEM, and without a certificate; it was not changed: move it away"
             )
         return key
 

@@ -61,9 +61,11 @@ class Identity:
         self._authorities = _certificates(config.ca)
         self._key = _key(self._key_file)
         if self._key.public_key() != certificates[0].public_key():
-            raise ConfigError(f"{config.key} is not the key of {config.certificate}: name the one that belongs to it")
+            raise ConfigError(f"{config.key} does not belong to {config.certificate}: give the matching key")
         if (found := common_name(certificates[0])) != name:
-            raise ConfigError(f"{config.certificate} is of {found!r}, not of {name!r}: name that of {name!r}")
+            raise ConfigError(
+                f"{config.certificate} belongs to {found!r}, not to {name!r}: give the certificate of {name!r}"
+            )
         self._believed: OrderedDict[bytes, _Believed] = OrderedDict()
 
     def tls(self) -> ssl.SSLContext:
@@ -88,13 +90,11 @@ class Identity:
         if signer.name != name:
             raise MessageError(f"an envelope of {name!r} is signed by {signer.name!r}")
         if signer.key is None:
-            raise MessageError(
-                f"the certificate of {name!r} has no key on an elliptic curve: make one with `ltm certs`"
-            )
+            raise MessageError(f"the certificate of {name!r} has no elliptic curve key: make one with `ltm certs`")
         try:
             signer.key.verify(envelope.signature, envelope.signed, _HASH)
         except InvalidSignature as error:
-            raise MessageError(f"an envelope of {name!r} was altered after it was signed") from error
+            raise MessageError(f"an envelope of {name!r} was modified after signing") from error
         return envelope
 
     def _believable(self, content: bytes) -> _Believed:
@@ -112,8 +112,8 @@ class Identity:
                 self._believed.popitem(last=False)
         if not believed.begin <= datetime.now(UTC) <= believed.end:
             raise MessageError(
-                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew it, or "
-                "set the clock"
+                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew "
+                "it, or set the clock"
             )
         return believed
 
@@ -125,7 +125,7 @@ class Identity:
                 continue
             return
         raise MessageError(
-            f"an envelope's certificate, of {common_name(certificate)!r}, is of no authority in {self._config.ca}"
+            f"an envelope's certificate, of {common_name(certificate)!r}, is not from an authority in {self._config.ca}"
         )
 
 
@@ -140,7 +140,7 @@ def _certificates(path: Path) -> list[x509.Certificate]:
         found = x509.load_pem_x509_certificates(path.read_bytes())
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else "no certificate in PEM"
-        raise ConfigError(f"{path}: cannot be read ({why}); `ltm certs` makes one for trials") from error
+        raise ConfigError(f"{path}: cannot be read ({why}); for a trial, make one with `ltm certs`") from error
     return found
 
 
@@ -151,7 +151,7 @@ def _key(path: Path) -> ec.EllipticCurvePrivateKey:
     except OSError as error:
         raise ConfigError(f"{path}: the key cannot be read ({error.strerror})") from error
     except (ValueError, TypeError):
-        raise ConfigError(f"{path}: no private key in PEM without a password") from None
+        raise ConfigError(f"{path}: not a private key in PEM without a password") from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise ConfigError(f"{path}: the key must be on an elliptic curve, such as P-256; `ltm certs` makes such")
+        raise ConfigError(f"{path}: the key must be on an elliptic curve, such as P-256; `ltm certs` makes one")
     return key

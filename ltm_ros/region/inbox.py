@@ -35,7 +35,7 @@ def outcomes_heard(identity: Identity, config: UplinkConfig, content: bytes) -> 
     header = header_of(AckHeader, envelope)
     if (header.region, header.tower, header.version) != (config.name, config.tower, VERSION):
         raise MessageError(
-            f"an acknowledgement is of version {header.version} for {header.tower} in {header.region}; this is "
+            f"an acknowledgement has version {header.version} for {header.tower} in {header.region}; this is "
             f"{config.tower} in {config.name}, version {VERSION}"
         )
     return outcomes_of(envelope)
@@ -94,12 +94,12 @@ class Inbox:
                 self._account(most, -KEPT_BYTES - len(content))
                 if not self._lanes[most]:
                     self._turns.remove(most)
-                dropped.append(gone if most else "names that are no towers")
+                dropped.append(gone if most else "unknown towers")
             self._came.notify()
         for gone in dropped:
             self._health.drop(
                 "overload",
-                f"{self._most >> 20} MB wait to be counted, most of them of {gone}, which sends the last ones again",
+                f"{self._most >> 20} MB are queued, most of them from {gone}, which sends the last ones again",
             )
 
     def get(self, timeout: float) -> tuple[str, bytes] | None:

@@ -55,7 +55,7 @@ def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
     try:
         topic = message.topic
     except UnicodeDecodeError as error:
-        health.drop("message", f"the broker sent a message on a topic that is no UTF-8 ({error})")
+        health.drop("message", f"the broker sent a message on a topic that is not UTF-8 ({error})")
         return
     take(topic, bytes(message.payload))
 
@@ -121,7 +121,7 @@ class MqttLink:
 
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self._tell(f"the broker refuses us: {reason}")
+            self._tell(f"the broker rejected the connection: {reason}")
         elif self._topics:
             client.subscribe([(topic, 0) for topic in self._topics])
         else:
@@ -129,7 +129,7 @@ class MqttLink:
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
         if refused := [str(reason) for reason in reasons if reason.is_failure]:
-            self._tell(f"the broker does not let us listen to {', '.join(self._topics)}: {', '.join(refused)}")
+            self._tell(f"the broker rejected the subscriptions to {', '.join(self._topics)}: {', '.join(refused)}")
         else:
             self._ready()
 
@@ -145,7 +145,7 @@ class MqttLink:
             self._health.note("link_lost")
         self.connected.clear()
         if reason.is_failure:
-            self._tell(f"the connection is lost: {reason}")
+            self._tell(f"connection lost: {reason}")
 
     def _tell(self, what: str) -> None:
         self._health.trouble("link", f"broker {self._config.host}:{self._config.port}: {what}")

@@ -231,7 +231,7 @@ class RegionWatch:
                 key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")
             }
             line = (
-                f"-- {summary.get('frames', '0')} frames; given up: {drops or 'nothing'}; last: {summary['last_error']}"
+                f"-- {summary.get('frames', '0')} frames; dropped: {drops or 'nothing'}; last: {summary['last_error']}"
             )
             if line != said:
                 said = line

@@ -120,7 +120,7 @@ class TowerLink:
         with self._lock:
             if self._held + len(frame.message) > HELD_BYTES:
                 self._health.drop(
-                    "outbox_full", f"the outbox's disk has not served for {HELD_BYTES >> 20} MB of frames; see to it"
+                    "outbox_full", f"the outbox's disk has failed for {HELD_BYTES >> 20} MB of frames; check it"
                 )
                 return
             self._held += len(frame.message)
@@ -202,8 +202,8 @@ class TowerLink:
         begun = time.monotonic()
         outbox.put(frames)
         if (took := time.monotonic() - begun) > SLOW_S:
-            words = "look whether it fails (smartctl), or who else writes to it"
-            self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to keep {len(frames)} frames: {words}")
+            words = "check its health (smartctl), and what else writes to it"
+            self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to store {len(frames)} frames: {words}")
         self.kept += len(frames)
         with self._lock:
             for frame in frames:
@@ -222,7 +222,7 @@ class TowerLink:
                     refused.append(key)
                     self._health.note("refused")
                     self._health.trouble(
-                        "refused", f"the region's map refuses the frame {key[1]} of {key[0]}: {outcome.why}"
+                        "refused", f"the region's map rejected the frame {key[1]} of {key[0]}: {outcome.why}"
                     )
         if refused:
             outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
@@ -243,13 +243,13 @@ class TowerLink:
     def _bound(self, outbox: Outbox) -> None:
         removed = outbox.bound(self._clock())
         if removed.aged:
-            words = f"frames older than {self._config.outbox_days:g} days were not sent; is the link up?"
+            words = f"frames older than {self._config.outbox_days:g} days were not sent; check the link"
             self._health.drop("outbox_aged", words, removed.aged)
         if removed.thinned:
             self._health.drop(
                 "outbox_thinned",
-                f"more than {self._config.outbox_bytes >> 20} MB waited for the link: of the oldest, every other frame "
-                "of each view went",
+                f"more than {self._config.outbox_bytes >> 20} MB were queued for the link: every other frame of "
+                "each view was deleted, the oldest first",
                 removed.thinned,
             )
 
@@ -306,7 +306,5 @@ class TowerLink:
             try:
                 self._acks.put_nowait(payload)
             except queue.Full:
-                self._health.drop(
-                    "overload", "more acknowledgements came than there were frames; they are asked for again"
-                )
+                self._health.drop("overload", "too many acknowledgements; they are requested again")
         self._wake.set()

@@ -108,14 +108,14 @@ class Confirmation:
         """Make what the map knows now count, also where a version was taken back. Raises StoreError."""
         found, seen = confirmed_surface(self._map)
         self._add(found, seen)
-        return f"surface {self._manifest.current} counts: {len(found)} of {seen} cells seen have changed"
+        return f"surface {self._manifest.current} is in use: {len(found)} of {seen} cells seen have changed"
 
     def take_back(self) -> str:
         """Make the version before count, and hold it until `confirm`. Raises StoreError."""
         self._manifest, self._current = self._versions.take_back(), None
         self._tell()
-        now = f"surface {self._manifest.current}" if self._manifest.current else "the terrain as it was given"
-        return f"{now} counts again, and is held until terrain/confirm is called"
+        now = f"surface {self._manifest.current}" if self._manifest.current else "the original terrain"
+        return f"{now} is in use again, until terrain/confirm is called"
 
     def _read(self) -> None:
         """What counts, from the folder. Where that cannot be, nothing does until a version is made; the node lives."""
@@ -135,7 +135,7 @@ class Confirmation:
             self._pace.succeeded()
         except StoreError as error:
             self._pace.failed()
-            self._health.trouble(cause_of(error), f"{error}; the surface before still counts")
+            self._health.trouble(cause_of(error), f"{error}; the previous surface stays in use")
 
     def _put_aside_what_is_broken(self) -> None:
         """Somebody may write into the folder while the node lives."""

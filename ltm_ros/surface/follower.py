@@ -58,6 +58,6 @@ class SurfaceFollower:
         except (StoreError, RasterError) as error:
             self._late = True
             self._health.trouble(
-                cause_of(error), f"{error}; frames are traced to {self._name or 'the terrain as given'}"
+                cause_of(error), f"{error}; frames are traced to {self._name or 'the original terrain'}"
             )
         self._health.gauge("surface", self._name or "as given")

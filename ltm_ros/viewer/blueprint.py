@@ -106,7 +106,7 @@ def _changes(window: MapWindow) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="/terrain",
         contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
-        name="Surface: red removed, green grown, violet lowered, yellow as it was",
+        name="Surface: red removed, green grown, violet lowered, yellow unchanged",
         visual_bounds=_bounds(window),
     )
 

@@ -114,10 +114,10 @@ def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
 
 
 TITLES = {
-    "life_form": "Life form; outlined: no longer the prior map's",
+    "life_form": "Life form. Outlined: cells that differ from the prior map.",
     "code": "Fuel model",
     "entropy": "Doubt: entropy",
-    "seen_by": "Cameras that see a cell",
+    "seen_by": "Number of cameras that see a cell",
 }
 """By the last part of the entity `fuel_layers/...`."""
 

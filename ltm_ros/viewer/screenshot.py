@@ -65,7 +65,7 @@ def screenshot(
     if not recording.is_file():
         raise RecordingError(f"{recording}: no such recording")
     if picture.suffix != ".png":
-        raise RecordingError(f"{picture}: the viewer writes PNG; name the picture .png")
+        raise RecordingError(f"{picture}: the viewer writes PNG; use a name that ends in .png")
     picture.parent.mkdir(parents=True, exist_ok=True)
     picture.unlink(missing_ok=True)
     from rerun.experimental import ViewerClient
@@ -88,7 +88,7 @@ def screenshot(
     finally:
         viewer.stop()
     if cv2.imread(str(picture)) is None:
-        raise RecordingError(f"{picture}: the viewer wrote no picture")
+        raise RecordingError(f"{picture}: the viewer wrote no image")
 
 
 def _shown(client: object) -> None:
@@ -104,8 +104,8 @@ def _retry(action: Callable[[], T], viewer: RerunProcess, deadline: float, recor
         except Exception as error:
             if not viewer.running() or time.monotonic() > deadline:
                 raise RecordingError(
-                    f"{recording}: no picture ({error}); without a screen the viewer needs a Vulkan driver "
-                    "(Debian: apt-get install mesa-vulkan-drivers libgl1-mesa-dri)"
+                    f"{recording}: no image ({error}); without a screen the viewer needs a Vulkan driver (Debian: "
+                    "apt-get install mesa-vulkan-drivers libgl1-mesa-dri)"
                 ) from error
             time.sleep(0.2)
 

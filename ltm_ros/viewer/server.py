@@ -109,7 +109,7 @@ class RerunProcess:
             if listens(port):
                 return
             time.sleep(0.05)
-        raise ConfigError(f"the Rerun server does not answer on {LOOPBACK}:{port} after {timeout:g} s")
+        raise ConfigError(f"the Rerun server does not respond on {LOOPBACK}:{port} after {timeout:g} s")
 
     def stop(self, grace: float = 3.0) -> None:
         """End the process and all its children."""
@@ -134,7 +134,7 @@ def _refuse_taken(port: int) -> None:
         try:
             probe.bind((LOOPBACK, port))
         except OSError as error:
-            raise ConfigError(f"port {port} on {LOOPBACK} is taken ({error.strerror}): choose another one") from error
+            raise ConfigError(f"port {port} on {LOOPBACK} is in use ({error.strerror}): choose another one") from error
 
 
 def _end_with_parent() -> Callable[[], None] | None:

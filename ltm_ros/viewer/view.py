@@ -98,7 +98,9 @@ class RerunView:
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
         """Depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError on another size."""
         if depth.shape != (model.height, model.width):
-            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration says {model.height} x {model.width}")
+            raise ImageError(
+                f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
+            )
         with self._at(stamp_ns):
             self._recording.log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
 

@@ -58,7 +58,7 @@ def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Im
     """A frame each `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
     if not files.path.is_dir():
         raise RecordingError(
-            f"{files.path}: unpack Stray Scanner's zip and give its folder: its video is not read from a zip"
+            f"{files.path}: unpack Stray Scanner's zip and give its folder, because its video cannot be read from a zip"
         )
     columns = table(files, files.find("odometry.csv") or "", (*_ODOMETRY, *_LENS))
     video = read_video(files.path / (files.find("rgb.mp4") or ""), assumed.every)
@@ -96,7 +96,7 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Importe
         each = facts.get("perFrameIntrinsicCoeffs")
         lenses = np.asarray(each, np.float64) if each else np.tile(_lens_of(one), (len(poses), 1))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, IndexError) as error:
-        raise RecordingError(f"{place}: is no metadata of Record3D ({type(error).__name__}: {error})") from error
+        raise RecordingError(f"{place}: is not metadata of Record3D ({type(error).__name__}: {error})") from error
     if (
         poses.ndim != 2
         or poses.shape[1] != 7
@@ -105,11 +105,11 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Importe
         or lenses.shape[1:] != (4,)
     ):
         raise RecordingError(
-            f"{place}: poses of shape {poses.shape} and intrinsics of {lenses.shape}: "
-            "it takes N x 7 and N x 4; record with LiDAR"
+            f"{place}: poses of shape {poses.shape} and intrinsics of {lenses.shape}: expected N x 7 and N x 4; "
+            "record with LiDAR"
         )
     if not 0 < fps < 1000:
-        raise RecordingError(f"{place}: {fps} frames a second")
+        raise RecordingError(f"{place}: {fps} frames per second")
     images = _record3d_images(files)
     rotations = _rotations(poses[:, :4], place) @ OPENGL_FROM_OPTICAL
     frames = [
@@ -152,7 +152,7 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
     try:
         numbers = np.array([[float(v) for v in columns[name]] for name in _ODOMETRY]).T
     except ValueError as error:
-        raise RecordingError(f"{place}: odometry.csv holds what is no number ({error})") from error
+        raise RecordingError(f"{place}: odometry.csv contains an invalid number ({error})") from error
     if not len(numbers) or not np.isfinite(numbers).all():
         raise RecordingError(f"{place}: odometry.csv has {len(numbers)} rows, of which all must be finite numbers")
     lenses = _row_lenses(columns, len(numbers))
@@ -190,7 +190,7 @@ def _camera_matrix(files: CaptureFiles, name: str) -> tuple[float, float, float,
         )
         return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
     except (ValueError, IndexError) as error:
-        raise RecordingError(f"{files.path}: {name!r} is no 3 x 3 matrix of numbers ({error})") from error
+        raise RecordingError(f"{files.path}: {name!r} is not a 3 x 3 matrix of numbers ({error})") from error
 
 
 def _lens_of(k: Sequence[float]) -> tuple[float, float, float, float]:
@@ -247,5 +247,5 @@ def _sensed(
         calibration=PartialCalibration(fx=fx, fy=fy, cx=cx, cy=cy),
         seconds=frame.seconds,
         relative=Relative(origin.T @ here, origin.T @ (frame.position - first.position)),
-        missing="give the place of its first frame in a row named as the capture",
+        missing="give the position of its first frame in a row named after the capture",
     )

@@ -32,8 +32,8 @@ def time_zone(name: str) -> ZoneInfo:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:
         raise ConfigError(
-            f"no time zone {name!r}: name one as Europe/Oslo or America/Los_Angeles (a system without a time zone "
-            "database needs `pip install tzdata`)"
+            f"unknown time zone {name!r}: give one such as Europe/Oslo or America/Los_Angeles (a system without a "
+            "time zone database needs `pip install tzdata`)"
         ) from error
 
 
@@ -60,17 +60,16 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
             _compare_minutes(clock, gps, notes)
             return gps
         if zone is None:
-            notes.append(f"EXIF date {clock.isoformat()} has no time zone: taken as UTC; --time-zone names its own")
+            notes.append(f"EXIF date {clock.isoformat()} has no time zone: UTC is assumed; give --time-zone otherwise")
         elif clock.replace(tzinfo=zone).utcoffset() != clock.replace(tzinfo=zone, fold=1).utcoffset():
             notes.append(
-                f"EXIF date {clock.isoformat()} falls into the hour in which the clocks of {zone} were changed: it may "
-                "be an hour off"
+                f"EXIF date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
             )
         clock = clock.replace(tzinfo=zone or UTC)
     if gps is not None and abs(clock - gps) > _CONTRADICTION:
         notes.append(
-            f"EXIF date {clock.isoformat()} and the GPS stamp {gps.isoformat()} are {_span(clock - gps)} apart: taken "
-            "is the date; check the camera's clock and its time zone, or give a `stamp` in a pose file"
+            f"EXIF date {clock.isoformat()} and the GPS stamp {gps.isoformat()} differ by {_span(clock - gps)}: "
+            "the date is used; check the camera's clock and its time zone, or give a `stamp` in a pose file"
         )
     return clock
 
@@ -81,8 +80,8 @@ def _compare_minutes(clock: datetime, gps: datetime, notes: list[str]) -> None:
     rest = apart - round(apart / _ZONES_APART) * _ZONES_APART
     if abs(apart) > timedelta(hours=14, minutes=10) or abs(rest) > timedelta(minutes=5):
         notes.append(
-            f"EXIF date {clock.isoformat()} (no time zone) and the GPS stamp {gps.isoformat()} are {_span(apart)} "
-            "apart, which is no time zone: taken is the GPS stamp; check the camera's clock"
+            f"EXIF date {clock.isoformat()} (no time zone) and the GPS stamp {gps.isoformat()} differ by "
+            f"{_span(apart)}, which is not a time zone: the GPS stamp is used; check the camera's clock"
         )
 
 
@@ -141,7 +140,7 @@ class Surroundings:
 
 
 _SUSPECT_HEIGHT = 25.0
-_MAYBE_ELLIPSOIDAL = "if all photos are off alike, their altitudes are ellipsoidal: give --geoid-undulation-m"
+_MAYBE_ELLIPSOIDAL = "if all photos have the same error, their altitudes are ellipsoidal: give --geoid-undulation-m"
 
 
 def height_of(
@@ -173,17 +172,21 @@ def height_of(
                 return z
             under = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
             _refuse_in_flight(photo, assumed, under)
-            notes.append(f"{under}: taken as {assumed.height_above_ground:g} m above it; {_MAYBE_ELLIPSOIDAL}")
+            notes.append(
+                f"{under}: {assumed.height_above_ground:g} m above the terrain is assumed; {_MAYBE_ELLIPSOIDAL}"
+            )
         else:
             _refuse_in_flight(photo, assumed, "its altitude is not known")
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
         if photo.sensed.altitude is None:
-            notes.append(f"height is not known: taken as {above:g} m above the terrain")
+            notes.append(f"height is unknown: {above:g} m above the terrain is assumed")
     if math.isnan(ground):
-        why = "there is no DEM (give --site)" if dem is None else "it stands outside the DEM"
-        raise PoseError(f"{photo.path} at map ({x:.1f}, {y:.1f}): height above ground does not help, {why}; give its z")
+        why = "there is no DEM (give --site)" if dem is None else "it is outside the DEM"
+        raise PoseError(
+            f"{photo.path} at map ({x:.1f}, {y:.1f}): a height above ground cannot be used, {why}; give its z"
+        )
     return ground + above
 
 
@@ -192,8 +195,8 @@ def _refuse_in_flight(photo: Photo, assumed: Assumptions, why: str) -> None:
     climb = photo.sensed.climb
     if climb is not None and photo.sensed.walk is None and assumed.start_height is None:
         raise PoseError(
-            f"{photo.path}: {why}, and {photo.sensed.source} tells {climb:.1f} m above the place of take-off alone: "
-            "give --start-height, how high this is in the DEM's vertical datum"
+            f"{photo.path}: {why}, and {photo.sensed.source} only gives {climb:.1f} m above the take-off place: "
+            "give its height in the DEM's vertical datum, --start-height"
         )
 
 
@@ -204,8 +207,9 @@ def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[s
     undulation = assumed.geoid_undulation
     if sensed.ellipsoidal and undulation is None:
         notes.append(
-            f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is not known: taken "
-            f"is {assumed.height_above_ground:g} m above the terrain; --geoid-undulation-m makes use of them"
+            f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is unknown: "
+            f"{assumed.height_above_ground:g} m above the terrain is assumed; give --geoid-undulation-m to use "
+            "them"
         )
         return None
     z, what = sensed.altitude - (undulation or 0.0), f"{sensed.source} altitude"

@@ -85,7 +85,7 @@ def import_photos(
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
     if rows is not None and len(files) < given:
-        report.notes.append((str(poses), f"does not name {given - len(files)} of the {given} photos: left out"))
+        report.notes.append((str(poses), f"does not list {given - len(files)} of the {given} photos: skipped"))
 
     placed: list[tuple[str, ImportedImage, PhotoPose, int]] = []
     for done, file in enumerate(files):
@@ -108,7 +108,7 @@ def import_photos(
             report.notes += [(file.name, note) for note in item.notes]
         progress(done + 1, 2 * len(files))
     if not placed:
-        raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
+        raise RecordingError(f"none of {len(files)} photos could be imported; the first: {report.skipped[0][1]}")
     placed = _apart(placed, report)
     doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
     if doubt is not None:
@@ -145,9 +145,7 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
 def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:
     missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
-        raise RecordingError(
-            f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
-        )
+        raise RecordingError(f"pose file {poses} lists {len(missing)} missing photos: {', '.join(missing[:5])}")
     return [file for file in files if any(name in rows for name in _names_of(file))]
 
 
@@ -177,7 +175,7 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
     if name is None:
         if len(site.cameras) > 1:
             raise ConfigError(
-                f"site {site.name} has the cameras {', '.join(site.cameras)}: say which one took the photos, with "
+                f"site {site.name} has the cameras {', '.join(site.cameras)}: name the photos' camera with "
                 "--camera or a column `camera` in the pose file"
             )
         (name,) = site.cameras
@@ -191,8 +189,8 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     photo = item.photo
     if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
         return
-    why = f"is {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
-    remedy = "give it a photo of that size, or the site the calibration of this one"
+    why = f"has {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
+    remedy = "use a photo of that size, or give the site this photo's calibration"
     if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
         remedy = (
             "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
@@ -209,7 +207,7 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
-            raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
+            raise ConfigError(f"{file.name} has x, y in the pose file: give their site with --site")
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
             sensed = file.read().sensed
@@ -232,7 +230,7 @@ def _apart(
     for name, file, row, stamp_ns in ordered:
         if name in last and stamp_ns <= last[name]:
             stamp_ns = last[name] + _APART_NS
-            report.notes.append((file.name, "has the stamp of the photo before it: moved 1 ms on"))
+            report.notes.append((file.name, "has the same stamp as the previous photo: moved by 1 ms"))
         last[name] = stamp_ns
         result.append((name, file, row, stamp_ns))
     return sorted(result, key=lambda item: item[3])

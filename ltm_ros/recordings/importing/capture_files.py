@@ -61,9 +61,7 @@ class CaptureFiles:
                 "password"
             ) from error
         if len(data) > most:
-            raise RecordingError(
-                f"{place}: has more than {most >> 20} MiB unpacked: no such file is that large; split the recording"
-            )
+            raise RecordingError(f"{place}: has more than {most >> 20} MiB unpacked: split the recording")
         return data
 
     def text(self, name: str, most: int) -> str:
@@ -78,7 +76,7 @@ class CaptureFiles:
             return zipfile.ZipFile(self.path)
         except _BROKEN as error:
             raise RecordingError(
-                f"{self.path}: is no whole zip ({type(error).__name__}: {error}); export or copy it again"
+                f"{self.path}: is not a complete zip ({type(error).__name__}: {error}); export or copy it again"
             ) from error
 
     def _members(self, archive: zipfile.ZipFile) -> list[str]:
@@ -118,7 +116,7 @@ def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, 
     try:
         header = [column.strip() for column in next(rows, [])]
         if not header or len(set(header)) < len(header):
-            raise RecordingError(f"{place}: its first line is no header of different columns, got {header[:8]}")
+            raise RecordingError(f"{place}: its first line is not a header of different columns, got {header[:8]}")
         columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
         kept = [(header.index(column), values) for column, values in columns.items()]
         short = 0

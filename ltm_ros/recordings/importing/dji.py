@@ -107,8 +107,8 @@ def read_subtitles(path: Path, zone: tzinfo | None) -> tuple[SensorTrack, dateti
             rows.append(row | {"at": at})
     if not rows:
         raise RecordingError(
-            f"{path}: no place in its {len(marks)} blocks: switch `Video Captions` on in the drone's app, or give the "
-            "frames their places in a pose file (--poses)"
+            f"{path}: no position in its {len(marks)} blocks: enable `Video Captions` in the drone's app, or give "
+            "the frames' positions in a pose file (--poses)"
         )
     stamps = 1 + np.array([round(row["at"] * 1000) * 1_000_000 for row in rows], np.int64)
     order = ascending(stamps)

@@ -77,7 +77,7 @@ def exif_facts(exif: Exif, what: str) -> ExifFacts:
     lat = _signed(_degrees(gps.get(_LATITUDE)), gps.get(_LATITUDE_REF), "S")
     lon = _signed(_degrees(gps.get(_LONGITUDE)), gps.get(_LONGITUDE_REF), "W")
     if (lat is not None and abs(lat) > 90) or (lon is not None and abs(lon) > 180):
-        raise ImageError(f"{what}: EXIF position lat {lat}, lon {lon} is not on the globe")
+        raise ImageError(f"{what}: invalid EXIF position lat {lat}, lon {lon}")
     if (lat, lon) == (0.0, 0.0):
         lat = lon = None  # what phones write while they have no fix
     altitude = _number(gps.get(_ALTITUDE))

@@ -19,7 +19,7 @@ from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.pose_file import PhotoPose
 
-_NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"
+_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +55,8 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     pitch, roll = _tilt(photo, known, assumed, notes, found)
     if photo.turned:
         notes.append(
-            f"{photo.turned}: taken upright, as {photo.width} x {photo.height} pixels, of which calibration, pitch and "
-            "roll must be"
+            f"{photo.turned}: the upright image of {photo.width} x {photo.height} pixels is used; calibration, "
+            "pitch and roll must be for it"
         )
     pose = Pose.from_angles((x, y, z), azimuth, pitch, roll)
     stated = known.model_dump(include=set(found), exclude_none=True)
@@ -81,19 +81,19 @@ def _tilt(
     if pitch is None and assumed.pitch_deg is not None:
         pitch, found["pitch_sigma_deg"] = assumed.pitch_deg, assumed.tilt_sigma_deg
         notes.append(
-            f"pitch is not known ({sensed.source} has none): taken as {pitch:g} +- {assumed.tilt_sigma_deg:g} deg"
+            f"pitch is unknown ({sensed.source} has none): {pitch:g} +- {assumed.tilt_sigma_deg:g} deg is assumed"
         )
     if pitch is None and assumed.keep_unknown:
         pitch, found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
-        notes.append(f"pitch is not known: taken as unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
+        notes.append(f"pitch is unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
     if pitch is None:
         raise PoseError(
-            f"{photo.path}: its pitch is not known ({sensed.source} has none): give pitch_deg in a pose file "
-            "(--poses), or --pitch-deg for all photos, or --keep-unknown to take it as unknown"
+            f"{photo.path}: its pitch is unknown ({sensed.source} has none): give pitch_deg in a pose file "
+            "(--poses), --pitch-deg for all photos, or --keep-unknown"
         )
     if roll is None:
         roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
-        notes.append(f"roll is not known: taken as {roll:g} +- {assumed.tilt_sigma_deg:g} deg")
+        notes.append(f"roll is unknown: {roll:g} +- {assumed.tilt_sigma_deg:g} deg is assumed")
     return pitch, roll
 
 
@@ -151,20 +151,20 @@ def _azimuth_deg(
     azimuth = sensed.azimuth_deg
     if azimuth is None and assumed.keep_unknown:
         found["azimuth_sigma_deg"] = UNKNOWN_AZIMUTH_SIGMA_DEG
-        notes.append(
-            f"direction is not known: taken as unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}"
-        )
+        notes.append(f"direction is unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
         return 0.0
     if azimuth is None:
         raise PoseError(
-            f"{photo.path} has no direction in {sensed.source}: give it azimuth_deg in a pose file (--poses), or "
-            "--keep-unknown to take it as unknown"
+            f"{photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or "
+            "--keep-unknown"
         )
     found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
     if sensed.azimuth_ref == "M":
         return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
     if sensed.azimuth_ref is None:
-        notes.append(f"{sensed.source} direction {azimuth:.1f} deg does not say from which north: taken as true north")
+        notes.append(
+            f"{sensed.source} direction {azimuth:.1f} deg does not state its north reference: true north is assumed"
+        )
     return frame.true_to_grid_deg(azimuth, x, y)
 
 
@@ -184,7 +184,7 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
     if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
         raise CameraError(
-            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) lies beside the image of {width} x {height} "
+            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) is outside the image of {width} x {height} "
             f"pixels, as {photo.turned}: give that of the upright image"
         )
     if stated.fx is not None or stated.hfov_deg is not None:
@@ -196,5 +196,5 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         remedy = "give fx or hfov_deg in a pose file (--poses), --focal-35mm"
         if photo.exif.focal_mm is not None:
             remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
-        raise CameraError(f"{photo.path}: EXIF does not tell the focal length in pixels: {remedy}")
+        raise CameraError(f"{photo.path}: EXIF does not give the focal length in pixels: {remedy}")
     return stated.camera_of(width, height, fx)

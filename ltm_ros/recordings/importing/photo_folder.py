@@ -29,7 +29,7 @@ class PhotoFolder:
         self._path, self._frame = path, frame
         self._rows: list[dict[str, str]] = []
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RecordingError(f"{path} exists already and is no empty folder: remove it, or write elsewhere")
+            raise RecordingError(f"{path} exists already and is not an empty folder: remove it, or give another folder")
 
     def __enter__(self) -> Self:
         self._path.mkdir(parents=True, exist_ok=True)

@@ -58,16 +58,16 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedI
     names: dict[str, Path] = {}
     for picture in found:
         if picture.name in names:
-            raise RecordingError(f"two photos are called {picture.name}: {names[picture.name]} and {picture.path}")
+            raise RecordingError(f"two photos have the name {picture.name}: {names[picture.name]} and {picture.path}")
         names[picture.name] = picture.path
     if not found and tracks:
         raise RecordingError(
-            f"{paths[0]}: a recording of sensors without photos: record the app's sensor `Camera` too, or give the "
-            "photos that were taken meanwhile with a further --images"
+            f"{paths[0]}: a sensor recording without photos: record the app's sensor `Camera`, too, or add the "
+            "photos taken meanwhile with another --images"
         )
     if not found:
         raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}; looked for {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
+            f"no photos in {', '.join(map(str, paths))}; supported: {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
             "recordings of phones"
         )
     return found
@@ -87,13 +87,13 @@ def _found_in(path: Path, assumed: Assumptions) -> list[ImportedImage | SensorTr
             frames = [picture for video in videos for picture in video_pictures(video, assumed)]
             return [*(_photo_file(p) for p in photos_in(path)), *frames]
         raise RecordingError(
-            f"{path}: a zip of no app that is known (it holds {', '.join(files.names[:5]) or 'nothing'}): without a "
-            "Location table nothing tells where its photos were taken; unpack it and give its folder of photos"
+            f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
+            "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
         )
     if path.suffix.lower() == ".json":
         track = read_sensor_logger_json(path)
         if track is None:
-            raise RecordingError(f"{path}: is no recording of Sensor Logger (a list of objects with `sensor`)")
+            raise RecordingError(f"{path}: is not a recording of Sensor Logger (a list of objects with `sensor`)")
         return [track]
     if is_video(path):
         return [*video_pictures(path, assumed)]

@@ -59,7 +59,7 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     for place, row in reader(path):
         pose = checked(PhotoPose, row, place, unnamed=unnamed)
         if pose.name in poses:
-            raise ConfigError(f"{place}: {pose.name} comes twice")
+            raise ConfigError(f"{place}: {pose.name} is listed twice")
         poses[pose.name] = pose
     if not poses:
         raise ConfigError(f"pose file {path} has no rows")
@@ -71,11 +71,11 @@ def _pose_files(folder: Path) -> dict[str, PhotoPose]:
     for path in sorted(folder.glob("*.yaml")):
         content = read_yaml(path)
         if not isinstance(content, dict) or "pose" not in content:
-            raise ConfigError(f"{path} is no pose file: it has no section `pose`")
+            raise ConfigError(f"{path} is not a pose file: it has no section `pose`")
         known = {section: content[section] for section in _SECTIONS if section in content}
         poses[path.stem] = checked(PhotoPose, {"name": path.stem, **known}, str(path))
     if not poses:
-        raise ConfigError(f"{folder} holds no pose files (NAME.yaml for the photo NAME)")
+        raise ConfigError(f"{folder} contains no pose files (NAME.yaml for the photo NAME)")
     return poses
 
 
@@ -87,15 +87,15 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
         unknown = sorted(set(header) - set(columns()))
         if unknown or len(set(header)) < len(header):
             raise ConfigError(
-                f"pose file {path}: columns {', '.join(unknown) or 'that come twice'} are not known; "
-                f"known: {', '.join(columns())}"
+                f"pose file {path}: unknown columns {', '.join(unknown) or '(duplicates)'}; known: "
+                f"{', '.join(columns())}"
             )
         reader.fieldnames = header
         rows = []
         for number, row in enumerate(reader, start=1):
             place = f"{path}, row {number}"
             if None in row or None in row.values():
-                raise ConfigError(f"{place}: has more or fewer values than the header's {len(header)} columns")
+                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
             rows.append((place, _sectioned({name: value.strip() for name, value in row.items() if value.strip()})))
         return rows
     except csv.Error as error:
@@ -114,5 +114,5 @@ def _sectioned(row: dict[str, str]) -> dict[str, Any]:
 def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     content = read_yaml(path)
     if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
-        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one a photo, each with a name")
+        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one per photo, each with a name")
     return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

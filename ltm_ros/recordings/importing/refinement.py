@@ -157,8 +157,8 @@ class PoseRefinement:
         sigmas = stated.azimuth_sigma_deg, stated.pitch_sigma_deg, stated.roll_sigma_deg
         covariance = pose_covariance(stated.pose, stated.position_sigma, stated.height_sigma, *sigmas)
         reason = (
-            f"{refinement.verdict}, {refinement.reason}; by {others} others the compass is {-compass.offset_deg:+.1f} "
-            f"+- {compass.spread_deg:.1f} deg off"
+            f"{refinement.verdict}, {refinement.reason}; the compass error of {others} other photos is "
+            f"{-compass.offset_deg:+.1f} +- {compass.spread_deg:.1f} deg"
         )
         told = Refinement("as_others", reason, (compass.offset_deg, 0.0, 0.0))
         return replace(item, pose=stated.pose, covariance=covariance), told

@@ -96,8 +96,8 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
     location = tables.get("Location") or tables.get("LocationGps")
     if location is None:
         raise RecordingError(
-            f"{place}: a Sensor Logger recording without Location: switch the sensor `Location` on in the app; photos "
-            "of this walk need their places in a pose file (--poses)"
+            f"{place}: a Sensor Logger recording without Location: enable the sensor `Location` in the app; give "
+            "the photos' positions in a pose file (--poses)"
         )
     metadata = tables.get("Metadata", {})
     orientation, barometer = tables.get("Orientation"), tables.get("Barometer")
@@ -123,8 +123,8 @@ def _fixes(location: Table, place: str) -> Fixes:
     order = order[good[order]]
     if not len(order):
         raise RecordingError(
-            f"{place}: none of {len(stamps)} places in Location is valid (negative accuracy, or off the globe): the "
-            "phone had no fix; give the photos their places in a pose file (--poses)"
+            f"{place}: none of {len(stamps)} positions in Location is valid (negative accuracy, or out of range): "
+            "the phone had no GPS fix; give the photos' positions in a pose file (--poses)"
         )
     vertical = _valid(_optional(location, "verticalAccuracy", len(stamps)))
     sea, ellipsoid = (_optional(location, n, len(stamps)) for n in ("altitudeAboveMeanSeaLevel", "altitude"))
@@ -165,8 +165,8 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     if not used.any():
         if platform not in ("ios", "android"):
             raise RecordingError(
-                f"{place}: neither Metadata's `platform` nor yaw, pitch and roll say how the phone's axes lie: export "
-                "the recording with Metadata.csv"
+                f"{place}: neither Metadata's `platform` nor yaw, pitch and roll determine the phone's axes: "
+                "export the recording with Metadata.csv"
             )
         return platform == "android"
     # R = Rz(yaw) Rx(pitch) Ry(roll) of CMAttitude; SensorManager.getOrientation counts yaw and pitch the other way.
@@ -177,9 +177,9 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     likely = min(off, key=lambda key: off[key])
     if off[likely] > _AGREE:
         raise RecordingError(
-            f"{place}: the quaternions of Orientation do not go with the yaw, pitch and roll beside them (off by "
-            f"{math.degrees(off[likely]):.0f} degrees or more in either platform's axes): leave Orientation.csv out, "
-            "and give the photos their directions in a pose file (--poses)"
+            f"{place}: the quaternions of Orientation do not match the yaw, pitch and roll beside them (off by "
+            f"{math.degrees(off[likely]):.0f} degrees or more in either platform's axes): remove Orientation.csv, "
+            "and give the photos' directions in a pose file (--poses)"
         )
     return likely
 

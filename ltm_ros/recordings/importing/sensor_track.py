@@ -181,7 +181,7 @@ class SensorTrack:
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (
-                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from its nearest fix "
+                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from the nearest GPS fix "
                 f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
             )
         facts: dict[str, object] = {
@@ -235,7 +235,7 @@ def time_of(stamp_ns: int) -> datetime:
     try:
         return moment_of_stamp(stamp_ns)
     except OverflowError as error:
-        raise RecordingError(f"time {stamp_ns} ns is no nanoseconds since 1970") from error
+        raise RecordingError(f"time {stamp_ns} ns is not in nanoseconds since 1970") from error
 
 
 def _shown(stamp_ns: int) -> str:

@@ -76,7 +76,7 @@ class Video:
                     break
             if found is None:
                 raise RecordingError(
-                    f"{self.path}: no frame at {seconds:.2f} s: the video was cut short; export it again"
+                    f"{self.path}: no frame at {seconds:.2f} s: the video is truncated; export it again"
                 )
             return np.asarray(found.to_ndarray(format="rgb24"), np.uint8), float(found.rotation)
 
@@ -99,16 +99,14 @@ def read_video(path: Path, every: float) -> Video:
         stream = container.streams.video[0]
         if stream.width * stream.height > MAX_PIXELS:
             raise RecordingError(
-                f"{path}: frames of {stream.width} x {stream.height} pixels are not decoded; export it smaller"
+                f"{path}: frames of {stream.width} x {stream.height} pixels are too large; export a smaller video"
             )
         duration = (
             float(stream.duration * stream.time_base) if stream.duration else float(container.duration or 0) / 1e6
         )
         count = max(1, math.ceil(duration / every - 1e-6))
         if count > MOST_FRAMES:
-            raise RecordingError(
-                f"{path}: {count} frames, more than {MOST_FRAMES}: take one each more seconds (--every)"
-            )
+            raise RecordingError(f"{path}: {count} frames, more than {MOST_FRAMES}: increase the interval (--every)")
         tags = {str(key): str(value) for key, value in {**stream.metadata, **container.metadata}.items()}
     lat, lon, altitude = _place(tags)
     return Video(
@@ -129,14 +127,14 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         import av
     except ImportError as error:
-        raise RecordingError(f"{path}: videos are read by PyAV: pip install 'ltm[video]'") from error
+        raise RecordingError(f"{path}: reading videos needs PyAV: pip install 'ltm[video]'") from error
     try:
         # From an open file and as this format alone: no playlist or link in it is followed to other files.
         with path.open("rb") as file, av.open(file, "r", format="mov") as container:
             if not container.streams.video:
-                raise RecordingError(f"{path}: a video without pictures; give the file that the camera wrote")
+                raise RecordingError(f"{path}: a video without images; give the camera's original file")
             if container.streams.video[0].codec_context is None:
-                raise RecordingError(f"{path}: FFmpeg does not know how its pictures are packed; export it as H.264")
+                raise RecordingError(f"{path}: FFmpeg does not know its encoding; export it as H.264")
             yield container
     except (av.FFmpegError, OSError, ValueError, TypeError, OverflowError, MemoryError, ZeroDivisionError) as error:
         raise RecordingError(
@@ -181,7 +179,7 @@ def later(begins: datetime, seconds: float) -> datetime:
     try:
         return begins + timedelta(seconds=seconds)
     except OverflowError as error:
-        raise RecordingError(f"{seconds:g} s after {begins.isoformat()} is no time") from error
+        raise RecordingError(f"{seconds:g} s after {begins.isoformat()} is not a valid time") from error
 
 
 QUALITY = 95

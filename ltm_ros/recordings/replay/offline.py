@@ -54,8 +54,8 @@ class Selection:
         images = [name for name in types if "/image_raw" in name]
         if not images or reader.start_ns is None or reader.end_ns is None:
             raise RecordingError(
-                f"{bag} holds no images of site {site.name} ({', '.join(site.cameras)}); its topics are "
-                f"{', '.join(sorted(recorded)) or '(none)'}: name the site and its cameras as the recording does"
+                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); its topics are "
+                f"{', '.join(sorted(recorded)) or '(none)'}: name the site and its cameras as in the recording"
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
@@ -67,8 +67,8 @@ class Selection:
         )
         if not counts.total():
             raise RecordingError(
-                f"{bag} holds nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; "
-                f"it is {(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
+                f"{bag} contains nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; it is "
+                f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
         frames = sum(counts[topic] for topic in images)
         return cls(reader, types, begin, end, counts.total(), frames)

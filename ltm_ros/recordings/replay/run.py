@@ -114,8 +114,8 @@ class LivePlayer:
             time.sleep(0.05)
         topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
         raise RecordingError(
-            f"in {timeout:.0f} s nobody has subscribed to {topics}, {known} of {nodes} nodes were up, or they had not "
-            f"found each other ({', '.join(loose) or 'no topic'} not matched): start the site's graph in the same "
+            f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
+            f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
             "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
         )
 
@@ -309,6 +309,6 @@ def run_live(
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
             if not player.drain(names):
-                raise LtmError("the graph is still at work two minutes after the recording's end; see its logs")
+                raise LtmError("the graph is still processing two minutes after the recording's end; see its logs")
             runner.stop()
             return dict(player.summaries)
