@@ -202,7 +202,7 @@ def _swap_first_two(msg: PointCloud2) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (_set("point_step", 27), "'bearing_deg' at offset 26 leaves its point of 27"),
+        (_set("point_step", 27), "'bearing_deg' at offset 26 exceeds its point of 27"),
         (_set("point_step", 0), "point_step 0"),
         (_set("point_step", 29), "row_step must be at least width"),
         (_set("point_step", 2**32 - 1), "holds 112 bytes"),
@@ -228,7 +228,7 @@ def _swap_first_two(msg: PointCloud2) -> None:
         (_field(0, "datatype", 0), "datatype 0"),
         (_field(0, "datatype", 9), "datatype 9"),
         (_field(0, "count", 2), "count 2"),
-        (_field(0, "offset", 2**32 - 4), "leaves its point"),
+        (_field(0, "offset", 2**32 - 4), "exceeds its point"),
         (lambda m: set_value(m, 2, "y", 330.0), r"point 2 at \(-480.0, 330.0\) is outside a fuel grid of \(5, 7\)"),
         (lambda m: set_value(m, 2, "y", 150.0), "outside a fuel grid"),
         (lambda m: set_value(m, 2, "x", 1e30), "outside a fuel grid"),

@@ -40,9 +40,9 @@ def test_gives_up_only_after_configuration_errors_in_a_row() -> None:
         (-9, "killed by SIGKILL"),
         (-11, "killed by SIGSEGV"),
         (-63, "killed by signal 63"),
-        (0, "ended by itself (exit code 0)"),
+        (0, "ended normally (exit code 0)"),
         (3, "exit code 3"),
-        (78, "exit code 78: its configuration cannot work"),
+        (78, "exit code 78: its configuration is invalid"),
     ],
 )
 def test_says_how_a_process_ended(status: int, words: str) -> None:

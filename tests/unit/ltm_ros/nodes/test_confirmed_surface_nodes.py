@@ -146,7 +146,7 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     confirmed = chain.versions[-1]
     services = chain.terrain.services
     while json.loads((chain.folder / MANIFEST).read_text())["current"]:
-        assert "held until terrain/confirm is called" in services["terrain/take_back"]()
+        assert "until terrain/confirm is called" in services["terrain/take_back"]()
     chain.hand_over()
     for hours in (6, 8):
         chain.look(truth, hours)
@@ -196,7 +196,7 @@ def test_where_no_version_can_be_written_the_terrain_goes_on_and_tries_again(
         for hours in (0, 2):
             chain.look(truth, hours)
             chain.terrain.tick(0.5)
-        assert "No space left on device); the surface before still counts" in chain.health.last_error
+        assert "No space left on device); the previous surface stays in use" in chain.health.last_error
         assert len(chain.told.on(TERRAIN_UPDATE)) == 1
         chain.look(chain.small.dem, 4)
         chain.look(chain.small.dem, 6)
@@ -317,7 +317,7 @@ def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Ch
 
 def test_a_site_that_asks_for_it_needs_a_place(small: SmallSite) -> None:
     without = small.site.model_copy(update={"nodes": {}})
-    with pytest.raises(ConfigError, match="trace_confirmed needs a place for the confirmed surfaces"):
+    with pytest.raises(ConfigError, match="trace_confirmed needs a folder for the confirmed surfaces"):
         describe(without, small.path)
     given = describe(small.site, small.path)
     wanted = str(small.folder / "kept" / FOLDER)

@@ -53,7 +53,7 @@ def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() ->
     came = [tower for tower, _ in drained(inbox)]
     assert came == ["nobody0", "alta", *(f"nobody{number}" for number in range(1, 7))]
     assert health.dropped == {"overload": 993}
-    assert "most of them of names that are no towers" in health.last_error
+    assert "most of them from unknown towers" in health.last_error
     inbox.put("alta" + 60_000 * "x", b"")
     ((name, _),) = drained(inbox)
     assert name == "alta" + 96 * "x"

@@ -232,10 +232,10 @@ def unsynchronised(bench: Bench) -> None:
 REFUSED = ("unauthorised", 15, "HTTP 401")
 FAULTS = (
     Fault("power off", Bench.power_off, "stalled", 15, "no connection"),
-    Fault("hangs up", lambda b: b.behave(hang_up=True), "stalled", 15, "breaks off"),
+    Fault("hangs up", lambda b: b.behave(hang_up=True), "stalled", 15, "closed the connection"),
     Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 15, "silent"),
     Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 15, "silent"),
-    Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "breaks off"),
+    Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "closed the connection"),
     Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
     Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
     Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "neither"),
@@ -251,8 +251,8 @@ FAULTS = (
     Fault("password not set", unset_password, "unauthorised", 15, PASSWORD, mend=right_password),
     Fault("no HTTP", lambda b: b.replace_by(not_http), "stalled", 15, "no HTTP"),
     Fault("silent port", lambda b: b.replace_by(lambda c: c.recv(1) and None), "stalled", 15, "camera"),
-    Fault("same bytes", lambda b: b.behave(frozen=True), "stuck", 85, "same picture", frames=1),
-    Fault("says unchanged", lambda b: b.behave(frozen=True, tags=True), "stuck", 85, "same picture", frames=1),
+    Fault("same bytes", lambda b: b.behave(frozen=True), "stuck", 85, "same image", frames=1),
+    Fault("says unchanged", lambda b: b.behave(frozen=True, tags=True), "stuck", 85, "same image", frames=1),
     Fault("dark", lambda b: b.render(painted(lambda i: i // 16)), "night", 15, "dark"),
     Fault("infrared", lambda b: b.render(painted(lambda i: i, "L")), "night", 15, "colour"),
     Fault("other size", lambda b: b.render(lambda t: jpeg(scene(640, 360))), "stalled", 50, "640 x 360 pixels"),

@@ -203,7 +203,7 @@ def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCa
     before = len(tested.frames)
     tested.steps(4)
     assert tested.state == "stuck"
-    assert "the picture stays the same" in tested.source.why
+    assert "the image stays the same" in tested.source.why
     assert len(tested.frames) <= before + 1, "one turn alone may show the same: two say it"
     assert tested.health.dropped["stuck"] >= 2
 

@@ -66,7 +66,7 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
         ("name,azimuth_ref\na.jpg,compass\n", "azimuth_ref"),
         ("name,stamp\na.jpg,noon\n", "stamp"),
         ("name,camera\na.jpg,North Camera\n", "camera"),
-        ("name,x,y\na.jpg,1,2\nb.jpg,1,2\na.jpg,3,4\n", r"row 3: a\.jpg comes twice"),
+        ("name,x,y\na.jpg,1,2\nb.jpg,1,2\na.jpg,3,4\n", r"row 3: a\.jpg is listed twice"),
         ("name,x,y\n", "no rows"),
         ("", "no rows"),
         ('name,x,y\n"a.jpg,1,2\n', "cannot be read"),
