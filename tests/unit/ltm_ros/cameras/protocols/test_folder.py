@@ -96,7 +96,7 @@ def test_files_too_large_and_names_without_a_time_are_refused(tmp_path: Path) ->
     write(tmp_path / "huge.jpg", b"\xff\xd8\xff" + bytes(MOST_BYTES))
     asking = reader(tmp_path, name_time="north_%Y%m%d-%H%M%S.jpg")
     asking.read()
-    with pytest.raises(PictureError, match=f"at most {MOST_BYTES}"):
+    with pytest.raises(PictureError, match=f"maximum is {MOST_BYTES}"):
         asking.read()
     write(tmp_path / "north.jpg", jpeg(scene()))
     asking.read()

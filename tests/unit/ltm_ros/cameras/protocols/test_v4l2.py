@@ -97,5 +97,5 @@ def test_a_picture_of_another_size_is_refused(asked: list[tuple[Any, dict[str, A
     sourced = Sourced(camera(every=0), SystemClock(), Camera.from_fov(640, 360, 62.0))
     sourced.steps(1)
     assert not sourced.frames
-    assert "picture of 320 x 180 pixels" in str(sourced.health.summary())
+    assert "320 x 180 pixels" in str(sourced.health.summary())
     assert sourced.health.dropped == {"picture": 1}

@@ -191,7 +191,7 @@ def test_a_head_dead_from_the_start_is_told_at_its_second_preset(camera: HttpCam
     tested = sourced(camera, ("north", "east"))
     tested.steps(2)
     assert tested.state == "stuck"
-    assert "from preset 'north' to 'east' and reads the same direction" in tested.source.why
+    assert "from preset 'north' to 'east', the PTZ head reads the same direction" in tested.source.why
 
 
 def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
@@ -227,7 +227,7 @@ def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpC
     head.rate = 30.0
     tested.steps(1)
     assert not tested.frames
-    assert "has not come to rest within 3 s" in tested.source.why
+    assert "did not come to rest within 3 s" in tested.source.why
 
 
 def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
@@ -243,7 +243,7 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
         tested = Sourced(source, SystemClock(), gaze=gaze)
         (pause,) = tested.steps(1)
     assert tested.state == "unauthorised"
-    assert "refuses the user viewer by ONVIF" in tested.source.why
+    assert "rejected user viewer by ONVIF" in tested.source.why
     assert "the-one" not in tested.source.why
     assert pause >= 599.0
     assert not tested.frames
