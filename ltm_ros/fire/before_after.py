@@ -39,8 +39,8 @@ from ltm_ros.pages.render import render_page, write_figures
 
 @dataclass(frozen=True, eq=False)
 class MapPair:
-    """A map as it was and as it is. `draw`: makes the landscape of a draw; None: nothing is known of the doubt. `made`:
-    what the map says of itself; None: a file of which nothing is known.
+    """The previous and the updated map. `draw`: makes a random landscape; None: no probabilities are known. `made`: the
+    map's provenance; None: a file without any.
     """
 
     name: str
@@ -53,7 +53,7 @@ class MapPair:
 
 @dataclass(frozen=True, eq=False)
 class FireResult:
-    """`model`: that spread the fires. `seconds`: wall time of each, the two and then the draws."""
+    """`model`: name of the fire model. `seconds`: wall time of each fire, the two and then the draws."""
 
     effect: FireEffect
     model: str
@@ -61,7 +61,7 @@ class FireResult:
 
 
 def open_pair(source: Path, site: Path | None, before: Path | None, since: str | None) -> MapPair:
-    """Of a store (.ltm) with its site, as of `since` and now; or of two landscape files.
+    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files.
 
     Raises LtmError: a store without site, a landscape without `before`, two of different grids.
     """
@@ -99,7 +99,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         made = map_.provenance(layers, terrain.version, None, system, now)
     assert evidence is not None
 
-    @cache  # for the first draw: without an ensemble nobody asks
+    @cache  # for the first draw: not needed without an ensemble
     def doubt() -> CellDoubt:
         return CellDoubt.of(layers, evidence.alpha(), evidence.rules.mask)
 
@@ -115,7 +115,9 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
 def run_fires(
     pair: MapPair, scenario: FireScenario, ensemble: int, seed: int, progress: Callable[[str], None]
 ) -> FireResult:
-    """Raises ConfigError for an ensemble of maps whose doubt is not known, and where there is no fire model."""
+    """Run the fires. Raises ConfigError for an ensemble of maps without probabilities, and if no fire model is
+    installed.
+    """
     if ensemble and pair.draw is None:
         raise ConfigError(
             "an ensemble needs the cell probabilities of a store (.ltm), which a landscape file lacks: give the "
@@ -156,7 +158,7 @@ NO_FORECAST = (
 
 
 def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: FireResult) -> None:
-    """Everything of `FILES` into a folder. Raises ConfigError where it cannot be written."""
+    """Write all `FILES` into a folder. Raises ConfigError if it cannot be written."""
     out.mkdir(parents=True, exist_ok=True)
     effect, geometry = result.effect, pair.after.geometry
     start = scenario.row, scenario.col
@@ -215,7 +217,7 @@ def figures(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[s
 
 
 def sentences(pair: MapPair, result: FireResult) -> list[str]:
-    """What the update changes, in plain words."""
+    """Return sentences about the effect of the update."""
     effect = result.effect
     last = effect.areas()[-1]
     contact, edge = effect.first_contact(), effect.after.reaches_edge()

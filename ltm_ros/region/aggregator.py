@@ -1,6 +1,7 @@
-"""The fuel map of a region: takes sealed votes of many towers, counts each frame once, and answers for what is stored.
+"""Keep the fuel map of a region: receive signed votes of many towers, count each frame once, and acknowledge stored
+frames.
 
-The map, its store and the rules by which votes are taken are those of a site's node `fuel_map`.
+The map, its store and the rules for votes are those of a site's node `fuel_map`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Makes a small authority for trials: certificates of a region's broker, its map, towers and followers.
+"""Make a small certificate authority for trials: certificates of a region's broker, map, towers and followers.
 
-With the broker's configuration, which says what each may read and write.
+It also writes the broker's configuration with the access rights.
 """
 
 from __future__ import annotations
@@ -29,25 +29,24 @@ AUTHORITY: Final = "ca"
 BROKER: Final = "broker"
 _RESERVED: Final = (AUTHORITY, BROKER, AGGREGATOR)
 _BACKDATED: Final = timedelta(minutes=5)
-"""So that a clock a little behind takes a new certificate."""
+"""Backdating of certificates, so that a clock slightly behind accepts a new one."""
 
 
 @dataclass(frozen=True)
 class TrialAuthority:
-    """The authority in `folder`, made where there is none. Its key is there too: whoever has it can be any tower.
+    """The authority in `folder`, created if missing, with its key: whoever has the key can impersonate any tower.
 
-    `days`: for which certificates are valid from now on.
+    `days`: validity of new certificates.
     """
 
     folder: Path
     days: int
 
     def make(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
-        """Write what is missing, leave what is there; the files that are new.
+        """Write missing files and keep existing ones; return the new files.
 
-        `clients`: towers, and those who follow the map. `hosts`: names and addresses of the broker, as clients call it.
-        `address`, `port`: where it listens. Raises ConfigError for a name that cannot be used and where it cannot be
-        written.
+        `clients`: towers, and followers of the map. `hosts`: names and addresses of the broker for clients. `address`,
+        `port`: where it listens. Raises ConfigError for an invalid name, and if files cannot be written.
         """
         for name in (region, *clients):
             if not re.fullmatch(NAME, name) or name in _RESERVED:
@@ -123,7 +122,7 @@ class TrialAuthority:
         return made, certificate
 
     def _key(self, name: str) -> ec.EllipticCurvePrivateKey:
-        """A new one, or that which lies there without a certificate: after a stop in the midst, or made elsewhere."""
+        """Return a new key, or an existing one without a certificate, left by an interruption or made elsewhere."""
         path = self.folder / f"{name}.key"
         if not path.exists():
             return ec.generate_private_key(ec.SECP256R1())
@@ -150,8 +149,9 @@ class TrialAuthority:
     def _write(
         self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
     ) -> None:
-        """The key first, for its owner's eyes alone: a certificate without its key would be taken for made. Each whole
-        or not at all: half a key would be taken for somebody else's, half a certificate for made."""
+        """Write the key first, readable only by its owner: a certificate without its key would count as complete. Each
+        file is written completely or not at all.
+        """
         secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )

@@ -1,4 +1,6 @@
-"""Who a side of the link is: its certificate, by which it speaks TLS and signs what it sends; whom it believes."""
+"""Hold the identity of one side of the link: its certificate for TLS and signatures, and the authorities that it
+trusts.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,15 @@ from ltm_core.uplink.envelope import Envelope, packed, unpacked
 from ltm_ros.runtime.ros_environment import secret
 
 _REMEMBERED: Final = 256
-"""Certificates whose chain has been checked."""
+"""Maximum number of certificates whose checked chain is cached."""
 _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 
 @dataclass(frozen=True)
 class _Believed:
-    """What a certificate says, read once: it is asked for with each message. `key`: None where it is of another kind
-    than ours; valid from `begin` to `end`."""
+    """Contents of a certificate, read once, because each message needs them. `key`: None for another kind of key; valid
+    from `begin` to `end`.
+    """
 
     name: str
     key: ec.EllipticCurvePublicKey | None
@@ -37,7 +40,7 @@ class _Believed:
 
     @classmethod
     def of(cls, certificate: x509.Certificate) -> _Believed:
-        """Raises ValueError or UnsupportedAlgorithm where it cannot be read."""
+        """Read a certificate. Raises ValueError or UnsupportedAlgorithm."""
         key = certificate.public_key()
         return cls(
             common_name(certificate),
@@ -48,7 +51,7 @@ class _Believed:
 
 
 class Identity:
-    """Signs envelopes, and checks those of others. Raises ConfigError for files that cannot be taken.
+    """Signs envelopes, and checks those of others. Raises ConfigError for invalid files.
 
     `name`: the common name that the certificate must have.
     """
@@ -69,7 +72,7 @@ class Identity:
         self._believed: OrderedDict[bytes, _Believed] = OrderedDict()
 
     def tls(self) -> ssl.SSLContext:
-        """For a connection to the broker: TLS 1.2 or newer, its certificate checked, ours shown."""
+        """Return the TLS context for the broker: TLS 1.2 or newer, with certificates of both sides."""
         context = ssl.create_default_context(cafile=str(self._config.ca))
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         try:
@@ -79,12 +82,12 @@ class Identity:
         return context
 
     def sealed(self, header: bytes, body: bytes = b"") -> bytes:
-        """An envelope with our certificate and signature. Raises MessageError where it would be too large."""
+        """Return an envelope with our certificate and signature. Raises MessageError if it would be too large."""
         signed = packed(header, self._own, body)
         return signed + self._key.sign(signed, _HASH)
 
     def opened(self, content: bytes, name: str) -> Envelope:
-        """An envelope that `name` has signed, unchanged. Raises MessageError on any other."""
+        """Return the content of an envelope signed by `name`. Raises MessageError for any other."""
         envelope = unpacked(content)
         signer = self._believable(envelope.certificate)
         if signer.name != name:
@@ -98,7 +101,7 @@ class Identity:
         return envelope
 
     def _believable(self, content: bytes) -> _Believed:
-        """Whose certificate it is: one that one of our authorities has signed and that is valid now."""
+        """Return the owner of a certificate that is valid now and signed by one of our authorities."""
         believed = self._believed.get(content)
         if believed is None:
             try:
@@ -130,7 +133,7 @@ class Identity:
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Empty where there is none."""
+    """Return the common name; empty if there is none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(names[0].value) if names else ""
 
@@ -145,7 +148,7 @@ def _certificates(path: Path) -> list[x509.Certificate]:
 
 
 def _key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """No message holds what is in the file."""
+    """Read the key. No error message contains the file's content."""
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except OSError as error:

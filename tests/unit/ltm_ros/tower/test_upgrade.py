@@ -207,7 +207,7 @@ def test_a_copy_that_cannot_be_put_back_does_not_keep_the_former_release_from_st
     assert tower.releases.trial is None
     assert tower.service.did[-1] == "start 1.0"
     (said,) = [line for line in tower.said if "starts without the missing stores" in line]
-    assert ("is not there" if gone else "cannot restore fuel_map.ltm (Is a directory)") in said
+    assert ("does not exist" if gone else "cannot restore fuel_map.ltm (Is a directory)") in said
     kept = tower.store if gone else tower.places.copies.parent / "stores-of-2.0/fuel_map.ltm"
     assert frames_of(kept) == 5, "nothing is deleted"
     assert tower.store.exists() == gone
