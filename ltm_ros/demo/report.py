@@ -1,4 +1,4 @@
-"""Write the report of the demo: pictures, tables of errors against truth, and conditions."""
+"""Write the report of the demo: images, tables of errors against truth, and conditions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ltm_ros.pages.render import render_page
 from ltm_ros.runtime.diagnostics import NodeRow
 
 MAX_WIDTH = 1280
-"""Pixels; wider pictures are embedded smaller."""
+"""Maximum width of embedded images in pixels."""
 NOTHING = "\N{EN DASH}"
 
 
@@ -54,7 +54,7 @@ class CameraPictures:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of its own section, such as control points: numbers are set to the right."""
+    """A table in a section of its own, such as control points; numbers are aligned to the right."""
 
     title: str
     columns: Sequence[str]
@@ -64,7 +64,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A picture under a heading of its own."""
+    """An image under a heading of its own."""
 
     title: str
     picture: RgbImage
@@ -73,11 +73,11 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything the report shows; sections without data are left out.
+    """Contents of the report; sections without data are omitted.
 
-    `conditions`: what ran, as (name, value). `depth`: as `DepthTally.scores` gives it, the last over all ranges.
-    `label_set`, `scale`: what the pictures were drawn with, for their legends; the confusions are of these classes.
-    `recording`: the .rrd file's name, `files`: (name, what it is).
+    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it, the last over all ranges.
+    `label_set`, `scale`: of the images, for their legends; the confusions are of these classes. `recording`: the .rrd
+    file's name, `files`: (name, description).
     """
 
     title: str
@@ -106,7 +106,7 @@ def write_report(path: Path | str, data: ReportData) -> Path:
 
 
 def render_report(data: ReportData) -> str:
-    """The report's HTML."""
+    """Return the report's HTML."""
     names = [str(name) for name in data.label_set.names] if data.label_set is not None else []
     colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
     return render_page(
@@ -124,7 +124,7 @@ def render_report(data: ReportData) -> str:
 
 
 def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
-    """The figures that stand first: (name, value, remark)."""
+    """Return the main figures: (name, value, remark)."""
     dropped = sum(node.dropped for node in data.nodes)
     lost = "nothing lost" if dropped == 0 else "see the table"
     tiles = [("Messages dropped", _count(dropped), lost)] if data.nodes else []
@@ -147,7 +147,9 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
 
 
 def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
-    """The classes that occur, as rows of (count, share of its row, is right); more columns than rows: unlabelled."""
+    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct); an additional
+    column holds unlabelled pixels.
+    """
     classes, predicted = counts.shape
     names = [*names, *map(str, range(len(names), classes))]
     heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]

@@ -1,4 +1,4 @@
-"""`make demo`: runs the recording of two simulated towers through the live graph and scores it against its truth."""
+"""Run `make demo`: replay the recording of two simulated towers live and compare it with its truth."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class DemoResult:
 
     @property
     def depth(self) -> DepthRow:
-        """Of the best source of depth that the run has, against the visible surface."""
+        """Return the scores of the best available depth, against the visible surface."""
         rows = {row.source: row for row in self.score.depth if row.against == "visible surface"}
         if not rows:
             raise RecordingError(f"{self.score.bag}: the graph published no depth")

@@ -1,9 +1,9 @@
-"""Captures by ARKit: Stray Scanner's folders, and Record3D's .r3d files and exported folders.
+"""Read captures by ARKit: Stray Scanner's folders, and Record3D's .r3d files and exported folders.
 
-Their poses count from where the app was started: neither place nor date is recorded. A row of the pose file that is
-named as the capture tells where its first frame was taken. Stray Scanner's world stands upright (y up) with any
-heading, and its quaternions are of OpenCV's camera axes. Record3D's world is that of its first frame, so that not even
-gravity is known, and its quaternions are of OpenGL's axes.
+Their poses are relative to the start of the app: neither place nor date is recorded. A row of the pose file named after
+the capture gives the place of its first frame. Stray Scanner's world is upright (y up) with any heading, and its
+quaternions use OpenCV's camera axes. Record3D's world is that of its first frame, so that even gravity is unknown, and
+its quaternions use OpenGL's axes.
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ from ltm_ros.recordings.importing.video import frame_photo, later, read_video
 _ODOMETRY = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LENS = ("fx", "fy", "cx", "cy")
 _TILT_SIGMA_DEG = 0.5
-"""Of ARKit's gravity."""
+"""Standard deviation of ARKit's gravity in degrees."""
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""The optical frame of an image that was turned clockwise by a quarter, in that of the image before."""
+"""Optical frame of an image rotated clockwise by 90 degrees, in that of the original image."""
 
 
 @dataclass(frozen=True, eq=False)
 class _CaptureFrame:
-    """`rotation` (3, 3): optical to the capture's world, x and y level and z up where that is known. `position` (3,)
-    metres there. `lens`: fx, fy, cx, cy of the stored image. `number`: of the frame; `seconds`: after the first."""
+    """`rotation` (3, 3): optical to the capture's world, x and y level and z up if known. `position` (3,) metres there.
+    `lens`: fx, fy, cx, cy of the stored image. `number`: of the frame; `seconds`: after the first.
+    """
 
     number: int
     seconds: float
@@ -55,7 +56,7 @@ def is_stray_scanner(files: CaptureFiles) -> bool:
 
 
 def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
-    """A frame each `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
+    """Return a frame every `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
     if not files.path.is_dir():
         raise RecordingError(
             f"{files.path}: unpack Stray Scanner's zip and give its folder, because its video cannot be read from a zip"
@@ -86,7 +87,7 @@ def is_record3d(files: CaptureFiles) -> bool:
 
 
 def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
-    """A frame each `assumed.every` seconds of an .r3d file or an exported folder. Raises RecordingError."""
+    """Return a frame every `assumed.every` seconds of an .r3d file or an exported folder. Raises RecordingError."""
     metadata = _metadata_name(files) or ""
     place = f"{files.path}: {metadata!r}"
     try:
@@ -175,7 +176,7 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
 
 
 def _row_lenses(columns: dict[str, list[str]], count: int) -> list[tuple[float, float, float, float]] | None:
-    """Of each row, in newer recordings."""
+    """Return the lens of each row, in newer recordings."""
     try:
         found = np.array([[float(v) for v in columns[name]] for name in _LENS]).T
     except (KeyError, ValueError):
@@ -194,7 +195,7 @@ def _camera_matrix(files: CaptureFiles, name: str) -> tuple[float, float, float,
 
 
 def _lens_of(k: Sequence[float]) -> tuple[float, float, float, float]:
-    """K is stored column by column."""
+    """Return the lens; K is stored column by column."""
     return k[0], k[4], k[6], k[7]
 
 
@@ -218,14 +219,14 @@ def _roll(frame: _CaptureFrame) -> float:
 
 
 def _turned(pixels: UInt8Array, turns: int) -> UInt8Array:
-    """Clockwise by quarters."""
+    """Rotate clockwise by quarter turns."""
     return np.ascontiguousarray(np.rot90(pixels, -turns))
 
 
 def _sensed(
     source: str, first: _CaptureFrame, frame: _CaptureFrame, turns: int, pixels: UInt8Array, level: bool
 ) -> Sensed:
-    """Of the image turned by so many quarters."""
+    """Return the sensed pose of the image after the given quarter turns."""
     turn = np.linalg.matrix_power(_QUARTER, turns)
     origin, here = first.rotation @ turn, frame.rotation @ turn
     fx, fy, cx, cy = frame.lens

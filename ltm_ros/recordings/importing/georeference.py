@@ -1,4 +1,4 @@
-"""Camera, pose and stamp of one photo: by its row in the pose file, the site's fixed camera and its sensors."""
+"""Place one photo: camera, pose and stamp from its row in the pose file, the site's fixed camera and its sensors."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose)"
 
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
-    """A photo with all that the graph needs. `covariance`: (6, 6) of the pose; None: it is as good as the site assumes
-    of poses. `notes`: what had to be assumed, for the user.
+    """A photo with everything that the graph needs. `covariance`: (6, 6) of the pose; None: the site's default.
+    `notes`: assumptions, for the user.
     """
 
     photo: Photo
@@ -37,11 +37,11 @@ class PlacedPhoto:
 
 
 def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed: Assumptions) -> PlacedPhoto:
-    """Join what is known of a photo: its row goes before the site's fixed pose and calibration of `camera`, which go
-    before its sensors and EXIF.
+    """Combine what is known of a photo: its row precedes the site's fixed pose and calibration of `camera`, which
+    precede its sensors and EXIF.
 
-    Raises PoseError, CameraError or RecordingError where position, azimuth, pitch, focal length or date are known from
-    nowhere, with the remedy.
+    Raises PoseError, CameraError or RecordingError with the remedy if position, azimuth, pitch, focal length or date
+    are unknown.
     """
     notes: list[str] = []
     taken = photo_time(photo, row.stamp, assumed.time_zone, notes)
@@ -71,7 +71,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
 def _tilt(
     photo: Photo, known: PartialPose, assumed: Assumptions, notes: list[str], found: dict[str, float]
 ) -> tuple[float, float]:
-    """Pitch and roll, degrees."""
+    """Return pitch and roll in degrees."""
     sensed, sigma = photo.sensed, photo.sensed.tilt_sigma_deg or assumed.attitude_sigma_deg
     pitch, roll = known.pitch_deg, known.roll_deg
     if pitch is None and sensed.pitch_deg is not None:
@@ -98,7 +98,7 @@ def _tilt(
 
 
 def _whole(fixed: PoseConfig | None) -> PartialPose | None:
-    """Pitch and roll that a site file leaves out are 0."""
+    """Complete a pose: pitch and roll that a site file omits are 0."""
     if fixed is None:
         return None
     return fixed.model_copy(update={"pitch_deg": fixed.pitch_deg or 0.0, "roll_deg": fixed.roll_deg or 0.0})
@@ -169,7 +169,9 @@ def _azimuth_deg(
 
 
 def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumptions) -> Camera:
-    """Raises CameraError where the focal length is known from nowhere, or the row's calibration is of another size."""
+    """Return the camera model. Raises CameraError if the focal length is unknown, or the row's calibration has another
+    size.
+    """
     width, height = photo.width, photo.height
     stated: PartialCalibration = row.calibration
     if stated.width is not None and (stated.width, stated.height) != (width, height):
@@ -182,7 +184,7 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
     if stated == PartialCalibration():
         stated = photo.sensed.calibration
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
-    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
+    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # for a cropped image, it may be outside
         raise CameraError(
             f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) is outside the image of {width} x {height} "
             f"pixels, as {photo.turned}: give that of the upright image"
