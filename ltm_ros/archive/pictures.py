@@ -1,4 +1,4 @@
-"""Finds the pictures of an archive's frames again, and looks at them small to tell clear ones from others."""
+"""Find the images of an archive's frames again, and check by thumbnails whether they are clear."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ltm_ros.archive.photo_folder import PHOTOS, photo_picture
 _REDUCED = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
 """A JPEG is decoded to an eighth of its size in a fraction of the time."""
 _HELD = 4
-"""Recordings that are open at once: those of one time overlap little."""
+"""Maximum number of open recordings: recordings of one time overlap little."""
 
 
 class ArchiveImageReader:

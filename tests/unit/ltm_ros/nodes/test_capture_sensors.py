@@ -193,7 +193,7 @@ def test_fixes_that_are_none_are_refused(tmp_path: Path, fields: dict[str, Any],
         node.subscriptions[FIX](fix(**fields))
     lost = fix()
     lost.status.status = -1
-    with pytest.raises(PoseError, match="no fix"):
+    with pytest.raises(PoseError, match="no GPS fix"):
         node.subscriptions[FIX](lost)
 
 

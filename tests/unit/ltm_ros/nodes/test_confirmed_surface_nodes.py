@@ -216,7 +216,7 @@ def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain)
         path.write_bytes(b"PK\x05\x06" + bytes(18))
     chain.restart()
     assert chain.depth_health.troubled
-    assert "frames are traced to the terrain as given" in chain.depth_health.last_error
+    assert "frames are traced to the original terrain" in chain.depth_health.last_error
     chain.look(truth, 4)
     chain.look(truth, 6)
     assert chain.versions[0] == ""
@@ -253,7 +253,7 @@ def test_a_later_releases_list_stays_and_nothing_is_confirmed(chain: Chain, when
     if when == "at the start":
         chain.restart()
         assert "a later release wrote this list of surfaces" in chain.health.last_error
-        assert "frames are traced to the terrain as given" in chain.depth_health.last_error
+        assert "frames are traced to the original terrain" in chain.depth_health.last_error
     path, files = chain.folder / MANIFEST, sorted(chain.folder.iterdir())
     for hours in (6, 8):
         chain.look(chain.small.dem, hours)

@@ -156,7 +156,7 @@ def test_the_pose_is_that_of_the_regions_stamp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
-        ({"frame": "map"}, MessageError, "wanted 'north_optical'"),
+        ({"frame": "map"}, MessageError, "expected 'north_optical'"),
         ({"stamp": STAMP - 3600 * SECOND}, MessageError, "no pose at this time"),
         ({"size": 200.0}, RegionError, "is not in the picture"),
     ],
