@@ -40,14 +40,15 @@ ENCODINGS = {
     "32FC1": _Encoding(np.dtype(np.float32), 1),
     "32FC3": _Encoding(np.dtype(np.float32), 3),
 }
-"""What `image_to_msg` and `msg_to_array` take; names as in sensor_msgs/image_encodings.hpp."""
+"""Encodings that `image_to_msg` and `msg_to_array` support; names as in sensor_msgs/image_encodings.hpp."""
 
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
 _MOST_SCANS = 200
-"""Of a JPEG, those of its thumbnails among them: a progressive one has ten. Each is a walk over all pixels, so a few
-kilobytes of empty scans take minutes."""
+"""Maximum number of scans of a JPEG, including its thumbnails: a progressive one has ten. Each is a pass over all
+pixels, so a few kilobytes of empty scans take minutes.
+"""
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
@@ -137,9 +138,9 @@ def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image |
 
 
 def msg_to_depth(msg: Any) -> Float32Array:
-    """A depth Image as (H, W) float32 metres: 32FC1 as it is (no copy), 16UC1 from millimetres with 0 as NaN.
+    """Return a depth Image as (H, W) float32 metres: 32FC1 without a copy, 16UC1 from millimetres with 0 as NaN.
 
-    Source: REP-118. Raises ImageError as `msg_to_array` does.
+    Source: REP-118. Raises ImageError as `msg_to_array`.
     """
     pixels = msg_to_array(msg, DEPTH_ENCODINGS)
     if msg.encoding == "32FC1":
@@ -189,13 +190,14 @@ def compressed_to_rgb(msg: Any) -> UInt8Array:
 
 
 def compressed_size(msg: Any) -> tuple[int, int]:
-    """(width, height) that a CompressedImage states; nothing of it is decoded. Raises ImageError where none is stated,
-    or the image is cut short."""
+    """Return the stated (width, height) of a CompressedImage without decoding it. Raises ImageError if there is none,
+    or the image is truncated.
+    """
     return _checked_size(bytes(memoryview(msg.data)), _named(msg))[0]
 
 
 def image_format(data: bytes) -> str:
-    """`jpeg` or `png`, told by the first bytes. Raises ImageError."""
+    """Return `jpeg` or `png`, by the first bytes. Raises ImageError."""
     found = _format_of(data)
     if found is None:
         raise ImageError(f"{len(data)} bytes beginning {data[:8].hex(' ') or 'with nothing'} are neither jpeg nor png")
@@ -203,7 +205,7 @@ def image_format(data: bytes) -> str:
 
 
 def picture_size(data: bytes, what: str = "picture") -> tuple[int, int]:
-    """As `compressed_size`, of JPEG or PNG bytes."""
+    """Like `compressed_size`, for JPEG or PNG bytes."""
     return _checked_size(data, what)[0]
 
 
@@ -229,7 +231,7 @@ def _named(msg: Any) -> str:
 
 
 def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
-    """(width, height) and format of an image that is whole, as far as its outside shows. Raises ImageError."""
+    """Return (width, height) and format of an image that looks complete. Raises ImageError."""
     found = _format_of(data)
     if found is None:
         raise ImageError(
@@ -265,7 +267,7 @@ def _format_of(data: bytes) -> str | None:
 
 
 def _stated_size(data: bytes, what: str) -> tuple[int, int]:
-    """(width, height) as the header says, before anything is decoded."""
+    """Return (width, height) from the header, without decoding."""
     try:
         with PIL.Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as header:
             return header.size
@@ -276,7 +278,9 @@ def _stated_size(data: bytes, what: str) -> tuple[int, int]:
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether an end-of-image marker follows the first scan. Segments are walked over, for a thumbnail has its own."""
+    """Return whether an end-of-image marker follows the first scan. Segments are skipped, because a thumbnail has its
+    own.
+    """
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]

@@ -44,7 +44,7 @@ _DTYPES: dict[int, np.dtype[Any]] = {
 }
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 _LARGEST_POINT = 2**31 - 1
-"""Bytes; NumPy has no larger records."""
+"""Maximum bytes of a point, NumPy's limit for records."""
 
 
 def columns_to_msg(
@@ -119,8 +119,9 @@ def msg_to_columns(msg: Any) -> Columns:
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
-    """Votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
-    `votes_to_columns` does."""
+    """Return votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
+    `votes_to_columns`.
+    """
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
@@ -164,7 +165,7 @@ class FuelCells:
     layers: dict[str, NDArray[Any]]
 
     def raster(self, name: str, shape: tuple[int, int], elsewhere: float | NDArray[Any]) -> NDArray[Any]:
-        """A layer as (H, W); where no cell is given `elsewhere`, a value or (H, W)."""
+        """Return a layer as (H, W); cells without data get `elsewhere`, a value or (H, W)."""
         whole = np.full(shape, elsewhere, self.layers[name].dtype)
         whole[self.rows, self.cols] = self.layers[name]
         return whole
@@ -173,7 +174,7 @@ class FuelCells:
 def fuel_cells_to_msg(
     layers: FuelLayers, heights: NDArray[np.floating], geometry: GridGeometry, stamp_ns: int
 ) -> PointCloud2:
-    """The cells that evidence has touched; `heights`: (H, W) metres of the terrain at the cells' centres."""
+    """Return the cells with evidence; `heights`: (H, W) metres of the terrain at the cells' centres."""
     rows, cols = np.nonzero((layers.last_seen > 0) | layers.changed)
     x, y = geometry.to_map(rows, cols)
     z = np.asarray(heights[rows, cols], np.float32)
@@ -183,7 +184,9 @@ def fuel_cells_to_msg(
 
 
 def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
-    """Raises MessageError on missing fields or types, more points than the grid has cells, and points outside it."""
+    """Return fuel cells. Raises MessageError for missing fields or types, more points than the grid has cells, and
+    points outside it.
+    """
     if int(msg.height) * int(msg.width) > geometry.width * geometry.height:
         raise MessageError(f"fuel cells: {int(msg.height) * int(msg.width)} points for a grid of {geometry.shape}")
     columns = msg_to_columns(msg)

@@ -31,8 +31,9 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.stamp import make_header
 
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
-"""Variances from here on say that nothing is known, m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the greatest double
-there is, and a direction that is less sure than half a turn is none."""
+"""Variances from here on mean unknown, in m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the largest double, and a
+direction with a larger standard deviation than half a turn is unknown.
+"""
 
 
 def pose_to_msg(
@@ -98,7 +99,7 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
 
 
 def _check_correlations(matrix: Float64Array) -> None:
-    """Raises PoseError. Metres and radians are of different sizes, so what is compared is without units."""
+    """Check correlations. Raises PoseError. Metres and radians differ in size, so normalised values are compared."""
     sigmas = np.sqrt(matrix.diagonal())
     scale = np.outer(sigmas, sigmas)
     sure = scale == 0  # an axis without any error has none in common with others
@@ -125,7 +126,7 @@ def _pose_msg(pose: Pose) -> PoseMsg:
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
-    """`stamp_ns`: of the last picture that it comes from."""
+    """Return a correction. `stamp_ns`: of its last image."""
     turn = Pose(np.array([correction.tilt_zero, 0.0, 0.0]), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:
@@ -136,7 +137,7 @@ def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
 
 
 def msg_to_correction(msg: Any) -> PoseCorrection:
-    """Raises PoseError as `msg_to_pose` and `msg_to_covariance` do."""
+    """Return a correction. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
     covariance = msg_to_covariance(msg)
     pose = msg_to_pose(msg, "map")
     rotation, tilt_zero = vector_of_matrix(pose.rotation), float(pose.position[0])
@@ -146,7 +147,7 @@ def msg_to_correction(msg: Any) -> PoseCorrection:
 
 
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
-    """Pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
+    """Return pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
 
     Raises MessageError: another frame, no point, too many, numbers that are not finite.
     """
@@ -164,7 +165,7 @@ def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
 def place_to_msg(
     place: Float64Array, covariance: Float64Array, height_variance: float, stamp_ns: int, frame_id: str = "map"
 ) -> PoseWithCovarianceStamped:
-    """A place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
+    """Return a place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
     msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, frame_id))
     position = msg.pose.pose.position
     position.x, position.y, position.z = (float(v) for v in place)

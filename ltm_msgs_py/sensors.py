@@ -16,10 +16,10 @@ from ltm_msgs_py.stamp import make_header, stamp_of
 
 
 def msg_to_attitude(msg: Any) -> Attitude:
-    """In a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is not known.
+    """Return an attitude in a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is unknown.
 
-    Raises PoseError where the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1,
-    and for a covariance that is none.
+    Raises PoseError if the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1, and
+    for an invalid covariance.
     """
     covariance = np.array(msg.orientation_covariance, np.float64).reshape(3, 3)
     if covariance[0, 0] == -1.0:
@@ -42,7 +42,7 @@ _COVARIANCE_UNKNOWN = 0
 
 
 def msg_to_fix(msg: Any) -> Fix:
-    """Raises PoseError: the receiver has no fix, a place off the globe, or a covariance that is none."""
+    """Return a GPS fix. Raises PoseError: no fix, invalid position or covariance."""
     if msg.status.status == _NO_FIX:
         raise PoseError("the receiver reports no GPS fix (status -1): wait for one under open sky")
     lon, lat = float(msg.longitude), float(msg.latitude)

@@ -1,7 +1,7 @@
-"""Index of the messages in one MCAP file, from its summary, or by reading through a file that has none.
+"""Index the messages in one MCAP file, from its summary, or by a scan if it has none.
 
-A recorder that is killed leaves a file without a summary, cut inside a record. Everything before the cut is whole, so
-it is read; where reading stopped, and why, is kept in words with the byte offset.
+A killed recorder leaves a file without a summary, truncated inside a record. Everything before that is read; the
+position and the reason are reported.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from ltm_core.base.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_NS = 2**63 - 1
-"""MCAP's own times go twice as far, ROS's and those of all that is made of a recording do not."""
+"""Latest time in ns that ROS supports; MCAP's own times go twice as far."""
 _OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
 _RECORD_HEAD = struct.Struct("<BQ")
 _TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
 _CHUNK_OPCODES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *range(128, 256)}
 _LARGEST_CHUNK = 128 << 20
-"""Bytes: recorders make chunks of one or a few megabytes, or of one message where that is larger."""
+"""Maximum bytes of a chunk: recorders write chunks of a few megabytes, or of one larger message."""
 _LARGEST_SUMMARY = 256 << 20
 _MOST_WAITING = 256 << 20
-"""Bytes of the messages in chunks that overlap in time."""
+"""Maximum bytes of messages in chunks that overlap in time."""
 _RECORDS_BESIDE = 1000
-"""Records that a chunk may have besides one for each of its compressed bytes; recorded ones take ten bytes and more."""
+"""Maximum number of records of a chunk beyond one per compressed byte; recorded ones take ten bytes and more."""
 
-# What the mcap library and what it uses raise when bytes are not what they should be.
+# Exceptions of the mcap library and its dependencies for corrupt bytes.
 _BROKEN = (
     *(McapError, ZstdError, struct.error, ValueError, LookupError),
     *(RuntimeError, EOFError, MemoryError, OverflowError, OSError),
@@ -61,10 +61,10 @@ class _Entry:
 
 @dataclass
 class McapIndex:
-    """The channels of an MCAP file and the places of its messages.
+    """The channels of an MCAP file and the positions of its messages.
 
-    `damage`: what could not be read, with byte offsets; empty for a whole file. `unread`: what the system refused to
-    read, and may give another time. `counts`: messages a channel id.
+    `damage`: unreadable parts, with byte offsets; empty for a complete file. `unread`: parts that the system failed to
+    read, maybe temporarily. `counts`: messages per channel id.
     """
 
     path: Path
@@ -95,9 +95,10 @@ class McapIndex:
     def messages(
         self, channel_ids: Collection[int], start_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Channel, Message]]:
-        """Messages of the given channels with start_ns <= log_time < end_ns, by log time, then by place in the file.
+        """Yield messages of the given channels with start_ns <= log_time < end_ns, by log time, then by position in the
+        file.
 
-        Chunks that turn out to be broken are left out and noted in `damage`.
+        Corrupt chunks are skipped and noted in `damage`.
         """
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
         # most the chunks that overlap in time are in memory.
@@ -134,7 +135,7 @@ class McapIndex:
                     heapq.heappush(waiting, message)
 
     def _read_summary(self, stream: BinaryIO) -> bool:
-        """Fill in from the summary section; False where the file has none that serves."""
+        """Read the summary section; return False if the file has no valid one."""
         try:
             section = _sound_summary(stream)
             if section is None:
@@ -160,7 +161,7 @@ class McapIndex:
         return True
 
     def _scan(self, stream: BinaryIO) -> None:
-        """Fill in by reading through the file up to its footer or to the first place that cannot be read."""
+        """Scan the file up to its footer or to the first unreadable record."""
         size = stream.seek(0, 2)
         offset = len(MAGIC)
         while True:
@@ -225,7 +226,7 @@ class McapIndex:
         self.end_ns = end if self.end_ns is None else max(end, self.end_ns)
 
     def _load(self, stream: BinaryIO, entry: _Entry) -> list[Message]:
-        """The messages of a chunk (or the one message) at an entry; none, and a note, where it is broken."""
+        """Return the messages of a chunk (or the one message) at an entry; none, with a note, if it is corrupt."""
         try:
             if entry.is_chunk:
                 records = _records(_read_chunk(stream, entry.offset))
@@ -239,7 +240,7 @@ class McapIndex:
             return []
 
     def _of_our_time(self, messages: list[Message], offset: int) -> list[Message]:
-        """Those that were received and sent at some time; the others are noted."""
+        """Return messages with valid times; note the others."""
         kept = [message for message in messages if max(message.log_time, message.publish_time) <= LATEST_NS]
         if len(kept) < len(messages):
             latest = max(max(message.log_time, message.publish_time) for message in messages)
@@ -255,7 +256,7 @@ class McapIndex:
             self.unread.append(note)
 
     def _damaged(self, note: str) -> bool:
-        """Whether that is new: what is read again is found broken again."""
+        """Note damage; return whether it is new, because parts may be read repeatedly."""
         if note in self.damage:
             return False
         self.damage.append(note)
@@ -263,12 +264,12 @@ class McapIndex:
 
 
 def _refused(error: BaseException) -> bool:
-    """Whether the system has not given the bytes; a place before the file's begin is an error of the bytes' own."""
+    """Return whether the system failed to read; a position before the file's start is an error of the bytes."""
     return isinstance(error, OSError) and error.errno not in (None, errno.EINVAL)
 
 
 def _sound_summary(stream: BinaryIO) -> bytes | None:
-    """The summary section and the footer, where the file ends in one and its checksum, if it has one, is right."""
+    """Return the summary section and the footer, if the file has them and the checksum, if any, is correct."""
     size = stream.seek(0, 2)
     stream.seek(size - _TAIL.size)
     opcode, length, summary_start, _, checksum, magic = _TAIL.unpack(stream.read(_TAIL.size))
@@ -294,8 +295,8 @@ def _read_chunk(stream: BinaryIO, offset: int) -> Chunk:
 
 
 def _records(chunk: Chunk) -> list[McapRecord]:
-    """A chunk's records. Raises what `_BROKEN` names, before more is made than `_LARGEST_CHUNK` bytes and one record a
-    compressed byte: a hundred kilobytes may unfold to gigabytes, or to millions of empty records.
+    """Yield a chunk's records. Raises what `_BROKEN` names, before more than `_LARGEST_CHUNK` bytes and one record per
+    compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records.
     """
     whole = _decompressed(chunk)
     most, count, at = len(chunk.data) + _RECORDS_BESIDE, 0, 0
@@ -310,7 +311,9 @@ def _records(chunk: Chunk) -> list[McapRecord]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """A chunk's records as bytes. mcap's own function reserves what a zstd frame states, and has no bound for lz4."""
+    """Return a chunk's records as bytes. mcap's own function allocates what a zstd frame states, and has no limit for
+    lz4.
+    """
     stated = chunk.uncompressed_size
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))

@@ -262,7 +262,7 @@ def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
     if not folder:
         raise ConfigError(
             f"{site}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
-            f"(`nodes: {terrain: {folder: kept}}`), or pass --state"
+            f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
         )
     return str(site.parent / Path(folder).expanduser() / FOLDER)
 

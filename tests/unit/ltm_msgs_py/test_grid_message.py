@@ -117,9 +117,9 @@ def _turned(msg: OccupancyGrid) -> None:
         (lambda m: setattr(m.info, "resolution", 0.0), "positive resolution"),
         (lambda m: setattr(m.info, "resolution", float("nan")), "positive resolution"),
         (lambda m: setattr(m.info.origin.position, "x", float("inf")), "finite origin"),
-        (_turned, "turned"),
-        (lambda m: setattr(m.info.origin.orientation, "w", 0.0), "turned"),
-        (lambda m: setattr(m.info.origin.orientation, "x", float("nan")), "turned"),
+        (_turned, "rotated"),
+        (lambda m: setattr(m.info.origin.orientation, "w", 0.0), "rotated"),
+        (lambda m: setattr(m.info.origin.orientation, "x", float("nan")), "rotated"),
     ],
 )
 def test_grids_that_contradict_themselves_are_refused(change: Callable[[OccupancyGrid], None], complaint: str) -> None:
