@@ -4,7 +4,7 @@ Pose <-> geometry_msgs/PoseWithCovarianceStamped and PoseStamped.
 
 The pose is that of the camera's optical frame in `header.frame_id`.
 
-Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as it is stated.
+Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as stated.
 
 A correction moves nothing: x stands for the zero of a head's tilt axis (rad), 0 where none is known of.
 

@@ -40,9 +40,9 @@ class Split:
 class BagWriter:
     """Writes `<path>/<name>_0.mcap`, `_1` and so on and, when closed, `<path>/metadata.yaml`.
 
-    A context manager; not for several threads at once. A chunk is on disk as soon as it is full (`chunk_size` bytes
-    before compression) or `flush` is called, and an interrupted file can be read up to its last chunk. metadata.yaml
-    appears in one step at the very end: a bag that has one is complete.
+    A context manager; not for several threads at once. A chunk is on disk once it is full (`chunk_size` bytes before
+    compression) or `flush` is called, and an interrupted file can be read up to its last chunk. metadata.yaml appears
+    in one step at the very end: a bag that has one is complete.
 
     Where the disk fails (full, quota, defect), the file at hand is ended after its last whole chunk, so that every
     reader takes it; the messages of the chunk that could not be written are counted in `lost`, and the next message

@@ -73,7 +73,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Gaze:
+class CameraDirection:
     """Source of a camera's pose: fixed, or from readings of its PTZ head and the mount; neither: published by another
     node.
     """
@@ -100,7 +100,7 @@ class CameraSource:
         self,
         settings: SourceSettings,
         calibration: Camera,
-        gaze: Gaze,
+        gaze: CameraDirection,
         open_reader: Callable[[], CameraReader],
         deliver: Callable[[Frame], None],
         health: Health,

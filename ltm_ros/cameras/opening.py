@@ -32,7 +32,7 @@ from ltm_core.site.source_config import (
     V4l2Config,
 )
 from ltm_core.storage.disk_io import is_file, is_folder, is_there
-from ltm_ros.cameras.camera_source import CameraSource, Gaze, camera_backoff
+from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, camera_backoff
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
 from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
@@ -78,17 +78,19 @@ class MountPoses:
         return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
 
 
-def gaze_of_ptz(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
+def direction_of_ptz(
+    site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None
+) -> CameraDirection:
     """Return the pose source of a PTZ camera, without connecting. Without `ptz`, directions come with the images.
     Raises as `MountConfig.model`.
     """
     model = mount.model(site.open_dem(), site.frame)
     lens = None if mount.lens is None else mount.lens.lens()
     if ptz is None:
-        return Gaze(model=MountPoses(model, Tolerance()), lens=lens)
+        return CameraDirection(model=MountPoses(model, Tolerance()), lens=lens)
     tolerance = tolerance_of(ptz)
     direction = PtzDirection(lambda: open_ptz(ptz, source))
-    return Gaze(
+    return CameraDirection(
         direction=direction,
         model=MountPoses(model, tolerance),
         tolerance=tolerance,
@@ -107,16 +109,16 @@ def calibration_of(camera: CameraConfig, name: str) -> Camera:
     return camera.calibration.camera()
 
 
-def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
+def direction_of(site: Site, camera: CameraConfig) -> CameraDirection:
     """Return the pose source: the stated pose of a fixed camera, or poses from the readings of a PTZ head."""
     if camera.mount is not None:
-        return gaze_of_ptz(site, camera.mount, camera.ptz, camera.source)
+        return direction_of_ptz(site, camera.mount, camera.ptz, camera.source)
     if camera.pose is None:
-        return Gaze()
+        return CameraDirection()
     pose = camera.pose.pose(site.open_dem(), site.frame)
     assumed = site.assumed_pose_error
     covariance = camera.pose.covariance(pose, assumed.position, assumed.angle_deg)
-    return Gaze(pose, assumed.covariance() if covariance is None else covariance)
+    return CameraDirection(pose, assumed.covariance() if covariance is None else covariance)
 
 
 def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraReader:

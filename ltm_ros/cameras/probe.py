@@ -29,7 +29,7 @@ from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import at_asked_host
+from ltm_ros.cameras.ptz.connection import with_configured_host
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
@@ -138,7 +138,7 @@ def _address_at(base: str, stated: str) -> str:
     into the site file.
     """
     try:
-        return url_without_secrets(at_asked_host(stated, base), ("http", "https"))
+        return url_without_secrets(with_configured_host(stated, base), ("http", "https"))
     except ValueError as error:
         raise SourceError(f"invalid address reported by the camera: {error}") from None
 

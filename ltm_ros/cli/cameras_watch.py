@@ -34,7 +34,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import calibration_of, gaze_of, open_reader
+from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cli.output import table
 from ltm_ros.runtime.clocks import SystemClock
@@ -115,7 +115,7 @@ def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
                 escape(said.get("state_why", "")),
             )
         )
-    columns = ("camera", "state", "since", "picture", "stamps", "clock", "published", "refused", "why")
+    columns = ("camera", "state", "since", "image", "stamps", "clock", "published", "rejected", "why")
     return table("", columns, rows)
 
 
@@ -189,7 +189,7 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
         settings,
         calibration_of(camera, name),
         # The PTZ head is only read, not moved: the site's running graph may be moving it.
-        replace(gaze_of(site, camera), patrol=None),
+        replace(direction_of(site, camera), patrol=None),
         partial(open_reader, settings, site.limits.image_bytes, clock),
         frames.append,
         Health(),

@@ -125,7 +125,7 @@ def run_fires(
         )
     cell, seconds, runs = pair.after.geometry.resolution, [], []
     with Pyretechnics() as model:
-        for name, landscape in (("as it was", pair.before), ("as it is", pair.after)):
+        for name, landscape in (("before the update", pair.before), ("after the update", pair.after)):
             progress(f"the fire on the map {name}")
             started = time.monotonic()
             runs.append(model.spread(landscape, scenario))
@@ -196,7 +196,7 @@ def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str
         "fire model": f"{result.model}, surface and crown fire (Rothermel; Cruz, Alexander and Wakimoto), no spotting",
         "fuel models": pair.after.system.value.upper(),
         "cells that changed": f"{int(result.effect.changed.sum()):,}".replace(",", " "),
-        "map as it was": pair.was,
+        "previous map": pair.was,
     }
     if result.effect.members:
         told["drawn landscapes"] = str(len(result.effect.members))

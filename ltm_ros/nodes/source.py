@@ -14,7 +14,7 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import SourceThread, calibration_of, gaze_of, open_reader
+from ltm_ros.cameras.opening import SourceThread, calibration_of, direction_of, open_reader
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -50,7 +50,7 @@ class SourceHandler(Handler[SourceNodeConfig]):
         self._source = CameraSource(
             camera.source,
             calibration,
-            gaze_of(site, camera),
+            direction_of(site, camera),
             partial(open_reader, camera.source, site.limits.image_bytes, clock),
             self._publish,
             health,

@@ -229,7 +229,7 @@ class BoundedRecording:
         if new and self._failed:
             self._failed = ""
             self._backoff.succeeded()
-            self._tell("recording goes on")
+            self._tell("recording continues")
 
 
 QUEUE_BYTES = 256 << 20

@@ -89,7 +89,7 @@ class Aggregator:
                     f"votes on the topic of {tower} in {self._config.name} are from {start.tower} in {start.region}"
                 )
         except LtmError as error:
-            # Nobody knows whose frame it is, or may be told.
+            # The sender is unknown, so there is nothing to acknowledge.
             self._health.drop(cause_of(error), plain(str(error)))
             return
         frame = tower, start.camera, start.stamp_ns

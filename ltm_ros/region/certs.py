@@ -168,7 +168,7 @@ class TrialAuthority:
             new.append(self.folder / file_name)
 
     def configuration(self, address: str, port: int) -> str:
-        """mosquitto's; the certificate says who a client is, and nobody comes without one."""
+        """Return mosquitto's configuration; clients are identified by their certificates, which are required."""
         folder = self.folder.resolve()
         return f"""# Written by `ltm certs`: a broker for the link between towers and their region's map.
 listener {port} {address}

@@ -85,7 +85,7 @@ def split_address(url: str) -> SplitResult:
         raise SourceError(f"the camera reported an invalid address: {url[:60]!r}") from None
 
 
-def at_asked_host(stated: str, asked: str) -> str:
+def with_configured_host(stated: str, asked: str) -> str:
     """Return an address reported by the camera with scheme, host and port of `asked`: behind a gateway cameras report
     other hosts, and a password goes only to the configured host. Raises SourceError.
     """

@@ -21,7 +21,15 @@ from xml.sax.saxutils import escape  # nosec B406 # writes only
 from ltm_core.site.source_config import OnvifConfig, SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
-from ltm_ros.cameras.ptz.connection import Connection, at_asked_host, found, local, number, parsed_xml, settings_of
+from ltm_ros.cameras.ptz.connection import (
+    Connection,
+    found,
+    local,
+    number,
+    parsed_xml,
+    settings_of,
+    with_configured_host,
+)
 from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 DEVICE = "http://www.onvif.org/ver10/device/wsdl"
@@ -225,7 +233,7 @@ class OnvifPtzHead:
                 if address is None or not address.text:
                     what = "no PTZ head" if name == "PTZ" else "no images"
                     raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-                places.append(at_asked_host(address.text, self._connection.settings.url))
+                places.append(with_configured_host(address.text, self._connection.settings.url))
             self._addresses = places[0], places[1]
         return self._addresses
 

@@ -46,7 +46,8 @@ def test_a_doubted_pose_is_said_where_frames_come() -> None:
     made["/ridge/east/capture"].gauge("newest_stamp", "1749999999.0")
     (said,) = [c.wrong for c in status_of(watch_of(made)).cameras if c.name == "east"]
     assert said == (
-        "east: the pose is uncertain (pose_suspected: the skyline is 2.1 degrees off); check whether the mount has moved"
+        "east: the pose is uncertain (pose_suspected: the skyline is 2.1 degrees off); "
+        "check whether the mount has moved"
     )
 
 

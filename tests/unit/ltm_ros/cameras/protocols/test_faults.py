@@ -18,7 +18,7 @@ from scenes.timed_picture import jpeg, scene, time_in, with_time
 
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import decode_rgb
-from ltm_ros.cameras.camera_source import Gaze
+from ltm_ros.cameras.camera_source import CameraDirection
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.runtime.clocks import SystemClock
@@ -146,7 +146,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
             stalled_after=STALL_S,
             stuck_after=STUCK_S,
         )
-        sourced = Sourced(config, clock, gaze=Gaze(direction=head))
+        sourced = Sourced(config, clock, gaze=CameraDirection(direction=head))
         yield Bench(camera, sourced, clock, head, monkeypatch, server)
         sourced.source.close()
 

@@ -20,7 +20,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig, VapixConfig
-from ltm_ros.cameras.camera_source import Frame, Gaze
+from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
@@ -40,7 +40,7 @@ def sourced(camera: HttpCamera, patrol: tuple[str, ...] = (), lens: bool = False
     tolerance = tolerance_of(config)
     direction = PtzDirection(lambda: open_ptz(config, source))
     driven = PatrolConfig(presets=patrol, arrive_within=3.0, settle=0.1) if patrol else None
-    gaze = Gaze(
+    gaze = CameraDirection(
         direction=direction,
         model=MountPoses(MODEL, tolerance),
         tolerance=tolerance,
@@ -239,7 +239,7 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
         source = settings(kind="snapshot", url=camera.url(), every=0.01)
         config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
         direction = PtzDirection(lambda: open_ptz(config, source))
-        gaze = Gaze(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
+        gaze = CameraDirection(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
         tested = Sourced(source, SystemClock(), gaze=gaze)
         (pause,) = tested.steps(1)
     assert tested.state == "unauthorised"
@@ -263,7 +263,7 @@ def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
         def close(self) -> None:
             """It has no connection."""
 
-    gaze = Gaze(model=MountPoses(MODEL, Tolerance()), lens=LENS)
+    gaze = CameraDirection(model=MountPoses(MODEL, Tolerance()), lens=LENS)
     tested = Sourced(settings(kind="snapshot", url="http://127.0.0.1"), SystemClock(), gaze=gaze, reader=Listed)
     tested.steps(2)
     frame = tested.frames[-1]

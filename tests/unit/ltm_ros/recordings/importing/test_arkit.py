@@ -100,7 +100,7 @@ def test_a_portrait_is_turned_upright_with_its_lens(tmp_path: Path, site: Site) 
 
 def test_without_a_row_the_place_is_asked_for(tmp_path: Path, site: Site) -> None:
     with pytest.raises(
-        PoseError, match=r"no position in Stray Scanner: give the place of its first frame in a row named"
+        PoseError, match=r"no position in Stray Scanner: give the position of its first frame in a row named"
     ):
         import_photos([stray(tmp_path / "scan1")], tmp_path / "bag", site=site)
 

@@ -88,7 +88,7 @@ def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) 
     np.testing.assert_allclose(pose.angles_deg, [112.5, 3.25, -1.5], atol=1e-9)
     assert pose_sigmas(pose, covariance)[3] == pytest.approx(0.3)
     (folder / "other.yaml").write_text("camera: 3\n")
-    with pytest.raises(ConfigError, match=r"other\.yaml is no pose file"):
+    with pytest.raises(ConfigError, match=r"other\.yaml is not a pose file"):
         import_photos([tmp_path / "walk.zip"], tmp_path / "again", folder, site, assumed=LENS)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="contains no pose files"):

@@ -40,7 +40,7 @@ def test_a_zone_knows_its_summer_time() -> None:
 def test_an_hour_that_comes_twice_is_told_of() -> None:
     taken, (note,) = when(datetime(2024, 10, 27, 2, 30), zone="Europe/Oslo")
     assert taken.astimezone(UTC) == datetime(2024, 10, 27, 0, 30, tzinfo=UTC)
-    assert "clocks of Europe/Oslo were changed" in note
+    assert "clock change of Europe/Oslo" in note
 
 
 def test_without_a_zone_the_gps_stamp_counts() -> None:
@@ -55,9 +55,9 @@ def test_without_a_zone_the_gps_stamp_counts() -> None:
 @pytest.mark.parametrize(
     ("clock", "zone", "said"),
     [
-        (SUMMER.replace(tzinfo=UTC), None, "7 h 0 min apart"),
-        (SUMMER, "Europe/Oslo", "9 h 0 min apart"),
-        (SUMMER.replace(tzinfo=WEST, day=2), None, "2 d 0 h apart"),
+        (SUMMER.replace(tzinfo=UTC), None, "differ by 7 h 0 min"),
+        (SUMMER, "Europe/Oslo", "differ by 9 h 0 min"),
+        (SUMMER.replace(tzinfo=WEST, day=2), None, "differ by 2 d 0 h"),
         (SUMMER.replace(minute=38), None, "6 h 52 min, which is not a time zone"),
         (SUMMER.replace(year=2023), None, "366 d 7 h, which is not a time zone"),
     ],

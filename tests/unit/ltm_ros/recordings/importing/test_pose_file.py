@@ -48,10 +48,10 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
     [
         ("name,yaw\na.jpg,3\n", "yaw.*known: name, camera, stamp, x"),
         ("name,Azimuth_deg\na.jpg,3\n", "Azimuth_deg"),
-        ("name,x,x\na.jpg,3,4\n", "twice"),
+        ("name,x,x\na.jpg,3,4\n", "duplicates"),
         ("x,y\n1,2\n", "row 1:\n  name: missing"),
-        ("name,x,y\na.jpg,1\n", "row 1: has more or fewer"),
-        ("name,x,y\na.jpg,1,2,3\n", "row 1: has more or fewer"),
+        ("name,x,y\na.jpg,1\n", "row 1: the number of values"),
+        ("name,x,y\na.jpg,1,2,3\n", "row 1: the number of values"),
         ("name,azimuth_deg\na.jpg,north\n", "azimuth_deg: .*'north'"),
         ("name,azimuth_deg\na.jpg,nan\n", "azimuth_deg"),
         ("name,x\na.jpg,3\n", "give both x and y"),

@@ -268,7 +268,7 @@ def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, sit
     path = recorded(tmp_path)
     late = changed(path, {f"Camera/{STAMP // 1_000_000 + 3_600_000}.jpg": _jpeg()})
     with pytest.raises(
-        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from its nearest"
+        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from the nearest"
     ):
         import_photos([late], tmp_path / "bag", site=site, assumed=LENS)
     report = import_photos([late], tmp_path / "bag", site=site, assumed=LENS, skip_bad=True)
