@@ -101,7 +101,7 @@ def fuel_sheets(
     changed = int((before.code != after.code).sum())
     return {
         "fuel_layers": Sheet(
-            "How sure the map is",
+            "Confidence of the map",
             fuel_sheet(whole, after, palette),
             "Life forms and fuel models of all cells, remaining uncertainty, and number of cameras that see each cell.",
         ),
@@ -166,7 +166,7 @@ def _padded(picture: RgbImage, height: int) -> RgbImage:
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
 
 
-LAYOUTS = {"node": "one process a node", "site": "one process for the nodes of all cameras"}
+LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
 
 
 def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:

@@ -137,11 +137,11 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
         overall = data.depth[-1]
         tiles.append(("Depth error", f"{_number(overall.median)} m", f"median of {_count(overall.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
-        tiles.append(("Labels right", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
+        tiles.append(("Correct labels", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
     if data.fuel is not None:
         share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
         tiles.append(
-            ("Fuel cells right", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
+            ("Correct fuel cells", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
         )
     return tiles
 

@@ -80,7 +80,7 @@ def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Wal
     )
     import_photos(log, out / "phone", site=site, assumed=PHONE)
     import_photos([walk / "photos"], out / "true", walk / "true_poses.csv", site)
-    kinds = (("phone", "of the phone's sensors"), ("found", "found in the pictures"), ("true", "true"))
+    kinds = (("phone", "of the phone's sensors"), ("found", "found in the photos"), ("true", "true"))
     maps, directions = [], {}
     for name, title in kinds:
         options = ReplayOptions(record=out / f"{name}_map")

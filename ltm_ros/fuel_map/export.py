@@ -112,7 +112,7 @@ def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str 
     if kind == "png":
         sheet = fuel_sheet(canvas, layers, palette)
     elif kind == "change":
-        names = (since or "before any evidence", as_of or "now")
+        names = (since or "prior map", as_of or "now")
         sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
     else:
         coverage = map_.coverage()

@@ -253,8 +253,8 @@ class ChangePicture:
 def change_classes() -> rr.AnnotationContext:
     """Return colours of the kinds of change; observed ground without change is dimmed."""
     classes = [(kind, kind.name.lower(), (*CHANGE_COLORS[kind], 230)) for kind in ChangeKind]
-    classes[ChangeKind.NONE] = (ChangeKind.NONE, "looked at", (255, 215, 100, 100))
-    return rr.AnnotationContext([*classes, (UNLABELLED, "not looked at", (0, 0, 0, 0))])
+    classes[ChangeKind.NONE] = (ChangeKind.NONE, "observed", (255, 215, 100, 100))
+    return rr.AnnotationContext([*classes, (UNLABELLED, "not observed", (0, 0, 0, 0))])
 
 
 def _thinned(kinds: UInt8Array, step: int) -> UInt8Array:

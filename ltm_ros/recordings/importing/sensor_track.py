@@ -178,7 +178,7 @@ class SensorTrack:
     def _position(self, stamp_ns: int) -> dict[str, object] | str:
         fixes = self.fixes
         if fixes is None or not len(fixes.stamp_ns):
-            return "it holds no fix"
+            return "it has no GPS fix"
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (

@@ -278,9 +278,7 @@ def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, sit
 def test_a_place_under_the_ground_is_taken_as_above_it_and_told(tmp_path: Path, site: Site) -> None:
     deep = Assumptions(focal_35mm=27.0, start_height=GROUND - 20.0)
     report = import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=deep)
-    assert any(
-        "barometer's height 1480.0 m is 20.0 m under the terrain: taken as 2 m above" in n for _, n in report.notes
-    )
+    assert any("barometer's height 1480.0 m is 20.0 m under the terrain: 2 m above" in n for _, n in report.notes)
 
 
 def _jpeg() -> bytes:
