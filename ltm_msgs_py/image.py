@@ -52,10 +52,10 @@ pixels, so a few kilobytes of empty scans take minutes.
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
-    """An array as an Image.
+    """Return an array as an Image.
 
-    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides.
-    `out`: a message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError.
+    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. `out`: a
+    message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError.
     """
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
     expected_ndim = 2 if spec.channels == 1 else 3
@@ -86,7 +86,7 @@ def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: st
 
 
 def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDArray[Any]:
-    """The pixels of an Image as they lie in the message: (H, W) or (H, W, channels), row padding cut off.
+    """Return the pixels of an Image in the layout of the message: (H, W) or (H, W, channels), row padding cut off.
 
     A view of the message's buffer (no copy) unless the data is big-endian. Raises ImageError when the encoding is not
     among `encodings`, or height, width, step and the data's length contradict each other.
@@ -113,7 +113,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """A colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
 
     Raises ImageError as `msg_to_array` does.
     """
@@ -133,7 +133,7 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
 
 
 def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
-    """A depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
+    """Return a depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
     return image_to_msg(depth, "32FC1", stamp_ns, frame_id, out)
 
 
@@ -181,7 +181,7 @@ def encode_rgb(image: UInt8Array, image_format: str = "jpeg", quality: int = 92)
 
 
 def compressed_to_rgb(msg: Any) -> UInt8Array:
-    """A CompressedImage (jpeg or png, told by its bytes) as (H, W, 3) uint8 RGB, in stored pixel order.
+    """Return a CompressedImage (jpeg or png, detected by its bytes) as (H, W, 3) uint8 RGB, in stored pixel order.
 
     An EXIF orientation tag is left aside: the calibration counts the pixels as they are stored. Raises ImageError with
     format and size when the data is neither, is cut short, or cannot be decoded.

@@ -80,10 +80,10 @@ def columns_to_msg(
 
 
 def msg_to_columns(msg: Any) -> Columns:
-    """The columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
+    """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
-    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an
-    unknown datatype, or holds more than one element.
+    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an unknown
+    datatype, or holds more than one element.
     """
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)

@@ -39,7 +39,7 @@ direction with a larger standard deviation than half a turn is unknown.
 def pose_to_msg(
     pose: Pose, stamp_ns: int, frame_id: str = "map", covariance: ArrayLike | None = None
 ) -> PoseWithCovarianceStamped:
-    """A pose with its covariance, (6, 6) over x, y, z (m) and rotations about x, y, z (rad); zeros: not known.
+    """Return a pose with its covariance, (6, 6) over x, y, z (m) and rotations about x, y, z (rad); zeros: unknown.
 
     Raises PoseError on a covariance of another shape or that is not finite.
     """
@@ -54,7 +54,7 @@ def pose_to_msg(
 
 
 def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:
-    """The pose of a PoseWithCovarianceStamped or PoseStamped.
+    """Return the pose of a PoseWithCovarianceStamped or PoseStamped.
 
     `frame_id`: the frame that the pose must be given in, when it matters. Raises PoseError on another frame, NaN or
     infinite numbers, or a quaternion whose norm is not 1 within 1e-3 (an unset one is zero).
@@ -68,7 +68,7 @@ def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:
 
 
 def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64Array | None:
-    """The covariance of a PoseWithCovarianceStamped, (6, 6) over x, y, z (m) and rotations about x, y, z (rad).
+    """Return the covariance of a PoseWithCovarianceStamped, (6, 6) over x, y, z (m) and rotations about x, y, z (rad).
 
     Unknown are: all of it where all is zero or the first number is -1 (as in sensor_msgs/Imu), and each axis whose
     variance is infinite or `UNKNOWN_VARIANCES` at least. `assumed`: (6, 6), stands for what is unknown; without it the

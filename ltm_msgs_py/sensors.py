@@ -64,7 +64,7 @@ def msg_to_fix(msg: Any) -> Fix:
 
 
 def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:
-    """A camera as CameraInfo with the plumb_bob model, for the raw image. Raises MessageError on a bad stamp."""
+    """Return a camera as CameraInfo with the plumb_bob model, for the raw image. Raises MessageError on a bad stamp."""
     msg = CameraInfo(header=make_header(stamp_ns, frame_id), height=camera.height, width=camera.width)
     msg.distortion_model = "plumb_bob"
     msg.d = [float(v) for v in camera.distortion]
@@ -75,11 +75,11 @@ def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:
 
 
 def msg_to_camera(msg: Any) -> Camera:
-    """The camera that a CameraInfo describes.
+    """Return the camera that a CameraInfo describes.
 
     Taken: plumb_bob with D of 0, 4 (k1 k2 p1 p2) or 5 (and k3) numbers, at full resolution. R and P are for rectified
-    images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a
-    skewed or non-finite K, binning, or a region of interest.
+    images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a skewed
+    or non-finite K, binning, or a region of interest.
     """
     who = f"CameraInfo of frame {msg.header.frame_id!r}"
     k = np.asarray(msg.k, np.float64)

@@ -45,8 +45,9 @@ class ArchiveImageReader:
             self._close(next(iter(self._open)))
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
-        """Raises ArchiveError where the file is gone, has the picture no longer or cannot be read just now, OSError
-        where this machine's disk fails."""
+        """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now,
+        OSError if the local disk fails.
+        """
         found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
         if found is None:
             raise ArchiveError(

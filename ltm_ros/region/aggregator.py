@@ -56,7 +56,7 @@ class Aggregator:
     """
 
     def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
-        """Raises LtmError for a site, a store or certificates that cannot be taken."""
+        """Open the region's map. Raises LtmError for an invalid site, store or certificate."""
         self.site = load_site(config.site)
         self.identity = Identity(config.broker, AGGREGATOR)
         self._config, self._health = config, health
@@ -76,8 +76,9 @@ class Aggregator:
         self._outcomes: dict[str, list[Outcome]] = defaultdict(list)
 
     def take(self, tower: str, content: bytes) -> None:
-        """What came on the topic of a tower. What cannot be taken is counted by its cause and, where it says of which
-        frame it is, answered in words."""
+        """Take a message of a tower. Invalid ones are counted by cause and, if they name their frame, answered with the
+        reason.
+        """
         try:
             if tower not in self._config.towers:
                 raise MessageError(f"{tower!r} is not a tower of {self._config.name}: add it to towers in region.yaml")
@@ -157,7 +158,7 @@ class Aggregator:
         return ""
 
     def _transfer(self, tower: str, grid: VotesGrid) -> VoteTransfer:
-        """Of the grid that a tower counts on; one of each tower is kept."""
+        """Return the transfer from the grid of a tower; one per tower is kept."""
         found = self._transfers.get(tower)
         if found is None or found[0] != grid:
             shared = next((known for known in self._transfers.values() if known[0] == grid), None)

@@ -33,7 +33,7 @@ class Backoff:
 
     @property
     def due(self) -> bool:
-        """Whether the next attempt may be made."""
+        """Return whether the next attempt may be made."""
         return self._left_s <= 0.0
 
     def passed(self, seconds: float) -> None:

@@ -70,7 +70,7 @@ def difference_deg(first: float, second: float) -> float:
 
 
 def at_rest(before: PtzReading, after: PtzReading, tolerance: Tolerance) -> bool:
-    """Whether the PTZ head stood still from one reading to the other, as far as they tell."""
+    """Return whether the PTZ head was at rest between two readings, as far as they show it."""
     return not (
         before.moving
         or after.moving

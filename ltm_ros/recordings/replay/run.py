@@ -258,7 +258,7 @@ class ReplayOptions:
 
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
-    """The site's graph with what the options ask for."""
+    """Return the site's graph with the given options."""
     fuel_map: NodeParameters = {}
     if options.export is not None:
         fuel_map["export_path"] = str(options.export.resolve())
@@ -295,9 +295,9 @@ def run_live(
     log_folder: Path,
     stopped: Callable[[], bool] = bool,
 ) -> dict[str, dict[str, str]]:
-    """With the whole graph as processes of their own; the last diagnostics of every node by full name.
+    """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
-    Raises NotReadyError where it cannot work, LtmError when it does not come up or does not finish its work.
+    Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work.
     """
     site = require_ready(site_path, Wanted(), console)
     selection = Selection.open(bag, site, options.start, options.duration)

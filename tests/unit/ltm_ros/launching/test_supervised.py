@@ -158,7 +158,7 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     for one in (standing, locked):
         one.wait_for('actor.py", line')
     log = (folder / "north.depth.log").read_text()
-    assert "hangs: " in log
+    assert "hung: " in log
     assert (well.process.starts, well.process.hangs) == (1, 0)
     for one, behaviour in ((standing, "stands_still"), (locked, "holds_the_lock")):
         one.wait_for(behaviour, times=2)
