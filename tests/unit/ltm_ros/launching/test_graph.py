@@ -110,7 +110,7 @@ def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:
     ("nodes", "message"),
     [
         ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known nodes: source, capture, depth"),
-        ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph gives this parameter itself"),
+        ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph sets this parameter itself"),
         ({"depth": {"x": None}}, r"nodes.depth.x = None: a parameter is"),
         ({"depth": {"x": []}}, r"nodes.depth.x = \[\]: a parameter is"),
         ({"depth": {"x": [1, "a"]}}, r"nodes.depth.x = \[1, 'a'\]: a parameter is"),

@@ -120,7 +120,7 @@ def test_gives_up_a_configuration_error_with_its_last_words(tmp_path: Path) -> N
 
 def test_stops_while_it_waits_to_restart(tmp_path: Path) -> None:
     one = Supervised(tmp_path, "raise SystemExit(1)", RestartPolicy(initial_s=3600.0, maximum_s=3600.0))
-    one.wait_for(lambda: any("starts again in 3600.0 s" in line for line in one.lines))
+    one.wait_for(lambda: any("restarting in 3600.0 s" in line for line in one.lines))
     one.process.request_stop()
     assert one.process.wait_stopped(5.0)
 

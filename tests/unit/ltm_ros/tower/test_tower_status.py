@@ -13,7 +13,7 @@ def test_a_tower_that_has_not_begun_is_neither_alive_nor_ready() -> None:
     assert (status.alive, status.ready) == (False, False)
     assert {node.state for node in status.nodes} == {"missing"}
     assert any("/ridge/fuel_map no report yet" in line for line in status.wrong)
-    assert any("camera north: no frame has come" in line for line in status.wrong)
+    assert any("north: no frame since the start" in line for line in status.wrong)
 
 
 def test_what_is_wrong_is_said_in_words() -> None:

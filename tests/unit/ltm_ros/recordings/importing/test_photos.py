@@ -510,7 +510,7 @@ def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path
             [save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed, assumed=LEVEL
         )
     small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
-    with pytest.raises(ImageError, match=r"small.jpg is 64 x 30 pixels but camera phone .* 64 x 40: give it a photo"):
+    with pytest.raises(ImageError, match=r"small.jpg has 64 x 30 pixels but camera phone .* 64 x 40: use a photo"):
         import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
 
 
