@@ -82,7 +82,7 @@ def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_di
     wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
     status, words = tower.get("/readyz")
     assert status == 503
-    assert "camera tower: no frame has come since the start" in words
+    assert "tower: no frame since the start" in words
 
     update = site_topic(NAME, FUEL_MAP_UPDATE)
     with Bystander() as bystander:
