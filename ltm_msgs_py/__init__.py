@@ -1,1 +1,1 @@
-"""Converts core types to standard ROS 2 messages and back, one module a message family; reads and writes recordings."""
+"""Convert core types to standard ROS 2 messages and back, one module per message family; read and write recordings."""

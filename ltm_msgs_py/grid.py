@@ -35,10 +35,10 @@ LARGEST_CLASS = 127
 
 
 def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
-    """A grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
+    """Return a grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
-    Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError on those, or
-    on a shape other than the geometry's.
+    Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError for those,
+    or for a shape other than the geometry's.
     """
     if classes.shape != geometry.shape or classes.dtype != np.uint8:
         raise MessageError(f"class grid is {classes.shape} {classes.dtype}, its geometry says {geometry.shape} uint8")
@@ -70,30 +70,30 @@ def tile_to_msg(
     stamp_ns: int,
     frame_id: str = "map",
 ) -> OccupancyGrid:
-    """The part `window` = (row, col, height, width) of a class grid as an OccupancyGrid of its own.
+    """Return the part `window` = (row, col, height, width) of a class grid as its own OccupancyGrid.
 
-    Raises MessageError when the window leaves the grid, and as `classes_to_msg` does.
+    Raises MessageError if the window exceeds the grid, and as `classes_to_msg`.
     """
     row, col, height, width = window
     if row < 0 or col < 0 or height < 1 or width < 1 or row + height > geometry.height or col + width > geometry.width:
         raise MessageError(
-            f"tile row, col, height, width = {window} leaves the grid of {geometry.height} x {geometry.width} cells"
+            f"tile row, col, height, width = {window} is outside the grid of {geometry.height} x {geometry.width} cells"
         )
     part = classes[row : row + height, col : col + width]
     return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
 
 
 def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGeometry]:
-    """The class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
+    """Return the class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
 
-    Raises MessageError when the data's length is not width * height, a cell is below -1, the grid is empty, turned,
+    Raises MessageError if the data's length is not width * height, a cell is below -1, the grid is empty, rotated,
     tilted, or its resolution or origin are not finite.
     """
     info = msg.info
     height, width = int(info.height), int(info.width)
     if height < 1 or width < 1 or len(msg.data) != height * width:
         raise MessageError(
-            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values, must hold width * height >= 1"
+            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values; it needs width * height >= 1"
         )
     # info.resolution is float32 on the wire: take the shortest decimal that it stands for, so 0.1 comes back as 0.1.
     resolution = float(str(np.float32(info.resolution)))
@@ -106,7 +106,8 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
     turned = max(abs(q.x), abs(q.y), abs(q.z))
     if not (turned <= 1e-6 and abs(abs(q.w) - 1) <= 1e-3):
         raise MessageError(
-            f"OccupancyGrid's origin is turned: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, 1)"
+            f"OccupancyGrid's origin is rotated: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, "
+            "1) are supported"
         )
     cells = np.frombuffer(msg.data, np.int8).reshape(height, width)
     if cells.min() < -1:
@@ -119,10 +120,9 @@ def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGe
 
 
 def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, int]:
-    """Where a tile lies in a grid: (row, col, height, width).
+    """Return the place of a tile in a grid: (row, col, height, width).
 
-    Raises MessageError when its cells are of another size, do not coincide with the grid's (to a thousandth of a
-    cell), or leave it.
+    Raises MessageError if its cells have another size, are not aligned with the grid's (to 0.001 cells), or exceed it.
     """
     row = (grid.y_max - tile.y_max) / grid.resolution
     col = (tile.x_min - grid.x_min) / grid.resolution
@@ -132,13 +132,13 @@ def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, 
         or abs(col - round(col)) > 1e-3
     ):
         raise MessageError(
-            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m does not fall on the "
-            f"cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
+            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m is not aligned with "
+            f"the cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
         )
     window = (round(row), round(col), tile.height, tile.width)
     if min(window[:2]) < 0 or window[0] + tile.height > grid.height or window[1] + tile.width > grid.width:
         raise MessageError(
-            f"tile row, col, height, width = {window} leaves the grid of {grid.height} x {grid.width} cells"
+            f"tile row, col, height, width = {window} is outside the grid of {grid.height} x {grid.width} cells"
         )
     return window
 
@@ -149,7 +149,7 @@ _WHAT = "terrain update"
 def changed_to_msg(
     changed: Changed, heights: Float32Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
 ) -> PointCloud2:
-    """`heights`: (N,) of the updated surface at the changed cells; `geometry`: the terrain's grid."""
+    """Return changed cells as points. `heights`: (N,) of the updated surface there; `geometry`: the terrain's grid."""
     x, y = geometry.to_map(changed.rows, changed.cols)
     columns: dict[str, NDArray[Any]] = {
         "x": x.astype(np.float32),
@@ -164,17 +164,18 @@ def changed_to_msg(
 
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
-    """The changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError on other fields or
-    types, and on kinds of change that there are not."""
+    """Return the changed cells, with kind 0 before, and their places (N, 3) x, y, z. Raises MessageError for other
+    fields or types, and for invalid kinds.
+    """
     columns = msg_to_columns(msg)
     rows, cols = (take(columns, name, np.int32, _WHAT) for name in ("row", "col"))
     kind = take(columns, "change", np.uint8, _WHAT)
     shift, *place = (take(columns, name, np.float32, _WHAT) for name in ("shift", "x", "y", "z"))
     if (kind > max(ChangeKind)).any():
-        raise MessageError(f"{_WHAT}: change is {int(kind.max())}, no kind of change; there are 0 to {max(ChangeKind)}")
+        raise MessageError(f"{_WHAT}: change is {int(kind.max())}; valid kinds are 0 to {max(ChangeKind)}")
     return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
 
 
 def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
-    """Kinds of change of a window; -1 where independent views have not looked."""
+    """Return kinds of change of a window; -1 without independent views."""
     return classes_to_msg(layers.told, layers.geometry, stamp_ns, frame_id)

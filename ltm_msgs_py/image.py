@@ -40,21 +40,22 @@ ENCODINGS = {
     "32FC1": _Encoding(np.dtype(np.float32), 1),
     "32FC3": _Encoding(np.dtype(np.float32), 3),
 }
-"""What `image_to_msg` and `msg_to_array` take; names as in sensor_msgs/image_encodings.hpp."""
+"""Encodings that `image_to_msg` and `msg_to_array` support; names as in sensor_msgs/image_encodings.hpp."""
 
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
 _MOST_SCANS = 200
-"""Of a JPEG, those of its thumbnails among them: a progressive one has ten. Each is a walk over all pixels, so a few
-kilobytes of empty scans take minutes."""
+"""Maximum number of scans of a JPEG, including its thumbnails: a progressive one has ten. Each is a pass over all
+pixels, so a few kilobytes of empty scans take minutes.
+"""
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
-    """An array as an Image.
+    """Return an array as an Image.
 
-    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides.
-    `out`: a message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError.
+    `image`: (H, W) or (H, W, channels) of the dtype that `encoding` (a key of `ENCODINGS`) says; any strides. `out`: a
+    message to fill instead of a new one; its buffer is reused when it has the right size. Raises ImageError.
     """
     spec = _spec(encoding, tuple(ENCODINGS), "to write")
     expected_ndim = 2 if spec.channels == 1 else 3
@@ -85,7 +86,7 @@ def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: st
 
 
 def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDArray[Any]:
-    """The pixels of an Image as they lie in the message: (H, W) or (H, W, channels), row padding cut off.
+    """Return the pixels of an Image in the layout of the message: (H, W) or (H, W, channels), row padding cut off.
 
     A view of the message's buffer (no copy) unless the data is big-endian. Raises ImageError when the encoding is not
     among `encodings`, or height, width, step and the data's length contradict each other.
@@ -112,7 +113,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
 
 
 def msg_to_rgb(msg: Any) -> UInt8Array:
-    """A colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
+    """Return a colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
 
     Raises ImageError as `msg_to_array` does.
     """
@@ -132,14 +133,14 @@ def msg_to_rgb(msg: Any) -> UInt8Array:
 
 
 def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
-    """A depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
+    """Return a depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
     return image_to_msg(depth, "32FC1", stamp_ns, frame_id, out)
 
 
 def msg_to_depth(msg: Any) -> Float32Array:
-    """A depth Image as (H, W) float32 metres: 32FC1 as it is (no copy), 16UC1 from millimetres with 0 as NaN.
+    """Return a depth Image as (H, W) float32 metres: 32FC1 without a copy, 16UC1 from millimetres with 0 as NaN.
 
-    Source: REP-118. Raises ImageError as `msg_to_array` does.
+    Source: REP-118. Raises ImageError as `msg_to_array`.
     """
     pixels = msg_to_array(msg, DEPTH_ENCODINGS)
     if msg.encoding == "32FC1":
@@ -180,7 +181,7 @@ def encode_rgb(image: UInt8Array, image_format: str = "jpeg", quality: int = 92)
 
 
 def compressed_to_rgb(msg: Any) -> UInt8Array:
-    """A CompressedImage (jpeg or png, told by its bytes) as (H, W, 3) uint8 RGB, in stored pixel order.
+    """Return a CompressedImage (jpeg or png, detected by its bytes) as (H, W, 3) uint8 RGB, in stored pixel order.
 
     An EXIF orientation tag is left aside: the calibration counts the pixels as they are stored. Raises ImageError with
     format and size when the data is neither, is cut short, or cannot be decoded.
@@ -189,13 +190,14 @@ def compressed_to_rgb(msg: Any) -> UInt8Array:
 
 
 def compressed_size(msg: Any) -> tuple[int, int]:
-    """(width, height) that a CompressedImage states; nothing of it is decoded. Raises ImageError where none is stated,
-    or the image is cut short."""
+    """Return the stated (width, height) of a CompressedImage without decoding it. Raises ImageError if there is none,
+    or the image is truncated.
+    """
     return _checked_size(bytes(memoryview(msg.data)), _named(msg))[0]
 
 
 def image_format(data: bytes) -> str:
-    """`jpeg` or `png`, told by the first bytes. Raises ImageError."""
+    """Return `jpeg` or `png`, by the first bytes. Raises ImageError."""
     found = _format_of(data)
     if found is None:
         raise ImageError(f"{len(data)} bytes beginning {data[:8].hex(' ') or 'with nothing'} are neither jpeg nor png")
@@ -203,7 +205,7 @@ def image_format(data: bytes) -> str:
 
 
 def picture_size(data: bytes, what: str = "picture") -> tuple[int, int]:
-    """As `compressed_size`, of JPEG or PNG bytes."""
+    """Like `compressed_size`, for JPEG or PNG bytes."""
     return _checked_size(data, what)[0]
 
 
@@ -229,7 +231,7 @@ def _named(msg: Any) -> str:
 
 
 def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
-    """(width, height) and format of an image that is whole, as far as its outside shows. Raises ImageError."""
+    """Return (width, height) and format of an image that looks complete. Raises ImageError."""
     found = _format_of(data)
     if found is None:
         raise ImageError(
@@ -238,19 +240,19 @@ def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
         )
     # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
-        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
+        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is truncated: it has no end-of-image marker")
     if found == "png" and not png_is_whole(data):
-        raise ImageError(f"{what} ({len(data)} bytes of png) is cut short: its chunks state more bytes than it has")
+        raise ImageError(f"{what} ({len(data)} bytes of png) is truncated: its chunks state more bytes than it has")
     if found == "jpeg" and (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
         raise ImageError(
-            f"{what} ({len(data)} bytes of jpeg) has {scans} scans, at most {_MOST_SCANS} are decoded; save it anew"
+            f"{what} ({len(data)} bytes of jpeg) has {scans} scans, at most {_MOST_SCANS} are decoded; save it again"
         )
     return _stated_size(data, f"{what} ({len(data)} bytes of {found})"), found
 
 
 def _spec(encoding: str, taken: tuple[str, ...], purpose: str) -> _Encoding:
     if encoding not in taken or encoding not in ENCODINGS:
-        raise ImageError(f"image encoding {encoding!r} is not taken here {purpose}; taken: {', '.join(taken)}")
+        raise ImageError(f"image encoding {encoding!r} is not supported {purpose}; supported: {', '.join(taken)}")
     return ENCODINGS[encoding]
 
 
@@ -265,7 +267,7 @@ def _format_of(data: bytes) -> str | None:
 
 
 def _stated_size(data: bytes, what: str) -> tuple[int, int]:
-    """(width, height) as the header says, before anything is decoded."""
+    """Return (width, height) from the header, without decoding."""
     try:
         with PIL.Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as header:
             return header.size
@@ -276,7 +278,9 @@ def _stated_size(data: bytes, what: str) -> tuple[int, int]:
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether an end-of-image marker follows the first scan. Segments are walked over, for a thumbnail has its own."""
+    """Return whether an end-of-image marker follows the first scan. Segments are skipped, because a thumbnail has its
+    own.
+    """
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]

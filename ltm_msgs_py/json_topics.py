@@ -38,12 +38,12 @@ class _LabelInfo(_Strict):
 
 
 def label_set_to_msg(labels: LabelSet, model: str = "") -> String:
-    """The classes, their colours and their part in votes, as JSON; `model`: what labels, where that is known."""
+    """Return the classes, their colours and their part in votes, as JSON; `model`: the network, if known."""
     return String(data=json.dumps(labels.info() | ({"model": model} if model else {})))
 
 
 def msg_to_model(msg: Any) -> str:
-    """What labels, as a `labels/info` message says; empty where it does not. Raises MessageError on another message."""
+    """Return the network of a `labels/info` message; empty if not stated. Raises MessageError for another message."""
     return _checked(msg).model
 
 
@@ -59,7 +59,7 @@ _LONGEST = 4096
 
 
 def manifest_to_msg(manifest: SurfaceManifest) -> String:
-    """The version that counts, its digest and the shares of cells seen and changed."""
+    """Return the version in use, its digest and the shares of cells seen and changed."""
     entry = manifest.entry(manifest.current)
     told: dict[str, Any] = {"version": manifest.current, "held": manifest.held}
     if entry is not None:
@@ -71,21 +71,23 @@ def manifest_to_msg(manifest: SurfaceManifest) -> String:
 
 
 def msg_to_version(msg: Any) -> str:
-    """The version that a message names. Raises MessageError where it names none."""
+    """Return the version that a message names. Raises MessageError without one."""
     return _version(_parsed(msg, "terrain surface"), "version")
 
 
 def traced_to_msg(camera: str, stamp_ns: int, version: str) -> String:
-    """`version`: to which the frame of that stamp was traced; AS_GIVEN: to the site's rasters."""
+    """Return the surface version of a frame. `version`: to which the frame of that stamp was traced; AS_GIVEN: to the
+    site's rasters.
+    """
     return String(data=json.dumps({"camera": camera, "stamp_ns": stamp_ns, "surface": version}))
 
 
 def msg_to_traced(msg: Any) -> tuple[int, str]:
-    """Stamp of the frame, ns, and version. Raises MessageError where it has no such thing."""
+    """Return the stamp of the frame, ns, and the version. Raises MessageError if they are missing."""
     told = _parsed(msg, "depth info")
     stamp = told.get("stamp_ns")
     if isinstance(stamp, bool) or not isinstance(stamp, int) or not 0 <= stamp < 2**63:
-        raise MessageError(f"depth info has the stamp {stamp!r}; whole nanoseconds from 0 on are right")
+        raise MessageError(f"depth info has the stamp {stamp!r}; expected whole nanoseconds >= 0")
     return stamp, _version(told, "surface")
 
 
@@ -96,7 +98,7 @@ def _parsed(msg: Any, what: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         told = None
     if not isinstance(told, dict):
-        raise MessageError(f"{what} is no JSON mapping of at most {_LONGEST} characters: {text[:80]!r}")
+        raise MessageError(f"{what} is not a JSON mapping of at most {_LONGEST} characters: {text[:80]!r}")
     return told
 
 
@@ -104,4 +106,6 @@ def _version(told: dict[str, Any], key: str) -> str:
     version = told.get(key)
     if version == AS_GIVEN or (isinstance(version, str) and re.fullmatch(VERSION, version, re.ASCII)):
         return version
-    raise MessageError(f"{key} {str(version)[:80]!r} is no version of a surface: 16 hexadecimal digits, or nothing")
+    raise MessageError(
+        f"{key} {str(version)[:80]!r} is not a surface version: expected 16 hexadecimal digits, or nothing"
+    )

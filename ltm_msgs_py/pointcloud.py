@@ -44,7 +44,7 @@ _DTYPES: dict[int, np.dtype[Any]] = {
 }
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
 _LARGEST_POINT = 2**31 - 1
-"""Bytes; NumPy has no larger records."""
+"""Maximum bytes of a point, NumPy's limit for records."""
 
 
 def columns_to_msg(
@@ -56,7 +56,7 @@ def columns_to_msg(
     """
     lengths = {name: column.shape for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
-        raise MessageError(f"point columns must be one-dimensional and equally long, got {lengths}")
+        raise MessageError(f"point columns must be one-dimensional and of equal length, got {lengths}")
     (count,) = next(iter(lengths.values()))
     fields, dtypes, offset = [], [], 0
     for name, column in columns.items():
@@ -80,10 +80,10 @@ def columns_to_msg(
 
 
 def msg_to_columns(msg: Any) -> Columns:
-    """The columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
+    """Return the columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
 
-    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an
-    unknown datatype, or holds more than one element.
+    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an unknown
+    datatype, or holds more than one element.
     """
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
@@ -99,13 +99,13 @@ def msg_to_columns(msg: Any) -> Columns:
         if dtype is None or field.count != 1:
             raise MessageError(
                 f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}; "
-                f"taken: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
+                f"supported: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
             )
         if field.name in names:
-            raise MessageError(f"PointCloud2 has the field {field.name!r} twice")
+            raise MessageError(f"PointCloud2 has duplicate field {field.name!r}")
         if field.offset < 0 or field.offset + dtype.itemsize > point_step:
             raise MessageError(
-                f"PointCloud2 field {field.name!r} at offset {field.offset} leaves its point of {point_step} bytes"
+                f"PointCloud2 field {field.name!r} at offset {field.offset} exceeds its point of {point_step} bytes"
             )
         names.append(field.name)
         formats.append(dtype.newbyteorder(">" if msg.is_bigendian else "<"))
@@ -119,8 +119,9 @@ def msg_to_columns(msg: Any) -> Columns:
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
-    """Votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
-    `votes_to_columns` does."""
+    """Return votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
+    `votes_to_columns`.
+    """
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
@@ -137,8 +138,8 @@ def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], s
     most = most_bytes(cells, names)
     if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
         raise MessageError(
-            f"votes of {source} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
-            f"the fuel grid has {cells}, whose votes take {most} bytes at most"
+            f"votes of {source} state {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; the fuel "
+            f"grid has {cells}, whose votes have at most {most} bytes"
         )
     return columns_to_votes(msg_to_columns(msg), geometry, names, stamp_of(msg), source)
 
@@ -164,7 +165,7 @@ class FuelCells:
     layers: dict[str, NDArray[Any]]
 
     def raster(self, name: str, shape: tuple[int, int], elsewhere: float | NDArray[Any]) -> NDArray[Any]:
-        """A layer as (H, W); where no cell is given `elsewhere`, a value or (H, W)."""
+        """Return a layer as (H, W); cells without data get `elsewhere`, a value or (H, W)."""
         whole = np.full(shape, elsewhere, self.layers[name].dtype)
         whole[self.rows, self.cols] = self.layers[name]
         return whole
@@ -173,7 +174,7 @@ class FuelCells:
 def fuel_cells_to_msg(
     layers: FuelLayers, heights: NDArray[np.floating], geometry: GridGeometry, stamp_ns: int
 ) -> PointCloud2:
-    """The cells that evidence has touched; `heights`: (H, W) metres of the terrain at the cells' centres."""
+    """Return the cells with evidence; `heights`: (H, W) metres of the terrain at the cells' centres."""
     rows, cols = np.nonzero((layers.last_seen > 0) | layers.changed)
     x, y = geometry.to_map(rows, cols)
     z = np.asarray(heights[rows, cols], np.float32)
@@ -183,15 +184,17 @@ def fuel_cells_to_msg(
 
 
 def msg_to_fuel_cells(msg: Any, geometry: GridGeometry) -> FuelCells:
-    """Raises MessageError on missing fields or types, more points than the grid has cells, and points outside it."""
+    """Return fuel cells. Raises MessageError for missing fields or types, more points than the grid has cells, and
+    points outside it.
+    """
     if int(msg.height) * int(msg.width) > geometry.width * geometry.height:
         raise MessageError(f"fuel cells: {int(msg.height) * int(msg.width)} points for a grid of {geometry.shape}")
     columns = msg_to_columns(msg)
     x, y = (take(columns, axis, np.float32, "fuel cells") for axis in "xy")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise MessageError("fuel cells: a point has no finite place")
+        raise MessageError("fuel cells: a point has no finite position")
     rows, cols = geometry.cell_of(x, y)
     if not np.all(geometry.contains(rows, cols)):
-        raise MessageError(f"fuel cells: a point lies outside the fuel grid, {geometry.bounds} in the map frame")
+        raise MessageError(f"fuel cells: a point is outside the fuel grid, {geometry.bounds} in the map frame")
     layers = {name: take(columns, name, dtype, "fuel cells") for name, dtype in _FIELDS.items()}
     return FuelCells(np.asarray(rows, np.int64), np.asarray(cols, np.int64), layers)

@@ -4,7 +4,7 @@ Pose <-> geometry_msgs/PoseWithCovarianceStamped and PoseStamped.
 
 The pose is that of the camera's optical frame in `header.frame_id`.
 
-Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as it is stated.
+Correction of a mount <-> geometry_msgs/PoseWithCovarianceStamped. A covariance of zeros: as stated.
 
 A correction moves nothing: x stands for the zero of a head's tilt axis (rad), 0 where none is known of.
 
@@ -31,14 +31,15 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.stamp import make_header
 
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
-"""Variances from here on say that nothing is known, m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the greatest double
-there is, and a direction that is less sure than half a turn is none."""
+"""Variances from here on mean unknown, in m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the largest double, and a
+direction with a larger standard deviation than half a turn is unknown.
+"""
 
 
 def pose_to_msg(
     pose: Pose, stamp_ns: int, frame_id: str = "map", covariance: ArrayLike | None = None
 ) -> PoseWithCovarianceStamped:
-    """A pose with its covariance, (6, 6) over x, y, z (m) and rotations about x, y, z (rad); zeros: not known.
+    """Return a pose with its covariance, (6, 6) over x, y, z (m) and rotations about x, y, z (rad); zeros: unknown.
 
     Raises PoseError on a covariance of another shape or that is not finite.
     """
@@ -53,21 +54,21 @@ def pose_to_msg(
 
 
 def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:
-    """The pose of a PoseWithCovarianceStamped or PoseStamped.
+    """Return the pose of a PoseWithCovarianceStamped or PoseStamped.
 
     `frame_id`: the frame that the pose must be given in, when it matters. Raises PoseError on another frame, NaN or
     infinite numbers, or a quaternion whose norm is not 1 within 1e-3 (an unset one is zero).
     """
     stamped_in = msg.header.frame_id
     if frame_id is not None and stamped_in != frame_id:
-        raise PoseError(f"pose is given in frame {stamped_in!r}, wanted {frame_id!r}")
+        raise PoseError(f"pose is in frame {stamped_in!r}, expected {frame_id!r}")
     pose = msg.pose.pose if hasattr(msg.pose, "pose") else msg.pose
     p, q = pose.position, pose.orientation
     return Pose.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
 def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64Array | None:
-    """The covariance of a PoseWithCovarianceStamped, (6, 6) over x, y, z (m) and rotations about x, y, z (rad).
+    """Return the covariance of a PoseWithCovarianceStamped, (6, 6) over x, y, z (m) and rotations about x, y, z (rad).
 
     Unknown are: all of it where all is zero or the first number is -1 (as in sensor_msgs/Imu), and each axis whose
     variance is infinite or `UNKNOWN_VARIANCES` at least. `assumed`: (6, 6), stands for what is unknown; without it the
@@ -79,13 +80,13 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
     variances = given.diagonal()
     if np.isnan(given).any() or (variances < 0).any():
         raise PoseError(
-            f"pose covariance has the variances {variances.tolist()}: it must hold numbers, and no negative variances; "
-            "send zeros where it is not known"
+            f"pose covariance has the variances {variances.tolist()}: it needs numbers without negative "
+            "variances; send zeros if it is unknown"
         )
     known = variances < UNKNOWN_VARIANCES
     matrix = given[np.ix_(known, known)]
     if not np.isfinite(matrix).all():
-        raise PoseError(f"pose covariance must be finite where it is known, got {given.tolist()}")
+        raise PoseError(f"pose covariance must be finite if it is known, got {given.tolist()}")
     _check_correlations(matrix)
     if known.all():
         return (given + given.T) / 2
@@ -98,7 +99,7 @@ def msg_to_covariance(msg: Any, assumed: Float64Array | None = None) -> Float64A
 
 
 def _check_correlations(matrix: Float64Array) -> None:
-    """Raises PoseError. Metres and radians are of different sizes, so what is compared is without units."""
+    """Check correlations. Raises PoseError. Metres and radians differ in size, so normalised values are compared."""
     sigmas = np.sqrt(matrix.diagonal())
     scale = np.outer(sigmas, sigmas)
     sure = scale == 0  # an axis without any error has none in common with others
@@ -111,8 +112,8 @@ def _check_correlations(matrix: Float64Array) -> None:
         or (len(matrix) and np.linalg.eigvalsh(correlations).min() < -1e-6)
     ):
         raise PoseError(
-            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; "
-            "send zeros where it is not known"
+            f"pose covariance must be symmetric and without negative eigenvalues, got {matrix.tolist()}; send "
+            "zeros if it is unknown"
         )
 
 
@@ -125,7 +126,7 @@ def _pose_msg(pose: Pose) -> PoseMsg:
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
-    """`stamp_ns`: of the last picture that it comes from."""
+    """Return a correction. `stamp_ns`: of its last image."""
     turn = Pose(np.array([correction.tilt_zero, 0.0, 0.0]), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:
@@ -136,7 +137,7 @@ def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
 
 
 def msg_to_correction(msg: Any) -> PoseCorrection:
-    """Raises PoseError as `msg_to_pose` and `msg_to_covariance` do."""
+    """Return a correction. Raises PoseError as `msg_to_pose` and `msg_to_covariance`."""
     covariance = msg_to_covariance(msg)
     pose = msg_to_pose(msg, "map")
     rotation, tilt_zero = vector_of_matrix(pose.rotation), float(pose.position[0])
@@ -146,15 +147,15 @@ def msg_to_correction(msg: Any) -> PoseCorrection:
 
 
 def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
-    """Pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
+    """Return pixels (N, 2) of a PolygonStamped, or (1, 2) of a PointStamped.
 
     Raises MessageError: another frame, no point, too many, numbers that are not finite.
     """
     if msg.header.frame_id != frame_id:
-        raise MessageError(f"region is given in frame {msg.header.frame_id!r}, wanted {frame_id!r}, in pixels")
+        raise MessageError(f"region is in frame {msg.header.frame_id!r}, expected {frame_id!r}, in pixels")
     points = [msg.point] if hasattr(msg, "point") else msg.polygon.points
     if not 1 <= len(points) <= MOST_VERTICES:
-        raise MessageError(f"a region has 1 to {MOST_VERTICES} points, got {len(points)}")
+        raise MessageError(f"a region needs 1 to {MOST_VERTICES} points, got {len(points)}")
     outline = np.array([(point.x, point.y) for point in points], np.float64)
     if not np.isfinite(outline).all():
         raise MessageError("a region's points must be finite pixels")
@@ -164,7 +165,7 @@ def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
 def place_to_msg(
     place: Float64Array, covariance: Float64Array, height_variance: float, stamp_ns: int, frame_id: str = "map"
 ) -> PoseWithCovarianceStamped:
-    """A place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
+    """Return a place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
     msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, frame_id))
     position = msg.pose.pose.position
     position.x, position.y, position.z = (float(v) for v in place)

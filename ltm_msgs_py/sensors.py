@@ -16,21 +16,21 @@ from ltm_msgs_py.stamp import make_header, stamp_of
 
 
 def msg_to_attitude(msg: Any) -> Attitude:
-    """In a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is not known.
+    """Return an attitude in a world of x east, y north, z up (REP-103, REP-145). A covariance of zeros is unknown.
 
-    Raises PoseError where the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1,
-    and for a covariance that is none.
+    Raises PoseError if the device states no orientation (covariance[0] = -1), for a quaternion whose norm is not 1, and
+    for an invalid covariance.
     """
     covariance = np.array(msg.orientation_covariance, np.float64).reshape(3, 3)
     if covariance[0, 0] == -1.0:
         raise PoseError(
-            "the Imu message says that it holds no orientation (orientation_covariance[0] = -1): publish the phone's "
-            "rotation vector, or fuse its sensors first (imu_filter_madgwick with a magnetometer)"
+            "the Imu message states that it has no orientation (orientation_covariance[0] = -1): publish the "
+            "phone's rotation vector, or fuse its sensors first (imu_filter_madgwick with a magnetometer)"
         )
     if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
         raise PoseError(
-            f"the Imu message's orientation_covariance must be finite without negative variances, got "
-            f"{covariance.tolist()}; send zeros where it is not known"
+            "the Imu message's orientation_covariance must be finite without negative variances, got "
+            f"{covariance.tolist()}; send zeros if it is unknown"
         )
     q = msg.orientation
     rotation = Pose.from_quaternion((0.0, 0.0, 0.0), (q.x, q.y, q.z, q.w)).rotation
@@ -42,21 +42,21 @@ _COVARIANCE_UNKNOWN = 0
 
 
 def msg_to_fix(msg: Any) -> Fix:
-    """Raises PoseError: the receiver has no fix, a place off the globe, or a covariance that is none."""
+    """Return a GPS fix. Raises PoseError: no fix, invalid position or covariance."""
     if msg.status.status == _NO_FIX:
-        raise PoseError("the receiver says that it has no fix (status -1): wait for one under open sky")
+        raise PoseError("the receiver reports no GPS fix (status -1): wait for one under open sky")
     lon, lat = float(msg.longitude), float(msg.latitude)
     if not (math.isfinite(lon) and math.isfinite(lat) and abs(lat) <= 90 and abs(lon) <= 180):
-        raise PoseError(f"a fix at lat {lat}, lon {lon} is not on the globe")
+        raise PoseError(f"invalid GPS fix at lat {lat}, lon {lon}")
     if (lat, lon) == (0.0, 0.0):
-        raise PoseError("a fix at (0, 0) is what receivers send without one: wait for one under open sky")
+        raise PoseError("receivers send a GPS fix at (0, 0) if they have none: wait for one under open sky")
     covariance = None
     if msg.position_covariance_type != _COVARIANCE_UNKNOWN:
         covariance = np.array(msg.position_covariance, np.float64).reshape(3, 3)
         if not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
             raise PoseError(
-                f"the fix's position_covariance must be finite without negative variances, got {covariance.tolist()}; "
-                "send position_covariance_type 0 where it is not known"
+                "the GPS fix's position_covariance must be finite without negative variances, got "
+                f"{covariance.tolist()}; send position_covariance_type 0 if it is unknown"
             )
         if not covariance.diagonal().any():
             covariance = None
@@ -64,7 +64,7 @@ def msg_to_fix(msg: Any) -> Fix:
 
 
 def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:
-    """A camera as CameraInfo with the plumb_bob model, for the raw image. Raises MessageError on a bad stamp."""
+    """Return a camera as CameraInfo with the plumb_bob model, for the raw image. Raises MessageError on a bad stamp."""
     msg = CameraInfo(header=make_header(stamp_ns, frame_id), height=camera.height, width=camera.width)
     msg.distortion_model = "plumb_bob"
     msg.d = [float(v) for v in camera.distortion]
@@ -75,11 +75,11 @@ def camera_to_msg(camera: Camera, stamp_ns: int, frame_id: str) -> CameraInfo:
 
 
 def msg_to_camera(msg: Any) -> Camera:
-    """The camera that a CameraInfo describes.
+    """Return the camera that a CameraInfo describes.
 
     Taken: plumb_bob with D of 0, 4 (k1 k2 p1 p2) or 5 (and k3) numbers, at full resolution. R and P are for rectified
-    images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a
-    skewed or non-finite K, binning, or a region of interest.
+    images and left aside. Raises CameraError on an uncalibrated camera (K[0] = 0), another distortion model, a skewed
+    or non-finite K, binning, or a region of interest.
     """
     who = f"CameraInfo of frame {msg.header.frame_id!r}"
     k = np.asarray(msg.k, np.float64)
@@ -92,19 +92,19 @@ def msg_to_camera(msg: Any) -> Camera:
         raise CameraError(f"{who}: K must be [fx 0 cx; 0 fy cy; 0 0 1] without skew, got {k.tolist()}")
     if msg.distortion_model != "plumb_bob" and not (msg.distortion_model == "" and not any(d)):
         raise CameraError(
-            f"{who}: distortion model {msg.distortion_model!r} is not taken, only 'plumb_bob'; "
-            "undistort the images or calibrate with plumb_bob"
+            f"{who}: distortion model {msg.distortion_model!r} is not supported, only 'plumb_bob'; undistort the "
+            "images or calibrate with plumb_bob"
         )
     if len(d) not in (0, 4, 5):
         raise CameraError(f"{who}: plumb_bob has D = (k1, k2, p1, p2[, k3]), 0, 4 or 5 numbers; got {len(d)}: {d}")
     if msg.binning_x > 1 or msg.binning_y > 1:
         raise CameraError(
-            f"{who}: binning {msg.binning_x} x {msg.binning_y} is not taken; publish K for the image as it is sent"
+            f"{who}: binning {msg.binning_x} x {msg.binning_y} is not supported; publish K for the image as sent"
         )
     roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
     if roi not in ((0, 0, 0, 0), (0, 0, msg.width, msg.height)):
         raise CameraError(
-            f"{who}: region of interest x, y, width, height = {roi} is not taken; publish K for the image as it is sent"
+            f"{who}: region of interest x, y, width, height = {roi} is not supported; publish K for the image as sent"
         )
     k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     try:

@@ -1,4 +1,4 @@
-"""Nanoseconds <-> builtin_interfaces/Time."""
+"""Convert nanoseconds to builtin_interfaces/Time and back."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ LATEST_NS = 2**31 * NS_PER_S - 1
 
 
 def ns_to_time(stamp_ns: int) -> Time:
-    """A stamp in nanoseconds since the epoch as a Time. Raises MessageError when it is negative or past `LATEST_NS`."""
+    """Return a stamp in nanoseconds since the epoch as a Time. Raises MessageError if it is negative or past
+    `LATEST_NS`.
+    """
     stamp_ns = int(stamp_ns)
     if not 0 <= stamp_ns <= LATEST_NS:
         raise MessageError(
@@ -28,35 +30,37 @@ def ns_to_time(stamp_ns: int) -> Time:
 
 
 def time_to_ns(time: Any) -> int:
-    """A Time as nanoseconds since the epoch. Raises MessageError on negative seconds or nanosec of a second or more."""
+    """Return a Time as nanoseconds since the epoch. Raises MessageError for negative seconds or nanosec of a second or
+    more.
+    """
     sec, nanosec = int(time.sec), int(time.nanosec)
     if sec < 0 or not 0 <= nanosec < NS_PER_S:
         raise MessageError(
-            f"stamp sec={sec} nanosec={nanosec} is no time: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
+            f"stamp sec={sec} nanosec={nanosec} is invalid: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
         )
     return sec * NS_PER_S + nanosec
 
 
 def make_header(stamp_ns: int, frame_id: str) -> Header:
-    """A std_msgs/Header. Raises MessageError as `ns_to_time` does."""
+    """Return a std_msgs/Header. Raises MessageError as `ns_to_time`."""
     return Header(stamp=ns_to_time(stamp_ns), frame_id=frame_id)
 
 
 def stamp_of(msg: Any) -> int:
-    """The `header.stamp` of any stamped message, nanoseconds. Raises MessageError as `time_to_ns` does."""
+    """Return the `header.stamp` of a stamped message in nanoseconds. Raises MessageError as `time_to_ns`."""
     return time_to_ns(msg.header.stamp)
 
 
 def time_text(stamp_ns: int) -> str:
-    """Nanoseconds since the epoch as people and as machines read them: `2023-11-14T22:13:20.100Z (1700000000100000000
-    ns)`.
+    """Return nanoseconds since the epoch for people and machines: `2023-11-14T22:13:20.100Z
+    (1700000000100000000 ns)`.
     """
     moment = moment_of_stamp(stamp_ns)
     return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
 
 
 def stamp_text(msg: Any) -> str:
-    """The stamp of any stamped message for errors, as `time_text` writes it; what it holds, where that is no time."""
+    """Return the stamp of a stamped message for errors, as `time_text` writes it; its raw content if it is invalid."""
     try:
         return time_text(stamp_of(msg))
     except MessageError:

@@ -1,4 +1,4 @@
-"""One MCAP file of a bag while it is written: it ends whole, also where the disk fails."""
+"""Write one MCAP file of a bag, which stays readable even if the disk fails."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ltm_msgs_py.bag.repair import finish_cut_file
 from ltm_msgs_py.bag.schemas import schema_text
 
 RESERVE_BYTES = 1 << 20
-"""Held beside the file, so that its index can be written on a full disk."""
+"""Bytes reserved beside the file, so that its index can be written on a full disk."""
 
 
 class _Unbuffered:
-    """A file in which every write is whole or an error, and whose size is known."""
+    """A file in which every write is complete or an error, and whose size is known."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
-        # Whoever removes old recordings leaves alone what somebody still writes.
+        # Locked, so that a cleanup of old recordings leaves files that are being written.
         with suppress(OSError):  # not every network's file system has locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.size = 0
@@ -43,7 +43,7 @@ class _Unbuffered:
         return self.size
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing; nothing is buffered."""
 
     def sync(self) -> None:
         os.fsync(self._file.fileno())
@@ -60,10 +60,10 @@ class McapFile:
     """
 
     def __init__(self, path: Path, compression: CompressionType, chunk_size: int, library: str) -> None:
-        """A new file. Raises OSError, and leaves none then."""
+        """Create the file. Raises OSError, and leaves no file then."""
         self.path = path
         self.saved: Counter[str] = Counter()
-        """New messages by topic that the operating system has: a killed process does not lose them."""
+        """New messages by topic that the operating system has, which survive a kill of the process."""
         self.first_ns: int | None = None
         """Log time of the first message."""
         self._record = FileRecord(path.name, 0, 0, Counter())
@@ -84,21 +84,21 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
+        """Return the bytes in the file."""
         return self._stream.size
 
     @property
     def unsaved(self) -> int:
-        """New messages that wait for their chunk."""
+        """Return the number of new messages that wait for their chunk."""
         return sum(new for _, _, new in self._waiting)
 
     @property
     def record(self) -> FileRecord:
-        """What the bag's metadata says of the file, by what is saved."""
+        """Return the file's entry in the bag's metadata, for what is saved."""
         return replace(self._record, counts=self._record.counts.copy())
 
     def add_topic(self, record: TopicRecord) -> None:
-        """Raises RecordingError where the type has no definition here, OSError."""
+        """Add a topic. Raises RecordingError if the type has no definition here, OSError."""
         if record.type_name not in self._schemas:
             text = schema_text(record.type_name).encode()
             self._schemas[record.type_name] = self._writer.register_schema(record.type_name, "ros2msg", text)
@@ -110,7 +110,7 @@ class McapFile:
     def write(
         self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int, sequence: int, new: bool = True
     ) -> None:
-        """Append a message of a topic that was added; `new`: not a repetition of what a file before this one has."""
+        """Append a message of an added topic; `new`: not repeated from an earlier file."""
         if self.first_ns is None:
             self.first_ns = log_time_ns
         self._waiting.append((topic, log_time_ns, new))
@@ -118,12 +118,12 @@ class McapFile:
         self._note_chunks()
 
     def flush(self) -> None:
-        """Hand the chunk at hand to the operating system."""
+        """Write the current chunk to the operating system."""
         self._writer.flush()
         self._note_chunks()
 
     def finish(self, metadata: Mapping[str, str]) -> FileRecord:
-        """Write the index and wait for the disk; the file is closed. `metadata`: the record that rosbag2 writes."""
+        """Write the index, wait for the disk and close the file. `metadata`: the record that rosbag2 writes."""
         self.flush()
         self._reserve.give_up()
         self._writer.add_metadata("rosbag2", dict(metadata))
@@ -133,9 +133,9 @@ class McapFile:
         return self.record
 
     def abandon(self) -> FileRecord | None:
-        """After an OSError: end the file after its last whole chunk and close it; None where it holds nothing new.
+        """End the file after its last complete chunk and close it, after an OSError; None if it holds nothing new.
 
-        Where not even that can be written, the file ends at that chunk without an index, and BagReader reads it.
+        If even that fails, the file ends at that chunk without an index, and BagReader can read it.
         """
         self._reserve.give_up()
         with suppress(OSError):
@@ -153,7 +153,7 @@ class McapFile:
         return self.record
 
     def _note_chunks(self) -> None:
-        """Chunks are ended by the library; the file has grown where it ended one."""
+        """Detect chunks that the library has ended, by the growth of the file."""
         if self._stream.size == self._whole:
             return
         self._whole = self._stream.size

@@ -1,7 +1,7 @@
-"""Index of the messages in one MCAP file, from its summary, or by reading through a file that has none.
+"""Index the messages in one MCAP file, from its summary, or by a scan if it has none.
 
-A recorder that is killed leaves a file without a summary, cut inside a record. Everything before the cut is whole, so
-it is read; where reading stopped, and why, is kept in words with the byte offset.
+A killed recorder leaves a file without a summary, truncated inside a record. Everything before that is read; the
+position and the reason are reported.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from ltm_core.base.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_NS = 2**63 - 1
-"""MCAP's own times go twice as far, ROS's and those of all that is made of a recording do not."""
+"""Latest time in ns that ROS supports; MCAP's own times go twice as far."""
 _OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
 _RECORD_HEAD = struct.Struct("<BQ")
 _TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
 _CHUNK_OPCODES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *range(128, 256)}
 _LARGEST_CHUNK = 128 << 20
-"""Bytes: recorders make chunks of one or a few megabytes, or of one message where that is larger."""
+"""Maximum bytes of a chunk: recorders write chunks of a few megabytes, or of one larger message."""
 _LARGEST_SUMMARY = 256 << 20
 _MOST_WAITING = 256 << 20
-"""Bytes of the messages in chunks that overlap in time."""
+"""Maximum bytes of messages in chunks that overlap in time."""
 _RECORDS_BESIDE = 1000
-"""Records that a chunk may have besides one for each of its compressed bytes; recorded ones take ten bytes and more."""
+"""Maximum number of records of a chunk beyond one per compressed byte; recorded ones take ten bytes and more."""
 
-# What the mcap library and what it uses raise when bytes are not what they should be.
+# Exceptions of the mcap library and its dependencies for corrupt bytes.
 _BROKEN = (
     *(McapError, ZstdError, struct.error, ValueError, LookupError),
     *(RuntimeError, EOFError, MemoryError, OverflowError, OSError),
@@ -61,10 +61,10 @@ class _Entry:
 
 @dataclass
 class McapIndex:
-    """The channels of an MCAP file and the places of its messages.
+    """The channels of an MCAP file and the positions of its messages.
 
-    `damage`: what could not be read, with byte offsets; empty for a whole file. `unread`: what the system refused to
-    read, and may give another time. `counts`: messages a channel id.
+    `damage`: unreadable parts, with byte offsets; empty for a complete file. `unread`: parts that the system failed to
+    read, maybe temporarily. `counts`: messages per channel id.
     """
 
     path: Path
@@ -95,9 +95,10 @@ class McapIndex:
     def messages(
         self, channel_ids: Collection[int], start_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Channel, Message]]:
-        """Messages of the given channels with start_ns <= log_time < end_ns, by log time, then by place in the file.
+        """Yield messages of the given channels with start_ns <= log_time < end_ns, by log time, then by position in the
+        file.
 
-        Chunks that turn out to be broken are left out and noted in `damage`.
+        Corrupt chunks are skipped and noted in `damage`.
         """
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
         # most the chunks that overlap in time are in memory.
@@ -125,7 +126,7 @@ class McapIndex:
                 size = sum(len(message.data) for *_, message in wanted)
                 if held and held + size > _MOST_WAITING:
                     overlap = (
-                        f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} are read"
+                        f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} is the limit"
                     )
                     self._note(offset, ValueError(overlap))
                     continue
@@ -134,7 +135,7 @@ class McapIndex:
                     heapq.heappush(waiting, message)
 
     def _read_summary(self, stream: BinaryIO) -> bool:
-        """Fill in from the summary section; False where the file has none that serves."""
+        """Read the summary section; return False if the file has no valid one."""
         try:
             section = _sound_summary(stream)
             if section is None:
@@ -160,7 +161,7 @@ class McapIndex:
         return True
 
     def _scan(self, stream: BinaryIO) -> None:
-        """Fill in by reading through the file up to its footer or to the first place that cannot be read."""
+        """Scan the file up to its footer or to the first unreadable record."""
         size = stream.seek(0, 2)
         offset = len(MAGIC)
         while True:
@@ -168,21 +169,21 @@ class McapIndex:
             head = stream.read(_RECORD_HEAD.size)
             if len(head) < _RECORD_HEAD.size:
                 self.damage.append(
-                    f"{self.path} ends at byte {size} without a footer (was its recorder killed?); "
-                    f"all records before byte {offset} are read"
+                    f"{self.path} ends at byte {size} without a footer (was its recorder killed?); all records "
+                    f"before byte {offset} are used"
                 )
                 return
             opcode, length = _RECORD_HEAD.unpack(head)
             if offset + _RECORD_HEAD.size + length > size:
                 self.damage.append(
-                    f"{self.path} is cut short: the record at byte {offset} should have {length} bytes, the file "
-                    f"ends at byte {size} (was its recorder killed?); all records before it are read"
+                    f"{self.path} is truncated: the record at byte {offset} should have {length} bytes, the file "
+                    f"ends at byte {size} (was its recorder killed?); all records before it are used"
                 )
                 return
             if opcode == Opcode.FOOTER and offset + _TAIL.size == size:
                 return
             if opcode == Opcode.FOOTER or opcode not in _OPCODES:
-                self._note(offset, ValueError(f"opcode {opcode} does not belong there"))
+                self._note(offset, ValueError(f"unexpected opcode {opcode}"))
             try:
                 self._take(stream, offset, opcode, length)
             except _BROKEN as error:
@@ -225,7 +226,7 @@ class McapIndex:
         self.end_ns = end if self.end_ns is None else max(end, self.end_ns)
 
     def _load(self, stream: BinaryIO, entry: _Entry) -> list[Message]:
-        """The messages of a chunk (or the one message) at an entry; none, and a note, where it is broken."""
+        """Return the messages of a chunk (or the one message) at an entry; none, with a note, if it is corrupt."""
         try:
             if entry.is_chunk:
                 records = _records(_read_chunk(stream, entry.offset))
@@ -239,23 +240,23 @@ class McapIndex:
             return []
 
     def _of_our_time(self, messages: list[Message], offset: int) -> list[Message]:
-        """Those that were received and sent at some time; the others are noted."""
+        """Return messages with valid times; note the others."""
         kept = [message for message in messages if max(message.log_time, message.publish_time) <= LATEST_NS]
         if len(kept) < len(messages):
             latest = max(max(message.log_time, message.publish_time) for message in messages)
             self._damaged(
-                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages are of times up to {latest} ns, "
-                f"later than {LATEST_NS} ns, and left out"
+                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages have times up to {latest} "
+                f"ns, later than {LATEST_NS} ns, and are ignored"
             )
         return kept
 
     def _note(self, offset: int, error: BaseException) -> None:
-        note = f"{self.path}: the record at byte {offset} is broken and left out ({type(error).__name__}: {error})"
+        note = f"{self.path}: the record at byte {offset} is corrupt and ignored ({type(error).__name__}: {error})"
         if self._damaged(note) and _refused(error):
             self.unread.append(note)
 
     def _damaged(self, note: str) -> bool:
-        """Whether that is new: what is read again is found broken again."""
+        """Note damage; return whether it is new, because parts may be read repeatedly."""
         if note in self.damage:
             return False
         self.damage.append(note)
@@ -263,12 +264,12 @@ class McapIndex:
 
 
 def _refused(error: BaseException) -> bool:
-    """Whether the system has not given the bytes; a place before the file's begin is an error of the bytes' own."""
+    """Return whether the system failed to read; a position before the file's start is an error of the bytes."""
     return isinstance(error, OSError) and error.errno not in (None, errno.EINVAL)
 
 
 def _sound_summary(stream: BinaryIO) -> bytes | None:
-    """The summary section and the footer, where the file ends in one and its checksum, if it has one, is right."""
+    """Return the summary section and the footer, if the file has them and the checksum, if any, is correct."""
     size = stream.seek(0, 2)
     stream.seek(size - _TAIL.size)
     opcode, length, summary_start, _, checksum, magic = _TAIL.unpack(stream.read(_TAIL.size))
@@ -294,8 +295,8 @@ def _read_chunk(stream: BinaryIO, offset: int) -> Chunk:
 
 
 def _records(chunk: Chunk) -> list[McapRecord]:
-    """A chunk's records. Raises what `_BROKEN` names, before more is made than `_LARGEST_CHUNK` bytes and one record a
-    compressed byte: a hundred kilobytes may unfold to gigabytes, or to millions of empty records.
+    """Yield a chunk's records. Raises what `_BROKEN` names, before more than `_LARGEST_CHUNK` bytes and one record per
+    compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records.
     """
     whole = _decompressed(chunk)
     most, count, at = len(chunk.data) + _RECORDS_BESIDE, 0, 0
@@ -303,19 +304,21 @@ def _records(chunk: Chunk) -> list[McapRecord]:
         opcode, length = _RECORD_HEAD.unpack_from(whole, at)
         count += 1
         if opcode not in _CHUNK_OPCODES or count > most:
-            raise ValueError(f"record {count} of the chunk is of opcode {opcode}; {most} records at most are read")
+            raise ValueError(f"record {count} of the chunk has opcode {opcode}; at most {most} records are read")
         at += _RECORD_HEAD.size + length
     plain = replace(chunk, compression="", data=whole, uncompressed_size=len(whole))
     return list(breakup_chunk(plain, validate_crc=True))
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """A chunk's records as bytes. mcap's own function reserves what a zstd frame states, and has no bound for lz4."""
+    """Return a chunk's records as bytes. mcap's own function allocates what a zstd frame states, and has no limit for
+    lz4.
+    """
     stated = chunk.uncompressed_size
     if chunk.compression == "zstd":
         stated = max(stated, zstandard.frame_content_size(chunk.data))
     if stated > _LARGEST_CHUNK:
-        raise ValueError(f"chunk says that it has {stated} bytes, more than {_LARGEST_CHUNK}")
+        raise ValueError(f"chunk states a size of {stated} bytes, more than {_LARGEST_CHUNK}")
     match chunk.compression:
         case "":
             return bytes(chunk.data)
@@ -323,14 +326,16 @@ def _decompressed(chunk: Chunk) -> bytes:
             return bytes(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated))
         case "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=stated))
-    raise ValueError(f"compression {chunk.compression!r} is not known; zstd, lz4 and none are read")
+    raise ValueError(f"unknown compression {chunk.compression!r}; zstd, lz4 and none are supported")
 
 
 def _not_mcap(path: Path, magic: bytes) -> str:
     if not magic:
-        return f"{path} is empty: it is no MCAP file"
+        return f"{path} is empty, not an MCAP file"
     if magic.startswith(b"SQLite"):
-        return f"{path} is a sqlite3 bag, only MCAP is read: convert it with `ros2 bag convert` or `rosbags-convert`"
+        return (
+            f"{path} is a sqlite3 bag, only MCAP is supported: convert it with `ros2 bag convert` or `rosbags-convert`"
+        )
     if magic.startswith(b"#ROSBAG"):
-        return f"{path} is a ROS 1 bag, only MCAP is read: convert it with `rosbags-convert`"
-    return f"{path} is no MCAP file: it begins with {magic.hex(' ')}, expected {MAGIC.hex(' ')}"
+        return f"{path} is a ROS 1 bag, only MCAP is supported: convert it with `rosbags-convert`"
+    return f"{path} is not an MCAP file: it begins with {magic.hex(' ')}, expected {MAGIC.hex(' ')}"

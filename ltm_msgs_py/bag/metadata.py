@@ -1,4 +1,4 @@
-"""Reads and writes rosbag2's metadata.yaml, version 9 (Jazzy)."""
+"""Read and write rosbag2's metadata.yaml, version 9 (Jazzy)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 @dataclass
 class TopicRecord:
-    """What metadata says of one topic."""
+    """Metadata of one topic."""
 
     topic: str
     type_name: str
@@ -33,7 +33,7 @@ class TopicRecord:
 
 @dataclass
 class FileRecord:
-    """What metadata says of one file: log times of its first and last message, and messages by topic."""
+    """Metadata of one file: log times of its first and last message, and messages by topic."""
 
     name: str
     start_ns: int
@@ -42,7 +42,7 @@ class FileRecord:
 
 
 def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
-    """The offered QoS of one publisher: reliable, keep last, transient local when latched."""
+    """Return the offered QoS of one publisher: reliable, keep last, transient local if latched."""
     return [
         {
             "history": "keep_last",
@@ -59,9 +59,9 @@ def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
 
 
 def is_latched(offered_qos_profiles: str) -> bool:
-    """Whether a channel's `offered_qos_profiles` (YAML) has a transient local publisher.
+    """Return whether a channel's `offered_qos_profiles` (YAML) has a transient local publisher.
 
-    Versions below 9 write RMW's number for it (1), later ones its name. Text that is no such list: False.
+    Versions below 9 write RMW's number for it (1), later ones its name. Other text: False.
     """
     try:
         profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else []
@@ -75,7 +75,7 @@ def is_latched(offered_qos_profiles: str) -> bool:
 def bag_information(
     files: Sequence[FileRecord], topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The content of `rosbag2_bagfile_information` for a bag of these files, in their order."""
+    """Return the content of `rosbag2_bagfile_information` for a bag of these files, in their order."""
     total: Counter[str] = Counter()
     for file in files:
         total += file.counts
@@ -119,8 +119,9 @@ def bag_information(
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Put metadata.yaml into a bag's folder, in one step, also where the power fails: a bag that has one counts as
-    finished, and nobody would mend it. Raises OSError."""
+    """Write metadata.yaml into a bag's folder atomically, even with a power cut, because a bag that has one counts as
+    finished. Raises OSError.
+    """
     unfinished = folder / f"{FILE_NAME}.tmp"
     with unfinished.open("w", encoding="utf-8") as file:
         file.write(to_yaml({INFORMATION: dict(information)}))
@@ -130,7 +131,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
 
 
 def to_yaml(data: Any) -> str:
-    """Block-style YAML without anchors, which yaml-cpp and people read alike."""
+    """Return block-style YAML without anchors, for yaml-cpp and people."""
 
     class Dumper(yaml.SafeDumper):
         def ignore_aliases(self, data: Any) -> bool:
@@ -140,10 +141,10 @@ def to_yaml(data: Any) -> str:
 
 
 def bag_files(folder: Path) -> list[Path] | None:
-    """The MCAP files that a bag folder's metadata.yaml lists, in their order; None where it has no metadata.yaml.
+    """Return the MCAP files that a bag folder's metadata.yaml lists, in their order; None if it has no metadata.yaml.
 
-    Raises RecordingError on metadata that is not rosbag2's, another storage, whole-file compression, or files that are
-    missing or lie outside the folder.
+    Raises RecordingError for metadata that is not rosbag2's, another storage, whole-file compression, or files that are
+    missing or outside the folder.
     """
     path = folder / FILE_NAME
     if not path.exists():
@@ -156,7 +157,7 @@ def bag_files(folder: Path) -> list[Path] | None:
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise RecordingError(
-            f"{path} is not rosbag2 metadata: it lacks rosbag2_bagfile_information.relative_file_paths"
+            f"{path} is not rosbag2 metadata: it has no rosbag2_bagfile_information.relative_file_paths"
         )
     storage, mode = info.get("storage_identifier"), str(info.get("compression_mode") or "none").lower()
     if storage != "mcap" or mode != "none":
@@ -170,6 +171,6 @@ def bag_files(folder: Path) -> list[Path] | None:
         # A name of more than 255 bytes is an OSError to whoever asks for its file.
         known = len(name.encode()) <= 255 and file.is_file()
         if not known or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise RecordingError(f"{path} lists the file {name!r:.200}, which is not in {folder}")
+            raise RecordingError(f"{path} lists the file {name!r:.200}, which does not exist in {folder}")
         files.append(file)
     return files

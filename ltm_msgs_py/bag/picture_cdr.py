@@ -1,4 +1,4 @@
-"""Takes pictures out of their serialised messages without the middleware, whose libraries a worker need not load.
+"""Decode images from serialised messages without the middleware, whose libraries are slow to load.
 
 The layouts are those of sensor_msgs/CompressedImage and sensor_msgs/Image in plain CDR (OMG DDS-XTypes 1.3, 7.4.1):
 four bytes of encapsulation, then the fields in their order, numbers aligned to their size, strings and sequences after
@@ -18,12 +18,12 @@ from ltm_msgs_py.stamp import NS_PER_S
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 RAW_TYPE = "sensor_msgs/msg/Image"
 _HEAD = 4
-"""Bytes of encapsulation; alignment counts from behind them."""
+"""Bytes of encapsulation; alignment counts from their end."""
 
 
 @dataclass(frozen=True)
 class CompressedPicture:
-    """A JPEG or PNG as it was sent: the fields of CompressedImage."""
+    """A JPEG or PNG as sent: the fields of CompressedImage."""
 
     stamp_ns: int
     format: str
@@ -31,17 +31,17 @@ class CompressedPicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) that it states. Raises ImageError."""
+        """Return the stated (width, height). Raises ImageError."""
         return compressed_size(self)
 
     def rgb(self) -> UInt8Array:
-        """(H, W, 3). Raises ImageError."""
+        """Return (H, W, 3). Raises ImageError."""
         return compressed_to_rgb(self)
 
 
 @dataclass(frozen=True)
 class RawPicture:
-    """Pixels as they were sent: the fields of Image."""
+    """Pixels as sent: the fields of Image."""
 
     stamp_ns: int
     height: int
@@ -53,19 +53,20 @@ class RawPicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Return (width, height)."""
         return self.width, self.height
 
     def rgb(self) -> UInt8Array:
-        """(H, W, 3). Raises ImageError."""
+        """Return (H, W, 3). Raises ImageError."""
         return msg_to_rgb(self)
 
 
 def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
-    """The picture of a serialised message. Raises RecordingError on bytes that do not decode, ImageError on another
-    type."""
+    """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError for
+    another type.
+    """
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
-        raise ImageError(f"{type_name} holds no picture; taken: {COMPRESSED_TYPE} and {RAW_TYPE}")
+        raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
     try:
         fields = _Fields(raw)
         stamp = fields.number("i") * NS_PER_S + fields.number("I")
@@ -84,7 +85,9 @@ class _Fields:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < _HEAD or raw[0] != 0 or raw[1] not in (0, 1):
-            raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, plain CDR with 00 00 or 00 01")
+            raise ValueError(
+                f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, expected plain CDR (00 00 or 00 01)"
+            )
         self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
 
     def number(self, form: str) -> int:
@@ -100,6 +103,6 @@ class _Fields:
     def data(self) -> memoryview:
         length = self.number("I")
         if self._at + length > len(self._bytes):
-            raise ValueError(f"a field of {length} bytes at {self._at} leaves them")
+            raise ValueError(f"a field of {length} bytes at {self._at} exceeds them")
         self._at += length
         return self._bytes[self._at - length : self._at]

@@ -1,4 +1,4 @@
-"""Reads a bag: a rosbag2 folder of MCAP files, or one bare MCAP file."""
+"""Read a bag: a rosbag2 folder of MCAP files, or one MCAP file."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class BagMessage:
 class BagReader:
     """The topics and messages of a bag.
 
-    A bag that was cut short or has broken parts is read as far as it goes; `damage` then says what is missing and at
-    which byte, and it is logged as a warning. Later chunks are only checked when their messages are read, so look at
-    `damage` again afterwards.
+    A truncated or corrupt bag is read as far as possible; `damage` then says what is missing and at which byte, and it
+    is logged as a warning. Later chunks are only checked when their messages are read, so check `damage` again
+    afterwards.
     """
 
     def __init__(self, path: Path | str, allow_damaged: bool = True) -> None:
@@ -63,38 +63,38 @@ class BagReader:
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What could not be read so far, in words with byte offsets; empty for a whole bag."""
+        """Return unreadable parts so far, in words with byte offsets; empty for a complete bag."""
         return (*self._notes, *(note for file in self._files for note in file.damage))
 
     @property
     def unread(self) -> tuple[str, ...]:
-        """What the system refused to read: the bag may hold it, and give it another time."""
+        """Return parts that the system failed to read, maybe temporarily."""
         return tuple(note for file in self._files for note in file.unread)
 
     @property
     def start_ns(self) -> int | None:
-        """Log time of the first message; None for an empty bag."""
+        """Return the log time of the first message; None for an empty bag."""
         return min((f.start_ns for f in self._files if f.start_ns is not None), default=None)
 
     @property
     def end_ns(self) -> int | None:
-        """Log time of the last message; None for an empty bag."""
+        """Return the log time of the last message; None for an empty bag."""
         return max((f.end_ns for f in self._files if f.end_ns is not None), default=None)
 
     def topics(self) -> dict[str, str]:
-        """Type names by topic."""
+        """Return type names by topic."""
         return {topic: info.type_name for topic, info in self._topics.items()}
 
     def topic_infos(self) -> dict[str, TopicInfo]:
-        """Type, message count and QoS by topic."""
+        """Return type, message count and QoS by topic."""
         return dict(self._topics)
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Messages with start_ns <= log time < end_ns in the order of their log time; equal times in file order.
+        """Yield messages with start_ns <= log time < end_ns by log time; equal times in file order.
 
-        `topics`: only these (None: all); a topic that the bag does not have gives no messages.
+        `topics`: only these (None: all); a topic that is not in the bag gives no messages.
         """
         # Files of a long recording follow each other: only those that overlap in time are open together.
         waiting = sorted(
@@ -125,14 +125,14 @@ class BagReader:
             yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data)
 
     def decode(self, message: BagMessage) -> Any:
-        """The message object of the standard Python interface.
+        """Return the message object of the standard Python interface.
 
-        Raises RecordingError on a type that is not installed, an encoding other than CDR, or bytes that do not decode.
+        Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes.
         """
         info = self._topics.get(message.topic)
         if info is not None and info.encoding != "cdr":
             raise RecordingError(f"{message.topic} in {self.path} is encoded as {info.encoding!r}, only cdr is read")
-        from rclpy.serialization import deserialize_message  # who only looks at bytes need not load the middleware
+        from rclpy.serialization import deserialize_message  # callers that only use bytes need not load the middleware
 
         cls = message_class(message.type_name)
         try:
@@ -153,7 +153,7 @@ class BagReader:
             return files
         files = sorted(self.path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))  # _2 before _10
         if not files:
-            raise RecordingError(f"{self.path} is no bag: it holds neither metadata.yaml nor any .mcap file")
+            raise RecordingError(f"{self.path} is not a bag: it has neither metadata.yaml nor an .mcap file")
         self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its .mcap files")
         return files
 

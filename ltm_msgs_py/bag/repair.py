@@ -1,6 +1,6 @@
-"""Repair bags whose recorder was killed, and MCAP files that were cut.
+"""Repair bags whose recorder was killed, and truncated MCAP files.
 
-Ends an MCAP file that was cut: what follows its last whole chunk goes, and the index is written anew.
+Everything after the last complete chunk of a file is removed, and the index is written again.
 
 Source: MCAP specification, https://mcap.dev/spec.
 """
@@ -48,7 +48,7 @@ _BROKEN = (McapError, ZstdError, struct.error, ValueError, LookupError, EOFError
 
 @dataclass
 class _Content:
-    """What the whole chunks of a file hold; `end`: where the last of them, with its message indexes, ends."""
+    """Content of a file's complete chunks; `end`: end of the last one with its message indexes."""
 
     end: int = 0
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -58,15 +58,15 @@ class _Content:
 
 
 def finish_cut_file(path: Path) -> None:
-    """Make a file that BagWriter began, and could not finish, one that every reader of MCAP takes.
+    """Complete a file that BagWriter could not finish, so that every MCAP reader accepts it.
 
-    Raises RecordingError where it is no MCAP file, OSError where the disk fails; the whole chunks stay in any case.
+    Raises RecordingError if it is not an MCAP file, OSError if the disk fails; the complete chunks always stay.
     """
     with path.open("r+b") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         if file.read(len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{path} is no MCAP file; it stays as it is")
+            raise RecordingError(f"{path} is not an MCAP file; it was not changed")
         content = _scan(file, size)
         file.truncate(content.end)
         file.seek(content.end)
@@ -104,7 +104,7 @@ def _scan(file: BinaryIO, size: int) -> _Content:
 
 
 def _read(file: BinaryIO, offset: int, size: int) -> tuple[int, bytes] | None:
-    """The record at an offset; None where it is not whole."""
+    """Return the record at an offset; None if it is incomplete."""
     file.seek(offset)
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size:
@@ -116,7 +116,7 @@ def _read(file: BinaryIO, offset: int, size: int) -> tuple[int, bytes] | None:
 
 
 def _complete(records: Iterable[McapRecord], indexes: dict[int, int]) -> bool:
-    """Whether every channel of a chunk has its index of messages."""
+    """Return whether every channel of a chunk has its message index."""
     return {record.channel_id for record in records if isinstance(record, Message)} <= indexes.keys()
 
 
@@ -152,7 +152,7 @@ def _take(
 
 
 def _tail(content: _Content) -> bytes:
-    """End of the data, summary, footer and magic."""
+    """Return the end of the data, summary, footer and magic."""
     data_end = _built([DataEnd(0)])
     start = content.end + len(data_end)
     statistics = Statistics(
@@ -192,9 +192,9 @@ def _built(records: Iterable[McapRecord]) -> bytes:
 
 
 def repair_bag(folder: Path, files: Sequence[Path]) -> None:
-    """End those of a bag's `files` that were cut after their last whole chunk, and write its metadata.yaml.
+    """Repair the truncated files of a bag, among `files`, and write its metadata.yaml.
 
-    Raises RecordingError where a file is no MCAP file or the disk fails.
+    Raises RecordingError if a file is not an MCAP file or the disk fails.
     """
     try:
         for file in files:
@@ -206,7 +206,7 @@ def repair_bag(folder: Path, files: Sequence[Path]) -> None:
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write metadata.yaml of a bag by what is in its files. Raises RecordingError, OSError."""
+    """Write metadata.yaml of a bag from its files. Raises RecordingError, OSError."""
     topics: dict[str, TopicRecord] = {}
     records = []
     for path in files:

@@ -1,4 +1,6 @@
-"""The recordings of one recorder as a ring of files: bounded in bytes, the oldest whole files go first."""
+"""Keep the recordings of one recorder as a ring of files: limited in bytes, the oldest complete files are deleted
+first.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ _LONGEST_HEADER = 4096
 
 @dataclass(frozen=True)
 class RingFile:
-    """A file of the ring; `kept`: somebody has marked it, so it stays."""
+    """A file of the ring; `kept`: it is marked and stays."""
 
     path: Path
     size: int
@@ -35,21 +37,23 @@ class RingFile:
 
 
 class RecordingRing:
-    """The bags `NAME`, `NAME_1`, `NAME_2`, ... of one folder, one a run of the recorder.
+    """The bags `NAME`, `NAME_1`, `NAME_2`, ... of one folder, one per run of the recorder.
 
-    Of these only MCAP files are touched that lie in such a folder by the name that the recorder gives them, whose
-    header says that this recorder wrote them (`library`), that are no links, that no process is writing, and that are
-    not marked: by a file `<file>.keep` beside the file, or `.keep` in its folder.
+    It changes only MCAP files in such folders with the recorder's file names, whose header names this recorder
+    (`library`), that are no links, that no process is writing, and that are not marked: by a file `<file>.keep` beside
+    the file, or `.keep` in its folder.
     """
 
     def __init__(self, path: Path, recorder: str, most_bytes: int | None) -> None:
-        """`path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept; None: any."""
+        """Open the ring. `path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept;
+        None: unlimited.
+        """
         self._path = path.resolve()
         self.library = f"ltm recorder {recorder} {self._path.name}"
         self.most_bytes = most_bytes
 
     def new_folder(self) -> Path:
-        """Where the next bag goes: after all that are there, so that the order of the names is that of time."""
+        """Return the folder of the next bag, numbered after all others, so that names are in order of time."""
         folders = self._numbered()
         if not folders:
             return self._path
@@ -58,16 +62,15 @@ class RecordingRing:
         return self._path.with_name(f"{self._path.name}_{folders[-1][0] + 1}")
 
     def files(self) -> list[RingFile]:
-        """All that this recorder wrote, the oldest first."""
+        """Return all files of this recorder, the oldest first."""
         return [file for _, folder in self._numbered() for file in self._files_in(folder)]
 
     def total(self) -> int:
-        """Bytes in files that are not kept."""
+        """Return the bytes in files that are not kept."""
         return sum(file.size for file in self.files() if not file.kept)
 
     def repair(self) -> list[Path]:
-        """End what a killed recorder left unfinished; the bags that were. What cannot be just now is left for the next
-        start."""
+        """Repair bags of a killed recorder; return them. What cannot be repaired now is left for the next start."""
         mended = []
         for _, folder in self._numbered():
             files = [file.path for file in self._files_in(folder)]
@@ -82,7 +85,7 @@ class RecordingRing:
         return mended
 
     def make_room(self, wanted: int) -> list[Path]:
-        """Remove the oldest files until `wanted` bytes more are within the bound; those that were removed."""
+        """Remove the oldest files until `wanted` more bytes fit the limit; return them."""
         if self.most_bytes is None:
             return []
         files = [file for file in self.files() if not file.kept]
@@ -96,7 +99,7 @@ class RecordingRing:
         return removed
 
     def _remove(self, path: Path) -> bool:
-        """False where somebody writes it, or it cannot be removed."""
+        """Remove a file; return False if a process writes it, or it cannot be removed."""
         folder = path.parent
         with suppress(OSError, RecordingError), _held(path) as free:
             if not free:
@@ -114,7 +117,7 @@ class RecordingRing:
         return False
 
     def _numbered(self) -> list[tuple[int, Path]]:
-        """What has the name of one of our bags, by its number."""
+        """Return the paths with the name of one of our bags, by number."""
         form = re.compile(rf"{re.escape(self._path.name)}(?:_([1-9]\d*))?")
         try:
             found = [(form.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
@@ -135,7 +138,7 @@ class RecordingRing:
         return [file for _, file in sorted(found, key=lambda item: item[0])]
 
     def _wrote(self, path: Path) -> bool:
-        """Whether a file's header says that this recorder wrote it."""
+        """Return whether a file's header names this recorder."""
         try:
             with path.open("rb") as file:
                 magic, opcode, length = _HEAD.unpack(file.read(_HEAD.size))
@@ -149,7 +152,7 @@ class RecordingRing:
 
 @contextmanager
 def _held(path: Path) -> Iterator[bool]:
-    """Whether no process is writing a file; nobody begins to while this lasts. Raises OSError."""
+    """Lock a file in the context; yields whether no process is writing it. Raises OSError."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         try:

@@ -1,4 +1,4 @@
-"""Message types by name: Python class, `ros2msg` definition with all that it depends on, and type hash."""
+"""Find message types by name: Python class, `ros2msg` definition with its dependencies, and type hash."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ _SEPARATOR = "=" * 80
 
 
 def split_type_name(type_name: str) -> tuple[str, str]:
-    """(package, message) of `package/msg/Message`. Raises RecordingError on any other form."""
+    """Return (package, message) of `package/msg/Message`. Raises RecordingError for another form."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise RecordingError(f"{type_name!r} is no message type name; expected the form package/msg/Message")
+        raise RecordingError(f"{type_name!r} is not a message type name; expected the form package/msg/Message")
     return match[1], match[2]
 
 
 def type_name_of(msg: Any) -> str:
-    """The type name of a message object, such as sensor_msgs/msg/Image."""
+    """Return the type name of a message object, such as sensor_msgs/msg/Image."""
     cls = type(msg)
     return f"{cls.__module__.partition('.')[0]}/msg/{cls.__name__}"
 
 
 @lru_cache
 def message_class(type_name: str) -> Any:
-    """The Python class of a message type.
+    """Return the Python class of a message type.
 
-    A bag is foreign input, and importing runs code: so only packages that install a definition of that very message
-    are imported. Raises RecordingError when the name is malformed or its package is not installed.
+    A bag is untrusted, and imports run code: so only packages that install a definition of this very message are
+    imported. Raises RecordingError if the name is malformed or its package is not installed.
     """
     package, message = split_type_name(type_name)
     if _installed_file(package, f"{message}.msg") is None:
@@ -58,10 +58,11 @@ def message_class(type_name: str) -> Any:
 
 @lru_cache
 def schema_text(type_name: str) -> str:
-    """The `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG: pkg/Name`.
+    """Return the `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG:
+    pkg/Name`.
 
-    Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError
-    when neither has the type.
+    Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError if
+    neither has the type.
     """
     parts = [_definition(type_name)]
     todo, done = _dependencies(type_name, parts[0]), {type_name}
@@ -79,7 +80,7 @@ def schema_text(type_name: str) -> str:
 
 @lru_cache
 def type_hash(type_name: str) -> str:
-    """The RIHS01 hash of a type (REP-2011), or an empty string where its package does not ship one."""
+    """Return the RIHS01 hash of a type (REP-2011), or an empty string if its package has none."""
     package, message = split_type_name(type_name)
     path = _installed_file(package, f"{message}.json")
     if path is None:
@@ -124,7 +125,9 @@ def _dependencies(type_name: str, text: str) -> list[str]:
 
 
 def _installed_file(package: str, name: str) -> Path | None:
-    """`share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip wheels)."""
+    """Return `share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip
+    wheels).
+    """
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     spec = importlib.util.find_spec(package)
     if spec is not None and spec.origin is not None:

@@ -1,4 +1,4 @@
-"""Writes a bag: MCAP files and their metadata.yaml, as rosbag2 lays them out."""
+"""Write a bag: MCAP files and their metadata.yaml, in rosbag2's layout."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COMPRESSIONS = {"zstd": CompressionType.ZSTD, None: CompressionType.NONE}
 
 @dataclass(frozen=True)
 class Split:
-    """When the next file of a bag begins: what comes first. A file is longer than `most_bytes` by a chunk at most."""
+    """Limits at which the next file of a bag begins. A file exceeds `most_bytes` by a chunk at most."""
 
     most_bytes: int
     longest_ns: int
@@ -40,9 +40,9 @@ class Split:
 class BagWriter:
     """Writes `<path>/<name>_0.mcap`, `_1` and so on and, when closed, `<path>/metadata.yaml`.
 
-    A context manager; not for several threads at once. A chunk is on disk as soon as it is full (`chunk_size` bytes
-    before compression) or `flush` is called, and an interrupted file can be read up to its last chunk. metadata.yaml
-    appears in one step at the very end: a bag that has one is complete.
+    A context manager; not for several threads at once. A chunk is on disk once it is full (`chunk_size` bytes before
+    compression) or `flush` is called, and an interrupted file can be read up to its last chunk. metadata.yaml appears
+    in one step at the very end: a bag that has one is complete.
 
     Where the disk fails (full, quota, defect), the file at hand is ended after its last whole chunk, so that every
     reader takes it; the messages of the chunk that could not be written are counted in `lost`, and the next message
@@ -70,9 +70,9 @@ class BagWriter:
         self.path = Path(path)
         _require_absent(self.path)
         self.on_disk: Counter[str] = Counter()
-        """Messages by topic that the operating system has, those repeated in a further file left out."""
+        """Messages by topic that the operating system has, without those repeated in a further file."""
         self.lost = 0
-        """Messages that the disk did not take."""
+        """Number of messages that the disk did not take."""
         self._compression, self._chunk_size, self._split = _COMPRESSIONS[compression], chunk_size, split
         self._library, self._before_file = library, before_file
         self._custom_data = dict(custom_data or {})
@@ -91,14 +91,15 @@ class BagWriter:
 
     @staticmethod
     def require_free(path: Path) -> None:
-        """For commands, before their work: raises RecordingError unless `path` does not exist or is an empty folder,
-        ConfigError where nothing can be written just now."""
+        """Check before a command's work: raise RecordingError unless `path` does not exist or is an empty folder,
+        ConfigError if it cannot be written now.
+        """
         _require_absent(path)
         require_folder(path, "a bag")
 
     @property
     def file_bytes(self) -> int:
-        """Bytes in the file at hand; 0 between files."""
+        """Return the bytes in the current file; 0 between files."""
         return 0 if self._file is None else self._file.size
 
     def add_topic(self, topic: str, type_name: str, latched: bool = False, depth: int = 10) -> None:
@@ -150,7 +151,7 @@ class BagWriter:
             raise RecordingError(f"topic {topic} holds {known.type_name} in {self.path}, not {type_name}")
         if len(cdr) < 4 or cdr[0] != 0:
             raise RecordingError(
-                f"{len(cdr)} bytes for {topic} are no CDR message: its 4-byte encapsulation header is missing"
+                f"{len(cdr)} bytes for {topic} are not a CDR message: the 4-byte encapsulation header is missing"
             )
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns <= LATEST_NS and 0 <= sent_ns <= LATEST_NS):
@@ -169,7 +170,7 @@ class BagWriter:
         self._count()
 
     def flush(self) -> None:
-        """Close the chunk at hand and hand it to the operating system: what is written so far survives a kill."""
+        """Write the current chunk to the operating system: everything written so far survives a kill."""
         if self._file is None:
             return
         try:
@@ -179,7 +180,7 @@ class BagWriter:
         self._count()
 
     def end_file(self) -> None:
-        """Finish the file at hand; the next message begins another. Raises RecordingError as `flush` does."""
+        """Finish the current file; the next message begins another. Raises RecordingError as `flush`."""
         if self._file is None:
             return
         try:
@@ -216,7 +217,7 @@ class BagWriter:
         self.close()
 
     def _begin_file(self) -> McapFile:
-        """Raises OSError."""
+        """Begin a file. Raises OSError."""
         self._before_file()
         path = self.path / f"{self.path.resolve().name}_{self._next}.mcap"
         file = McapFile(path, self._compression, self._chunk_size, self._library)
@@ -224,7 +225,7 @@ class BagWriter:
         return file
 
     def _file_for(self, log_time_ns: int) -> McapFile:
-        """The file that takes a message of that time; the message is lost where there is none."""
+        """Return the file for a message of that time; the message is lost if there is none."""
         try:
             if self._file is not None and self._is_full(self._file, log_time_ns):
                 self.end_file()
@@ -234,7 +235,7 @@ class BagWriter:
             raise
 
     def _next_file(self, log_time_ns: int) -> McapFile:
-        """With all topics, and with what a listener that comes late would get of them."""
+        """Begin the next file with all topics, and with the latched messages."""
         try:
             file = self._file = self._begin_file()
         except OSError as error:
@@ -256,7 +257,7 @@ class BagWriter:
         return file.size >= self._split.most_bytes or log_time_ns - file.first_ns >= self._split.longest_ns
 
     def _abandon(self, error: OSError) -> NoReturn:
-        """The disk has failed while the file at hand was written."""
+        """End the current file after a disk error."""
         file = self._file
         assert file is not None  # nosec B101 # tells the type checker what holds
         record = file.abandon()
@@ -269,7 +270,7 @@ class BagWriter:
         ) from error
 
     def _let_go(self, record: FileRecord | None) -> None:
-        """The file at hand has been ended; None: it held nothing and is gone."""
+        """Drop the current file after its end; None: it held nothing and is deleted."""
         self._count()
         self._earlier, self._file = self.on_disk, None
         self._finished = self._still_there()
@@ -277,7 +278,7 @@ class BagWriter:
             self._finished.append(record)
 
     def _still_there(self) -> list[FileRecord]:
-        """Files that the ring of recordings has removed are no part of the bag any more."""
+        """Remove the files that the ring has deleted from the bag's list."""
         return [record for record in self._finished if (self.path / record.name).exists()]
 
     def _count(self) -> None:

@@ -1,1 +1,1 @@
-"""Works archives of recordings again: a year of a network's frames to the same map, to the last bit."""
+"""Reprocess archives of recordings: a year of frames gives the same map, to the last bit."""

@@ -1,6 +1,7 @@
-"""Digests of all that a result hangs on: files by their content, configuration by its values, the program by its code.
+"""Compute digests of everything that a result depends on: files by content, configuration by value, the program by its
+code.
 
-Two runs that would make the same have the same digest; whatever changes what is made changes it.
+Runs with equal results have equal digests; any change of a result changes its digest.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
 _PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")
-"""Of others, whose versions may change a bit of a result."""
+"""Other packages whose versions may change a bit of a result."""
 _NOT_VOTES = {
     "cameras",
     "nodes",
@@ -47,30 +48,32 @@ _NOT_VOTES = {
     "limits",
 }
 _NOT_VOTES |= {"watchdog", "health", "region", "model", "label_heads", "labels", "name"}
-"""Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
-by its content beside it."""
+"""Site keys without effect on the votes of a frame with known image, pose and calibration, or whose content is given
+beside them.
+"""
 _NOT_MAP = _NOT_VOTES - {"terrain", "name"}
 _SEEN = {"mask", "view_masks", "judge_pictures"}
-"""Of a camera: what of its pictures is taken to show the landscape (`SceneFilter`)."""
+"""Camera keys that decide which of its images show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
 _NOT_VOTES_OF_FUEL = {"prior", "climate", "fusion", "label_errors"}
-"""What evidence is made of votes with."""
+"""Site keys that turn votes into evidence."""
 
 
 def digest(*parts: object) -> str:
-    """Of values that JSON can write."""
+    """Return the digest of values that JSON can write."""
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def burns_digest(burns: Sequence[Burn]) -> str:
-    """Of what burned when."""
+    """Return the digest of burns with their times."""
     return digest(*([burn.stamp_ns, burn.cells.tolist()] for burn in burns))
 
 
 def picture_digest(picture: CompressedPicture | RawPicture) -> str:
-    """Of what a picture shows and how it is stored, not of when it was taken: a camera that stands still sends the same
-    picture again."""
+    """Return the digest of an image's content and encoding, not of its time: a fixed camera may send the same image
+    again.
+    """
     about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
     found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
     found.update(picture.data)
@@ -79,20 +82,21 @@ def picture_digest(picture: CompressedPicture | RawPicture) -> str:
 
 @cache
 def code_digest() -> str:
-    """Of the program: the sources of core and messages without the study wing, those of this package, and what they
-    compute with."""
+    """Return the digest of the program: the sources of core and messages, those of this package, and their
+    dependencies.
+    """
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive)
 
 
 @cache
 def importer_digest() -> str:
-    """Of the program that places photos."""
+    """Return the digest of the program that places photos."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.recordings.importing)
 
 
 @cache
 def map_code_digest() -> str:
-    """Of the program that makes a map of the tasks' results, and the layers of it."""
+    """Return the digest of the program that makes a map and its layers from the tasks' results."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive, ltm_ros.fuel_map)
 
 
@@ -109,7 +113,9 @@ def _sources(*packages: ModuleType) -> str:
 
 
 def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
-    """Of what makes votes of a camera's frames, besides the frames. Raises LtmError for files that are not there."""
+    """Return the digest of everything that makes votes of a camera's frames, except the frames. Raises LtmError for
+    missing files.
+    """
     settings = site.model_dump(exclude=_NOT_VOTES)
     settings["fuel"] = site.fuel.model_dump(exclude=_NOT_VOTES_OF_FUEL)
     config = site.camera(camera)
@@ -122,8 +128,9 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
 
 
 def measured_digest(site: Site, camera: str, votes: str, fusing: FusingConfig) -> str:
-    """Of what measures a camera's frames, besides the frames. `votes`: `votes_digest` of the camera, which has what
-    they are traced to and labelled with. Raises LtmError for files that are not there."""
+    """Return the digest of everything that measures a camera's frames, except the frames. `votes`: `votes_digest` of
+    the camera, which includes terrain and labels. Raises LtmError for missing files.
+    """
     network = depth_manifest(site, camera, fusing)
     constants = load_fusion_config(network).model_dump(mode="json")
     labels = label_columns(site, camera, fusing)
@@ -131,18 +138,18 @@ def measured_digest(site: Site, camera: str, votes: str, fusing: FusingConfig) -
 
 
 def look_digest(site: Site, camera: str) -> str:
-    """Of what decides whether a camera's picture is clear, besides the picture."""
+    """Return the digest of everything that decides whether a camera's image is clear, except the image."""
     config = site.camera(camera)
     return digest(_by_content(config.model_dump(include=_SEEN)), site.crs, list(site.origin))
 
 
 def places_digest(site: Site) -> str:
-    """Of what photos are placed by, besides what is told of them. Raises LtmError for files that are not there."""
+    """Return the digest of what photos are placed by, except their own values. Raises LtmError for missing files."""
     return digest(_by_content(site.model_dump(include=_PLACES)))
 
 
 def evidence_digest(site: Site) -> str:
-    """Of what makes evidence of votes. Raises LtmError for files that are not there."""
+    """Return the digest of everything that turns votes into evidence. Raises LtmError for missing files."""
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())
     settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
     frame = [site.crs, list(site.origin)]
@@ -150,12 +157,12 @@ def evidence_digest(site: Site) -> str:
 
 
 def map_settings(site: Site) -> Any:
-    """Of a site, by content, what its map and the layers of it are made with besides evidence. Raises LtmError."""
+    """Return the site settings, by content, for its map and layers, except evidence. Raises LtmError."""
     return _by_content(site.model_dump(exclude=_NOT_MAP))
 
 
 def file_digest(path: Path) -> str:
-    """Of a file's content, or of all files in a folder."""
+    """Return the digest of a file's content, or of all files in a folder."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         return digest([[file.relative_to(path).as_posix(), file_digest(file)] for file in files])
@@ -170,7 +177,7 @@ def _content(path: Path, size: int, changed_ns: int) -> str:
 
 
 def _by_content(value: Any) -> Any:
-    """Configuration in which each path stands for what is there, and each array for its numbers."""
+    """Return the configuration with each path and array replaced by its content."""
     if isinstance(value, Path):
         return file_digest(value)
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Says what a run would do before it does it: what there is, what is missing, and what it would cost."""
+"""Estimate a run before it starts: existing frames, gaps and cost."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ltm_ros.archive.plan import MEASURED, VOTES
 from ltm_ros.archive.run import Plan
 
 _TRIED = 3
-"""Frames of a camera that are worked for the estimate, after one that is worked for the kernels and the network to be
-there."""
+"""Number of frames per camera for the estimate, after one that loads kernels and network."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """CPU seconds a frame from picture to votes, and to what the terrain takes where that is worked, the standard error
-    of their mean, and bytes of both a frame."""
+    """CPU seconds per frame from image to votes, and to the terrain's data if used, the standard error of their mean,
+    and bytes of both per frame.
+    """
 
     cpu_s: float
     error_s: float
@@ -29,7 +29,7 @@ class Cost:
 
 
 def cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> Cost:
-    """Of a camera's frames, from a few of them spread over all; nothing is kept."""
+    """Estimate the cost of a camera's frames from a few of them, spread over all; nothing is kept."""
     steps = {task.frames[0].camera: task for task in planned.tasks}
     wanted = [VOTES, MEASURED] if planned.options.terrain else [VOTES]
     chosen = [frames[round(k * (len(frames) - 1) / max(_TRIED - 1, 1))] for k in range(_TRIED)]
@@ -79,7 +79,7 @@ def cost_note(planned: Plan) -> str:
     """Return what the columns of `cost_rows` mean for this run."""
     to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
     return (
-        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} held more than once; core-hours to "
-        f"{to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} as of "
-        "single frames"
+        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} of them duplicates; core-hours "
+        f"to {to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} "
+        "as of single frames"
     )

@@ -1,6 +1,6 @@
-"""Runs tasks: one after the other here, on processes of this machine, or on a cluster of Dask.
+"""Run tasks: one after the other, on processes of this machine, or on a Dask cluster.
 
-All give the same files; who runs a task, when and how often decides nothing.
+All give the same files; the worker, time and number of attempts of a task have no effect.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ltm_ros.archive.task import TaskReport, work
 from ltm_ros.runtime.ros_environment import available_cores
 
 _DEATHS = 3
-"""Workers beyond the first that may die while they have a task, before it is given up as their killer."""
+"""Number of workers, beyond the first, that may die during a task before it is given up."""
 _LOCAL = {
     "distributed.scheduler.allowed-failures": _DEATHS,
     "distributed.admin.tick.interval": "1s",
@@ -29,18 +29,20 @@ _LOCAL = {
     "distributed.worker.profile.enabled": False,
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1},
 }
-"""Of Dask on this machine: its servers would look at themselves 50 times a second, and profile workers 100 times, for a
-dashboard that nobody watches. Its own environment of workers would also have them give memory back at 64 kB, for which
-each array of a frame is mapped anew: a quarter more processor time."""
+"""Dask settings for this machine: its servers would monitor themselves 50 times per second, and profile workers 100
+times, for an unused dashboard. Its environment for workers would also make them return memory at 64 kB, so that each
+array of a frame is mapped again: 25 % more processor time.
+"""
 PATIENCE_S = 30.0
-"""Seconds without a task that ends, after which a cluster without workers is told of, again and again."""
+"""Seconds without a finished task after which a cluster without workers is reported, repeatedly."""
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """`address`: of a Dask scheduler, `tls://host:port`. `ca`, `certificate`, `key`: PEM files; the scheduler's own
-    certificate and the workers' are checked against `ca`, as ours is by them."""
+    """`address`: of a Dask scheduler, `tls://host:port`. `ca`, `certificate`, `key`: PEM files; all certificates are
+    checked against `ca`.
+    """
 
     address: str
     ca: Path | None = None
@@ -54,13 +56,13 @@ class Cluster:
                 raise ArchiveError(f"{self.address}: give --tls-ca, --tls-cert and --tls-key, PEM files")
         elif place.scheme != "tcp" or not _loopback(place.hostname or ""):
             raise ArchiveError(
-                f"{self.address}: a scheduler runs whatever it is sent, so beyond this machine only tls:// is taken"
+                f"{self.address}: a scheduler executes any code it is sent, so other hosts must use tls://"
             )
 
 
 @dataclass(frozen=True)
 class Done:
-    """A task that has ended; `error`: why it gave no result."""
+    """A finished task; `error`: why it gave no result."""
 
     task: Task
     report: TaskReport | None
@@ -72,7 +74,7 @@ Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
 
 
 def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
-    """One task after the other in this process."""
+    """Run one task after the other in this process."""
     for task in tasks:
         try:
             yield Done(task, work(task, settings))
@@ -81,8 +83,9 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
 
 
 def on_workers(count: int, job: Job | None = None) -> Engine:
-    """An engine of so many processes of this machine, which end with it. `job`: what each task is, in place of its
-    work."""
+    """Return an engine with the given number of processes on this machine, which end with it. `job`: replaces the work
+    of each task.
+    """
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         import dask
@@ -116,16 +119,16 @@ def _on_its_cores(workers: int, job: Job, task: Task, settings: TaskSettings) ->
 
 
 def keep_to_cores(workers: int) -> None:
-    """In one of so many workers of this machine: its kernels take no threads that wait for another worker's core. Not
-    by the environment: Dask sets that of workers in this process, too, while it starts them, and numba would find it
-    changed."""
+    """Limit a worker of this machine to its own core, so that kernels do not wait for another worker's. Not by the
+    environment, which Dask also sets in this process while it starts workers, so that numba would find it changed.
+    """
     import numba
 
     numba.set_num_threads(min(max(1, available_cores() // workers), numba.config.NUMBA_NUM_THREADS))
 
 
 def on_cluster(cluster: Cluster) -> Engine:
-    """An engine of a scheduler that runs already, and its workers."""
+    """Return an engine of a running scheduler and its workers."""
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         from distributed import Client
@@ -139,7 +142,7 @@ def on_cluster(cluster: Cluster) -> Engine:
             client = Client(cluster.address, security=security, timeout="20s")
         except (OSError, TimeoutError) as error:
             raise ArchiveError(
-                f"{cluster.address}: no scheduler answers there ({error}); start `dask scheduler` and `dask worker`, "
+                f"{cluster.address}: no scheduler responds ({error}); start `dask scheduler` and `dask worker`, "
                 "with certificates of the same authority"
             ) from error
         with client:
@@ -149,8 +152,8 @@ def on_cluster(cluster: Cluster) -> Engine:
 
 
 def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: Job) -> Iterator[Done]:
-    """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
-    and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
+    """Submit as many tasks as workers have threads, so that memory is constant and a dead worker points to its one
+    task. Tasks take minutes, so no worker waits long.
     """
     from dask.utils import key_split
     from distributed import wait
@@ -170,7 +173,7 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: J
         except TimeoutError:
             if not client.nthreads():
                 _log.warning(
-                    "%s has no workers; the run waits for some: `dask worker %s` with the cluster's certificates",
+                    "%s has no workers; waiting for workers: `dask worker %s` with the cluster's certificates",
                     *[client.scheduler.address] * 2,
                 )
             fill()
@@ -183,9 +186,9 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: J
             elif error is None or isinstance(error, LtmError | OSError) or type(error).__name__ == "KilledWorker":
                 yield Done(task, None, _said(error, future.status))
             else:
-                raise error  # a bug
+                raise error  # an internal error
             future.release()
-        key_split.cache_clear()  # it keeps the names of 100,000 tasks, each of which is asked for while it is here
+        key_split.cache_clear()  # it keeps the names of 100,000 tasks, and each is requested while it is here
         fill()
 
 
@@ -193,7 +196,7 @@ def _said(error: BaseException | None, status: str) -> str:
     if error is None:
         return f"the task is {status}"
     if type(error).__name__ == "KilledWorker":
-        return "worker after worker died of it: out of memory, or a picture that ends the process"
+        return "several workers died of it: out of memory, or an image that crashes the process"
     return str(error)
 
 

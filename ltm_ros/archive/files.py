@@ -1,6 +1,6 @@
-"""The files of archives: on disks of this machine, or on a store such as S3, from which they are fetched to be read.
+"""Read the files of archives: on local disks, or fetched from a store such as S3.
 
-What a store refuses is asked for again some times, and then is an error that names it: never a result.
+Failed requests to a store are repeated, and then become an error that names it, never a result.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ TRIES, FIRST_WAIT_S = 5, 0.5
 """Maximum number of requests to a store, and the pause after the first one, which then doubles. The store's library
 repeats each request by itself, as often as `AWS_MAX_ATTEMPTS` says."""
 _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "created")
-"""What stores say of an object by which a change of it is known; the first that is there counts."""
+"""Properties of an object that show a change; the first one present is used."""
 _OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""What no store says."""
+"""Errors of the disk, not of the store."""
 _PARTIAL = ".partial"
 _POLL_S = 0.05
 _CHANGES = 5
-"""Times that a file may be another one when it has come than when it was asked for."""
+"""Number of times that a file may change while it is fetched."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class CacheConfig:
-    """Where files of stores lie while they are read, and how many bytes of them at most; workers share it."""
+    """Folder for files of stores while they are read, and its maximum bytes; shared by the workers."""
 
     folder: str = str(Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "ltm")
     most_bytes: int = 20 * 10**9
 
     @property
     def own(self) -> Path:
-        """Below `folder`, which may hold what is not ours to remove."""
+        """Return our own folder below `folder`, which may hold other files."""
         return Path(self.folder).expanduser() / "archive_files"
 
 
 @dataclass(frozen=True)
 class StoredFile:
-    """`name`: its path, or its URL on a store. `version`: another one after each change."""
+    """`name`: its path, or its URL on a store. `version`: changes with the content."""
 
     name: str
     size_bytes: int
@@ -63,9 +63,9 @@ def is_remote(name: str) -> bool:
 
 
 def files_below(archive: str) -> list[StoredFile]:
-    """A file, or those in a folder at any depth, by name; none where there is nothing.
+    """Return a file, or the files in a folder at any depth, by name; none if nothing exists.
 
-    Raises ArchiveError where a store cannot be used, OSError where a disk cannot.
+    Raises ArchiveError if a store fails, OSError if a disk does.
     """
     if not is_remote(archive):
         path = Path(archive).expanduser().resolve()
@@ -76,9 +76,10 @@ def files_below(archive: str) -> list[StoredFile]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """At any depth, by their paths, also behind links, each folder once; none where there is no such folder. A link
-    that leads nowhere, as to a share that is not mounted, is a file that cannot be read, and no reason to leave it out.
-    Raises OSError for a folder that cannot be read: as `Path.rglob` does not."""
+    """Return files at any depth, by path, also behind links, each folder once; none without such a folder. A broken
+    link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises OSError for an unreadable
+    folder, unlike `Path.rglob`.
+    """
 
     def failed(error: OSError) -> None:
         if not (isinstance(error, FileNotFoundError) and error.filename == str(folder)):
@@ -87,7 +88,7 @@ def _files_in(folder: Path) -> list[Path]:
     found, known = list[Path](), set[str]()
     for place, below, names in os.walk(folder, onerror=failed, followlinks=True):
         real = os.path.realpath(place)
-        if real in known:  # a link to a folder above, or to one that is in the archive itself
+        if real in known:  # a link to a parent folder, or to one that is in the archive itself
             below.clear()
             continue
         known.add(real)
@@ -110,15 +111,16 @@ def _on_store(store: Any, about: dict[str, Any]) -> StoredFile:
 
 
 class ArchiveFiles:
-    """Gives files of archives as files of this machine."""
+    """Provides files of archives as local files."""
 
     def __init__(self, cache: CacheConfig) -> None:
         self._cache = cache
 
     @contextmanager
     def at_hand(self, name: str) -> Iterator[Path]:
-        """While it lasts, the file stays. Raises ArchiveError where it cannot be fetched or is larger than the cache,
-        OSError where this machine's disk fails."""
+        """Keep the file while the context lasts. Raises ArchiveError if it cannot be fetched or exceeds the cache,
+        OSError if the local disk fails.
+        """
         if not is_remote(name):
             yield Path(name)
             return
@@ -134,8 +136,8 @@ class ArchiveFiles:
                     yield place
                     return
         raise ArchiveError(
-            f"{name} was another one, or gone from the cache, each of {_CHANGES} times that it was fetched; wait until "
-            "it is whole, or raise --cache-gb"
+            f"{name} changed, or was deleted from the cache, each of {_CHANGES} times that it was fetched; wait "
+            "until it is complete, or raise --cache-gb"
         )
 
     def _place(self, about: StoredFile) -> Path:
@@ -144,18 +146,18 @@ class ArchiveFiles:
         return self._cache.own / f"{key}{suffix}"
 
     def _fetch(self, store: Any, path: str, about: StoredFile) -> None:
-        """Into its place, unless it has become another one meanwhile. Who wants the same file waits, and finds it."""
+        """Fetch a file into the cache, unless it has changed meanwhile. Other processes that need it wait."""
         place = self._place(about)
         place.parent.mkdir(parents=True, exist_ok=True)
         partial = place.with_name(f"{place.name}{_PARTIAL}")
-        # Asked again and again: the file that another fetches becomes the one in place, which it then holds to read;
-        # whoever had queued for it here would wait for that, too.
+        # Polled: the file that another process fetches becomes the one in place, which it then holds for reading; a
+        # process queued for the lock would wait for that, too.
         while (own := _held(partial, alone=True)) is None:
             if place.is_file():
                 return
             time.sleep(_POLL_S)
         with own:
-            # A file that is there may be held, and what is held must stay the file of its name.
+            # An existing file may be in use, and must then stay the file of its name.
             if place.is_file():
                 partial.unlink()
                 return
@@ -166,7 +168,7 @@ class ArchiveFiles:
                     store.get_file(path, str(partial))
                     found = _fresh(store, path)
                     if partial.stat().st_size != found.size_bytes:
-                        raise OSError(f"{partial.stat().st_size} of {found.size_bytes} bytes came")
+                        raise OSError(f"received {partial.stat().st_size} of {found.size_bytes} bytes")
                     return found == about
 
                 if asked(about.name, fetch):
@@ -175,11 +177,11 @@ class ArchiveFiles:
                 partial.unlink(missing_ok=True)
 
     def _make_room(self, about: StoredFile) -> None:
-        """Removes what was not read for longest and nobody holds. What others hold or fetch may go beyond the bound."""
+        """Remove the unused files that were read longest ago. Files in use or in transfer may exceed the limit."""
         if about.size_bytes > self._cache.most_bytes:
             raise ArchiveError(
-                f"{about.name} has {about.size_bytes} bytes, more than the {self._cache.most_bytes} that may lie in "
-                f"{self._cache.folder}; raise --cache-gb"
+                f"{about.name} has {about.size_bytes} bytes, more than the cache size of {self._cache.most_bytes} "
+                f"in {self._cache.folder}; raise --cache-gb"
             )
         kept = []
         for place in self._cache.own.iterdir():
@@ -196,15 +198,16 @@ class ArchiveFiles:
 
 
 def _held(place: Path, alone: bool = False) -> BinaryIO | None:
-    """A file that nobody removes while it is open; None: it is not, or no longer, the file of that name. `alone`: it is
-    made where there is none, and held by one at a time; None also where another has it."""
+    """Return an open file that cannot be removed meanwhile; None: it is not, or no longer, the file of that name.
+    `alone`: create it if missing, with an exclusive lock; also None if another process has it.
+    """
     try:
         file = place.open("a+b" if alone else "rb")
     except FileNotFoundError:
         return None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB if alone else fcntl.LOCK_SH)
-        # Another process may have removed it before it was held.
+        # Another process may have removed it before it was locked.
         if os.fstat(file.fileno()).st_ino == place.stat().st_ino:
             return file
     except (FileNotFoundError, BlockingIOError):
@@ -217,7 +220,7 @@ def _held(place: Path, alone: bool = False) -> BinaryIO | None:
 
 
 def _removed(place: Path) -> bool:
-    """Whether a file was held by nobody, and is gone now."""
+    """Remove a file unless it is in use; return whether it is gone."""
     try:
         with place.open("r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -230,8 +233,9 @@ def _removed(place: Path) -> bool:
 
 
 def asked(name: str, action: Callable[[], T]) -> T:
-    """What a store answers, which is asked again while it fails. Raises ArchiveError where it has failed too often, or
-    has nothing of that name, or gives it to others only; OSError where this machine's disk is full."""
+    """Return a store's answer, with retries. Raises ArchiveError if it failed too often, has no such name, or denies
+    access; OSError if the local disk is full.
+    """
     backoff = Backoff(FIRST_WAIT_S)
     for tried in range(1, TRIES + 1):
         try:
@@ -243,8 +247,8 @@ def asked(name: str, action: Callable[[], T]) -> T:
                 raise
             if tried == TRIES:
                 raise ArchiveError(
-                    f"{name} cannot be read just now ({_words(error)}, asked {TRIES} times); check the "
-                    "store and the network, then run again"
+                    f"{name} cannot be read now ({_words(error)}, tried {TRIES} times); check the store and the "
+                    "network, then run again"
                 ) from error
             time.sleep(backoff.failed())
     raise AssertionError("the last try returns or raises")
@@ -260,10 +264,12 @@ def _words(error: Exception) -> str:
 
 
 def _store_of(url: str) -> tuple[Any, str]:
-    if "::" in url:  # to fsspec a chain of stores: of a file named so, it would read another one
-        raise ArchiveError(f"{url}: addresses with :: are not taken; rename it")
+    if "::" in url:  # fsspec reads it as a chain of stores, so it would read another file
+        raise ArchiveError(f"{url}: addresses with :: are not supported; rename it")
     try:
         store, path = fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:
-        raise ArchiveError(f"{url}: no place of archives ({error}); give a folder, a file or s3://bucket/") from error
+        raise ArchiveError(
+            f"{url}: not a location of archives ({error}); give a folder, a file or s3://bucket/"
+        ) from error
     return store, str(path)

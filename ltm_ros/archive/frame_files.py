@@ -1,4 +1,4 @@
-"""The files that a task makes of its pictures: votes, and what the terrain takes from them."""
+"""Write the files of a task: votes, and the terrain's data."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings, other_file
 from ltm_ros.runtime.health import cause_of
 
 ABOUT = "ltm"
-"""Of a file's metadata: what it holds, as JSON."""
+"""Metadata key of a file that describes its content as JSON."""
 _MEASURED = pa.schema(
     [
         ("stamp_ns", pa.int64()),
@@ -47,7 +47,7 @@ _MEASURED = pa.schema(
 
 @dataclass(frozen=True)
 class LostFrame:
-    """A frame of which there are no votes, and why."""
+    """A frame without votes, and the reason."""
 
     camera: str
     stamp_ns: int
@@ -56,11 +56,11 @@ class LostFrame:
 
 
 def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> dict[str, bytes]:
-    """Those of VOTES and MEASURED that are wanted, in one pass over the pictures.
+    """Return the requested files (VOTES, MEASURED), from one pass over the images.
 
-    Of votes one row a cell that a frame sees, `frame` its number among those that the file's metadata lists; of what
-    was measured one row a frame. Raises ArchiveError where a picture cannot be read any more: no result may say that
-    it is lost.
+    Votes have one row per cell that a frame sees, with `frame` as its number in the file's metadata; measured data has
+    one row per frame. Raises ArchiveError if an image cannot be read any more, because that must not count as a lost
+    frame.
     """
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
@@ -90,7 +90,7 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
 
 
 class _Lost:
-    """Frames of which a file has nothing, and why."""
+    """Frames missing in a file, and the reasons."""
 
     def __init__(self) -> None:
         self._lost: list[LostFrame] = []
@@ -123,8 +123,9 @@ class _VotesFile(_Lost):
 
 
 class MeasuredFile(_Lost):
-    """One row group a frame, so that one frame at a time is read back; held compressed. A frame of which the network
-    gave nothing is lost too, though the terrain takes it, as live."""
+    """One row group per frame, so that frames can be read one at a time; kept compressed. A frame without a network
+    result counts as lost, although the terrain takes it, as live.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -151,7 +152,7 @@ class MeasuredFile(_Lost):
 
 
 def _planes(values: Float32Array) -> bytes:
-    """First bytes of all numbers first, then all second ones: what neighbours have in common then stands together."""
+    """Group the first bytes of all numbers, then the second ones, and so on, which compresses better."""
     return np.ascontiguousarray(values, np.float32).view(np.uint8).reshape(-1, 4).T.tobytes()
 
 
@@ -161,7 +162,7 @@ def _from_planes(content: bytes, shape: Sequence[int]) -> Float32Array:
 
 
 def read_measured(file: BinaryIO) -> Iterator[tuple[int, MeasuredFrame]]:
-    """Stamp and content of each frame of a file, one at a time, in its order."""
+    """Yield stamp and content of each frame of a file, in its order."""
     found = pq.ParquetFile(file)
     for number in range(found.num_row_groups):
         (row,) = found.read_row_group(number).to_pylist()
@@ -172,13 +173,13 @@ def read_measured(file: BinaryIO) -> Iterator[tuple[int, MeasuredFrame]]:
 
 
 def lost_of_measured(file: BinaryIO) -> list[LostFrame]:
-    """Frames of which nothing could be measured, and why."""
+    """Return frames without measured data, and the reasons."""
     about = json.loads(pq.ParquetFile(file).metadata.metadata[ABOUT.encode()])
     return [LostFrame(**one) for one in about["lost"]]
 
 
 def _stacked(parts: Sequence[Columns]) -> Columns:
-    """All rows; of a class that a frame does not see, it has no pixels."""
+    """Return all rows; a class that a frame does not see has no pixels."""
     kinds = {name: column.dtype for part in parts for name, column in part.items()}
     return {
         name: np.concatenate([part.get(name, np.zeros(len(part["frame"]), kind)) for part in parts])
@@ -187,19 +188,19 @@ def _stacked(parts: Sequence[Columns]) -> Columns:
 
 
 def packed_table(table: pa.Table, about: Mapping[str, object]) -> bytes:
-    """As Parquet, with JSON of what it is about."""
+    """Return a table as Parquet, with JSON about its content."""
     file = io.BytesIO()
     pq.write_table(table.replace_schema_metadata({ABOUT: json.dumps(about)}), file, compression="zstd")
     return file.getvalue()
 
 
 def read_packed(content: bytes) -> pa.Table:
-    """The inverse of `packed_table`. In this thread: for files of a frame or a day, others cost more than they save."""
+    """Read the result of `packed_table`, in this thread: for small files, more threads cost more than they save."""
     return pq.ParquetFile(io.BytesIO(content)).read(use_threads=False)
 
 
 def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:
-    """The votes of a file's frames, in its order. Raises MessageError for those on another grid."""
+    """Yield the votes of a file's frames, in its order. Raises MessageError if they are on another grid."""
     table = read_packed(content)
     about = json.loads(table.schema.metadata[ABOUT.encode()])
     columns = {name: table[name].to_numpy() for name in table.column_names}
@@ -210,7 +211,7 @@ def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iter
 
 
 def steps_of(task: Task, settings: TaskSettings, measure: bool) -> FrameSteps:
-    """Raises ArchiveError where this worker's files are others than those of the run."""
+    """Create the steps of a task. Raises ArchiveError if this worker's files differ from those of the run."""
     fusing = settings.fusing if measure else None
     camera = task.frames[0].camera
     return _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key, fusing, task.fusing_key)

@@ -1,7 +1,7 @@
-"""The frames of an archive: where each lies, what its content is, and which pose and calibration it has.
+"""List the frames of an archive: location, content, pose and calibration.
 
-Poses and calibrations are joined here, over the borders of files, by the same rules as live (`FrameJoin`), so that each
-frame can be worked alone, anywhere, in any order.
+Poses and calibrations are joined here, across files, by the same rules as live (`FrameJoin`), so that frames can be
+processed separately and in any order.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from ltm_ros.runtime.topics import camera_topic
 
 @dataclass(frozen=True)
 class ArchiveFrame:
-    """A frame that can be worked: the file, topic and log time by which its picture is found; `content`: its digest.
+    """A usable frame: file, topic and log time of its image; `content`: the image's digest.
 
     `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
-    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False where it is the site's assumption.
+    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False if it is the site's default.
     """
 
     camera: str
@@ -57,7 +57,7 @@ class ArchiveFrame:
 
     @property
     def day(self) -> int:
-        """Whole days since 1970, UTC."""
+        """Return whole days since 1970, UTC."""
         return self.stamp_ns // DAY_NS
 
     @property
@@ -72,22 +72,22 @@ class ArchiveFrame:
 
     @property
     def pose_covariance(self) -> Float64Array:
-        """(6, 6)"""
+        """Return the covariance (6, 6)."""
         return np.array(self.covariance).reshape(6, 6)
 
     @property
     def known_covariance(self) -> Float64Array | None:
-        """(6, 6), or None where nobody has stated it."""
+        """Return (6, 6), or None if it was not stated."""
         return self.pose_covariance if self.covariance_known else None
 
     def identity(self) -> list[object]:
-        """All that its votes hang on besides the site: not where it lies."""
+        """Return everything that its votes depend on besides the site, without its location."""
         return [self.stamp_ns, self.content, self.intrinsics, self.position, self.quaternion, self.covariance]
 
 
 @dataclass(frozen=True)
 class Failure:
-    """What could not be worked, `count` of a kind: where, and why with the remedy."""
+    """Failures of one kind: place, count, and reason with the remedy."""
 
     place: str
     cause: str
@@ -97,9 +97,10 @@ class Failure:
 
 @dataclass
 class ArchiveManifest:
-    """`frames` by camera and stamp. `unread`: recordings of which nobody knows what they hold. `failures`: frames that
-    were lost on the way here. `repeated`: frames that archives hold more than once. `unchanged`: pictures that are a
-    camera's last one again, and so no frames where the site has `drop_repeated`. `damage`: of files, in words."""
+    """`frames` by camera and stamp. `unread`: recordings that could not be read. `failures`: frames lost so far.
+    `repeated`: number of duplicate frames. `unchanged`: images that repeat a camera's previous one, which are no frames
+    if the site has `drop_repeated`. `damage`: of files, in words.
+    """
 
     frames: list[ArchiveFrame] = field(default_factory=list)
     unread: list[Failure] = field(default_factory=list)
@@ -111,7 +112,7 @@ class ArchiveManifest:
 
 @dataclass(frozen=True)
 class ManifestRules:
-    """How a site's nodes judge and join: `max_ahead`, `max_behind` seconds of a stamp against its log time."""
+    """Rules of a site's nodes; `max_ahead`, `max_behind`: seconds of a stamp relative to its log time."""
 
     join: FrameJoinConfig
     max_ahead: float
@@ -119,11 +120,11 @@ class ManifestRules:
 
 
 def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> ArchiveManifest:
-    """Of these cameras' frames. Raises ArchiveError for a site whose poses hang on the order of frames."""
+    """List the frames of these cameras. Raises ArchiveError for a site whose poses depend on the order of frames."""
     if site.refine_poses is not None:
         raise ArchiveError(
-            f"site {site.name} refines poses (refine_poses): a frame's pose then hangs on those before it; write what "
-            "was found into the site file (ltm pose) and take the section out of it for the archive"
+            f"site {site.name} refines poses (refine_poses): a frame's pose then depends on earlier frames. Write "
+            "the refined pose into the site file (ltm pose) and remove the section for the archive"
         )
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for camera in cameras:
@@ -160,8 +161,8 @@ def _join_camera(
             if message.stamp_ns in known:
                 manifest.repeated += 1
                 if known[message.stamp_ns] != message.content:
-                    health.drop("two_pictures", f"{file} has another picture of stamp {message.stamp_ns} ns; the first "
-                                "is taken: leave out the archive that is wrong")  # fmt: skip
+                    health.drop("two_pictures", f"{file} has a different image with stamp {message.stamp_ns} ns; "
+                                                "the first is used: remove the wrong archive")  # fmt: skip
             elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
                 known[message.stamp_ns] = message.content
                 if pictures.repeats(message.content):
@@ -189,7 +190,7 @@ class _Picture:
 
 
 def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    """Of equal times in the order of the files, of which those that overlap in time are open together."""
+    """Merge by log time, and by file order for equal times; overlapping files are open together."""
     begins = [min((scan.begins[t] for t in topics & scan.begins.keys()), default=None) for scan in scans]
     waiting = sorted(((b, n) for n, b in enumerate(begins) if b is not None), reverse=True)
     heads: list[tuple[int, int, ScannedMessage, Iterator[ScannedMessage]]] = []
@@ -209,7 +210,7 @@ def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str,
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
     limits = site.limits
-    # As in `capture`: raw, the widest of the encodings that are taken has four bytes a pixel.
+    # As in `capture`: the largest supported raw encoding has four bytes per pixel.
     most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
     if message.size_bytes <= most and message.width * message.height <= limits.pixels:
         return True
@@ -231,7 +232,7 @@ def _decoded(message: ScannedMessage) -> Any:
 
 
 def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Array) -> ArchiveFrame:
-    """With pose and covariance as nodes get them: through a message."""
+    """Return a frame with pose and covariance as nodes receive them, through a message."""
     given, message = joined.camera, image.message
     sent = pose_to_msg(joined.pose, message.stamp_ns, "map", joined.covariance)
     msg_to_pose(sent, "map")
@@ -259,7 +260,7 @@ def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Ar
 
 
 def packed(frames: Sequence[ArchiveFrame]) -> bytes:
-    """Frames as Parquet."""
+    """Return frames as Parquet."""
     kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "tuple[float, ...]": pa.list_(pa.float64())}
     schema = pa.schema([(item.name, kinds[str(item.type)]) for item in fields(ArchiveFrame)])
     file = io.BytesIO()
@@ -268,5 +269,5 @@ def packed(frames: Sequence[ArchiveFrame]) -> bytes:
 
 
 def days_of(frames: Sequence[ArchiveFrame]) -> Counter[tuple[str, int]]:
-    """Frames of each camera and day."""
+    """Group the frames by camera and day."""
     return Counter(map(attrgetter("camera", "day"), frames))

@@ -1,4 +1,4 @@
-"""The parameters of the nodes whose work an archive does, as a site file sets them."""
+"""Read the parameters of the nodes whose work an archive does, from the site file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ltm_ros.runtime.frame_join import FrameJoinConfig
 
 @dataclass(frozen=True)
 class NodeRules:
-    """How a site's nodes join, trace and label; `fusing`: None where the site has no depth network."""
+    """Parameters of a site's nodes for joining, tracing and labelling; `fusing`: None without a depth network."""
 
     manifest: ManifestRules
     tracing: TracingConfig
@@ -27,7 +27,7 @@ class NodeRules:
 
 
 def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
-    """Defaults are those of the nodes. Raises ConfigError."""
+    """Return the parameters, with the nodes' defaults. Raises ConfigError."""
     from ltm_ros.fuel_map.config import FuelMapConfig
 
     graph = describe(site, path)
@@ -49,16 +49,16 @@ def node_rules(site: Site, path: Path, camera: str) -> NodeRules:
 
 
 def refuse_terrain(site: Site) -> None:
-    """Raises ArchiveError, with the remedy, for a site whose terrain an archive cannot work."""
+    """Raise ArchiveError with the remedy for a site whose terrain cannot be reprocessed."""
     if site.terrain is None:
         raise ArchiveError(f"site {site.name} has no section `terrain`: add one, or run without --terrain")
     if not site.depth_model or site.nodes.get("terrain", {}).get("depth_from_elsewhere"):
         raise ArchiveError(
-            f"site {site.name}: the terrain of an archive needs what a depth network measures in its pictures: give "
-            "`depth_model` a network, and no depth from elsewhere, or run without --terrain"
+            f"site {site.name}: the terrain of an archive needs depth from a network: set `depth_model` to a "
+            "depth network, without depth_from_elsewhere, or run without --terrain"
         )
     if site.terrain.trace_confirmed:
         raise ArchiveError(
-            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes then "
-            "hang on those before it; take the setting out of the site file for the archive, or run without --terrain"
+            f"site {site.name} traces depth to the confirmed surface (terrain.trace_confirmed): a frame's votes "
+            "then depend on earlier frames. Remove the setting for the archive, or run without --terrain"
         )

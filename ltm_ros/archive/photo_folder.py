@@ -1,9 +1,7 @@
-"""Read folders of photos with a pose file as messages of a recording.
+"""Read folders of photos with a pose file as messages of a recording, like those that `ltm import` writes.
 
-Folders of photos with a pose file, as messages of a recording: those that `ltm import` would write of them.
-
-A folder is one where `poses.csv` lies beside the photos that it names (`ltm import --write-photos` writes such). Photos
-stay as files of their own, from which they are read again.
+In such a folder, `poses.csv` is beside the photos that it lists (`ltm import --write-photos`). Photos stay separate
+files, from which they are read again.
 """
 
 from __future__ import annotations
@@ -29,19 +27,20 @@ from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 PHOTOS = (".jpg", ".jpeg", ".png")
-"""How their names end, in lower case."""
+"""Suffixes of photos, in lower case."""
 _PNG = b"\x89PNG"
 
 
 def photo_picture(data: bytes, stamp_ns: int) -> CompressedPicture:
-    """Of the bytes of a JPEG or PNG file, as a message of it would be."""
+    """Return the bytes of a JPEG or PNG file as the image of a message."""
     return CompressedPicture(stamp_ns, "png" if data.startswith(_PNG) else "jpeg", memoryview(data))
 
 
 @dataclass(frozen=True)
 class PlacedMessage:
-    """A message of a photo, logged at the photo's own stamp. `picture`: what an image holds, with its file; of all
-    else `raw` is the message. `trouble`: why a photo gives none."""
+    """A message of a photo, logged at the photo's stamp. `picture`: the content of an image, with its file; otherwise
+    `raw` is the message. `trouble`: why a photo gives none.
+    """
 
     topic: str
     type_name: str
@@ -59,9 +58,9 @@ def is_pose_list(name: str) -> bool:
 def photo_messages(
     listed: StoredFile, photos: Sequence[StoredFile], site: Site, files: ArchiveFiles
 ) -> Iterator[PlacedMessage]:
-    """Of the photos that a pose list names, in its order; one photo is held at a time.
+    """Yield messages of the photos in a pose list, in its order; one photo is held at a time.
 
-    Raises ConfigError for a list that cannot be taken, ArchiveError and OSError where files cannot be read just now.
+    Raises ConfigError for an invalid list, ArchiveError and OSError if files cannot be read now.
     """
     with files.at_hand(listed.name) as path:
         rows = read_pose_file(path)
@@ -71,7 +70,7 @@ def photo_messages(
         camera = _camera_of(row, site, listed)
         try:
             if name not in there:
-                raise ImageError(f"{listed.name} names {name}, which is not beside it")
+                raise ImageError(f"{listed.name} lists {name}, which does not exist beside it")
             yield from _messages(there[name], row, camera, site, around, files)
         except (ArchiveError, ConfigError):
             raise
@@ -84,13 +83,13 @@ def photo_messages(
 def _messages(
     photo: StoredFile, row: PhotoPose, camera: str, site: Site, around: Surroundings, files: ArchiveFiles
 ) -> Iterator[PlacedMessage]:
-    from rclpy.serialization import serialize_message  # workers that read no folder shall not wait for it
+    from rclpy.serialization import serialize_message  # loaded late for workers that read no folder
 
     if photo.size_bytes > LARGEST_FILE:
-        raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; a photo has {LARGEST_FILE >> 20} MiB at most")
+        raise ImageError(f"{photo.name} has {photo.size_bytes} bytes; the maximum is {LARGEST_FILE >> 20} MiB")
     with files.at_hand(photo.name) as path:
         data = path.read_bytes()
-    read = photo_of(data, Path(photo.name))  # which errors name, not its place in the cache
+    read = photo_of(data, Path(photo.name))  # the name for errors, not its place in the cache
     if read.reencoded:
         raise ImageError(f"{photo.name} is not stored upright; make a recording of the folder with `ltm import`")
     item = place(read, row, camera, around, Assumptions())
@@ -108,8 +107,8 @@ def _messages(
 def _camera_of(row: PhotoPose, site: Site, listed: StoredFile) -> str:
     if row.camera is None and len(site.cameras) > 1:
         raise ConfigError(
-            f"{listed.name}, {row.name}: the site has the cameras {', '.join(site.cameras)}; say in a column `camera` "
-            "which one took it"
+            f"{listed.name}, {row.name}: the site has the cameras {', '.join(site.cameras)}; name the camera in a "
+            "column `camera`"
         )
     name = row.camera or next(iter(site.cameras))
     site.camera(name)

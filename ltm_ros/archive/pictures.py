@@ -1,4 +1,4 @@
-"""Finds the pictures of an archive's frames again, and looks at them small to tell clear ones from others."""
+"""Find the images of an archive's frames again, and check by thumbnails whether they are clear."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ltm_ros.archive.photo_folder import PHOTOS, photo_picture
 _REDUCED = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
 """A JPEG is decoded to an eighth of its size in a fraction of the time."""
 _HELD = 4
-"""Recordings that are open at once: those of one time overlap little."""
+"""Maximum number of open recordings: recordings of one time overlap little."""
 
 
 class ArchiveImageReader:
@@ -45,13 +45,14 @@ class ArchiveImageReader:
             self._close(next(iter(self._open)))
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
-        """Raises ArchiveError where the file is gone, has the picture no longer or cannot be read just now, OSError
-        where this machine's disk fails."""
+        """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now,
+        OSError if the local disk fails.
+        """
         found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
         if found is None:
             raise ArchiveError(
-                f"{frame.file} no longer holds the picture of {frame.topic} that was found there at log time "
-                f"{frame.log_time_ns} ns: it has changed since; run again"
+                f"{frame.file} no longer contains the image of {frame.topic} at log time {frame.log_time_ns} ns: "
+                "the file has changed; run again"
             )
         return found
 
@@ -73,7 +74,7 @@ class ArchiveImageReader:
             if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
                 return picture
         if reader.unread:
-            raise ArchiveError(f"{frame.file} cannot be read just now: {'; '.join(reader.unread)}")
+            raise ArchiveError(f"{frame.file} cannot be read now: {'; '.join(reader.unread)}")
         return None
 
     def _reader(self, name: str) -> BagReader:
@@ -85,7 +86,7 @@ class ArchiveImageReader:
                 try:
                     reader = BagReader(path)
                 except RecordingError as error:
-                    raise ArchiveError(f"{error}; it was there when the archive was looked through") from error
+                    raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
                 self._open[name] = held.pop_all(), reader
         return self._open[name][1]
 
@@ -123,5 +124,5 @@ def _small(picture: CompressedPicture | RawPicture) -> UInt8Array:
         return picture.rgb()
     found = cv2.imdecode(np.frombuffer(picture.data, np.uint8), _REDUCED[scale] | cv2.IMREAD_IGNORE_ORIENTATION)
     if found is None:
-        raise ImageError(f"picture of {len(picture.data)} bytes is corrupt: OpenCV cannot decode it")
+        raise ImageError(f"image of {len(picture.data)} bytes is corrupt: OpenCV cannot decode it")
     return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)

@@ -53,13 +53,13 @@ class Task:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All that are there when it is done."""
+        """Return all files that exist when it is done."""
         measured = (measured_name(self),) if self.measured_key else ()
         return (evidence_name(self), *measured)
 
     @property
     def label(self) -> str:
-        """For people: camera and day."""
+        """Return camera and day, for messages."""
         first = self.frames[0]
         return f"{first.camera} {np.datetime64(first.day, 'D')}"
 
@@ -83,7 +83,7 @@ def plan(
     frames_per_task: int,
     burns: Sequence[Burn] = (),
 ) -> list[Task]:
-    """Tasks in the order of days, then cameras. A chunk of a day is decided by its frames' order alone."""
+    """Return tasks in the order of days, then cameras. Chunks of a day depend only on the order of its frames."""
     of_votes = {
         name: votes_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
     }
@@ -117,6 +117,5 @@ def evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns
 
 def other_files(site: str) -> ArchiveError:
     return ArchiveError(
-        f"{site}, or a file that it names, is another one here than where the run was started; give all workers the "
-        "same files"
+        f"{site}, or a file that it names, differs from that of the run; give all workers the same files"
     )

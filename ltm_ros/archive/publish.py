@@ -1,9 +1,7 @@
-"""Write the maps of an archive and the page that shows them over time; find whether they are current.
+"""Write the maps of an archive and the page that shows them over time; check whether they are current.
 
-Whether the map that is there is the one that a run would make again: then nothing is left to do.
-
-A run's record says of what its map was made and which files were published; it is taken away before any of them is
-written over, and comes last.
+A run's record lists what its map was made of and which files were published. It is removed before any of them is
+replaced, and written last.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from ltm_ros.fuel_map.source import FuelSource
 
 PAGE = "index.html"
 _MOST = 24
-"""Maps on the page; of more days those spread over all, the last among them."""
+"""Maximum number of maps on the page; of more days a selection spread over all, including the last."""
 
 _HTML = """<!doctype html>
 <html lang="en">
@@ -98,7 +96,7 @@ film.addEventListener("click", () => {{
 
 
 def write_page(map_: FuelSource, folder: Path) -> None:
-    """Pictures and `index.html` into an existing folder; nothing where no frame changed any cell.
+    """Write images and `index.html` into an existing folder; nothing if no frame changed any cell.
 
     Raises LtmError for a map without a journal.
     """
@@ -123,7 +121,7 @@ def write_page(map_: FuelSource, folder: Path) -> None:
 
 
 def _days(map_: FuelSource) -> list[str]:
-    """Dates, rising, at whose end the map was another one than before."""
+    """Return the dates, rising, after which the map had changed."""
     assert map_.store is not None  # nosec B101 # an archive's map is a store
     store = map_.store
     changed = sorted({change.stamp_ns // DAY_NS for layer in JOURNALED for change in store.changes(layer)})
@@ -134,22 +132,24 @@ def _days(map_: FuelSource) -> list[str]:
 LAYERS, MAPS, LANDSCAPE = "layers", "maps", "landscape.tif"
 RUN = "run.json"
 STORES = "stores.json"
-"""SHA-256 of the stores that are there and of those that take their place: those that runs have written. A node goes on
-from a store of another."""
+"""SHA-256 of existing stores and their replacements, all written by runs. A node continues from a store with another
+one.
+"""
 
 
 def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None) -> dict[str, Any]:
-    """The files of the map in `store` and, where it was worked, of the terrain's store; what the record of the run says
-    of them. Raises ArchiveError where a node has gone on from a store that is there."""
+    """Publish the map in `store` and, if used, the terrain's store; return their part of the run's record. Raises
+    ArchiveError if a node has continued from an existing store.
+    """
     former = [_own_store(results, name) for name in (STORE_FILE, TERRAIN_FILE)]
     out = store.parent / "out"
     landscape = _write_map(store, site, out)
     written = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
-    if results.has(RUN):  # of what is written over from here on
+    if results.has(RUN):  # of what is replaced from here on
         results.remove(RUN)
     for name, file in written.items():
         results.put(file, name)
-    for folder in (LAYERS, MAPS):  # days and layers of a former run that this one has not
+    for folder in (LAYERS, MAPS):  # days and layers of an earlier run that this one lacks
         for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
             results.remove(f"{folder}/{name}")
     stores = {STORE_FILE: store} | ({} if terrain is None else {TERRAIN_FILE: terrain})
@@ -157,17 +157,17 @@ def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None
     for name, file in stores.items():
         with file.open("rb") as content:
             contents[name] = sha256_of(content)
-    # Before the stores: a run that is killed in between shall know its own.
+    # Before the stores: an interrupted run must recognise its own.
     results.write(STORES, json.dumps([*former, *contents.values()]).encode())
     for name, file in stores.items():
         results.put(file, name)
     if terrain is None and results.has(TERRAIN_FILE):
-        results.remove(TERRAIN_FILE)  # of a former run: a node would tell this map of what another one knows
+        results.remove(TERRAIN_FILE)  # of an earlier run: a node would apply another map's knowledge to this one
     return {"stores": contents, "files": sorted(written), "landscape": landscape}
 
 
 def _write_map(store: Path, site: Site, out: Path) -> str:
-    """Layers, landscape and page; the landscape's name, or why there is none."""
+    """Write layers, landscape and page; return the landscape's name, or why there is none."""
     (out / LAYERS).mkdir(parents=True)
     (out / MAPS).mkdir()
     landscape = LANDSCAPE
@@ -183,7 +183,7 @@ def _write_map(store: Path, site: Site, out: Path) -> str:
 
 
 def sha256_of(file: BinaryIO) -> str:
-    """Of a file's content from here on, read in pieces."""
+    """Return the SHA-256 of the rest of a file, read in pieces."""
     found = hashlib.sha256()
     while piece := file.read(1 << 20):
         found.update(piece)
@@ -191,15 +191,15 @@ def sha256_of(file: BinaryIO) -> str:
 
 
 def _own_store(results: ResultFolder, name: str) -> str:
-    """SHA-256 of the store that is there; empty: none. Raises ArchiveError where no run has written it."""
+    """Return the SHA-256 of the existing store; empty: none. Raises ArchiveError if no run has written it."""
     if not results.has(name):
         return ""
     with results.open(name) as file:
         found = sha256_of(file)
     if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
-            f"{results.url}/{name} is not what the last run wrote: a node may have gone on from it; move it away "
-            "or name another folder"
+            f"{results.url}/{name} is not what the last run wrote: a node may have continued from it; move it "
+            "away or give another folder"
         )
     return found
 
@@ -207,11 +207,11 @@ def _own_store(results: ResultFolder, name: str) -> str:
 def map_digest(
     site: Site, files: Sequence[str], burns: Sequence[Burn], terrain: bool, allowed: Sequence[object]
 ) -> str:
-    """Of all that a map and what is written of it hang on. Raises LtmError for files of the site that are not there.
+    """Return the digest of everything that a map and its files depend on. Raises LtmError for missing files of the
+    site.
 
-    Args:
-        files: results of the tasks, whose names tell what they hold, in the order of the plan.
-        allowed: the share that may fail, and what has failed until then.
+    Args: files: results of the tasks, named by their content, in the order of the plan. allowed: the share that may
+    fail, and what has failed so far.
     """
     burned = burns_digest(burns)
     shipped = file_digest(config_path("fuel")), file_digest(config_path(site.labels))
@@ -228,8 +228,7 @@ def map_digest(
 
 
 def standing_record(results: ResultFolder, made_of: str) -> dict[str, Any] | None:
-    """The record of the run that made just this map, if all of it is there: its stores by their content, and by name
-    what people read."""
+    """Return the record of the run that made this map, if all its files exist, stores by content and others by name."""
     try:
         record = json.loads(results.read(RUN)) if results.has(RUN) else {}
         if record.get("made_of") != made_of:
@@ -246,5 +245,5 @@ def standing_record(results: ResultFolder, made_of: str) -> dict[str, Any] | Non
         there = {f"{folder}/{name}".lstrip("/") for folder in folders for name in results.names(folder)}
         named = sum(failure["count"] for failure in record["failures"])
         return record if files <= there and named == record["frames"]["failed"] else None
-    except (ValueError, LookupError, TypeError, ArchiveError):  # of another version, or spoiled: the map is made again
+    except (ValueError, LookupError, TypeError, ArchiveError):  # of another version, or corrupt: the map is made again
         return None

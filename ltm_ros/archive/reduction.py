@@ -1,14 +1,10 @@
-"""Merge the evidence and the measured frames of all tasks into a site's stores.
+"""Merge the evidence and the measured frames of all tasks into a site's stores, in the order of the plan.
 
-A site's terrain map of an archive: measured frames in the order of their stamps, decided on after each, as a replay
-does; and at the end of each day what it tells the fuel map.
+The terrain map depends on the order of frames, so it is computed in one place, from the tasks' measured frames in the
+order of their stamps, as in a replay. At the end of each day its changes go to the fuel map.
 
-The terrain map hangs on the order of frames, so this is done in one place, from the files that tasks have measured.
-
-Makes a site's store of the evidence of all tasks: each merged once, by the list of the plan, day by day.
-
-The store is one that a node opens and goes on from: its tiles, whom they were touched by, the frames that are counted,
-and a journal of what the map said at the end of each day.
+A node can open the store and continue from it: its tiles with their sources, the counted frames, and a journal with the
+map at the end of each day.
 """
 
 from __future__ import annotations
@@ -51,9 +47,9 @@ OpenMeasured = Callable[[Task], AbstractContextManager[BinaryIO]]
 
 
 class TerrainFold:
-    """Writes the terrain's store into `path`, where nothing must be yet.
+    """Writes the terrain's store into `path`, which must not exist.
 
-    Raises ConfigError for a site without a terrain, StoreError where the store cannot be written.
+    Raises ConfigError for a site without a terrain, StoreError if the store cannot be written.
     """
 
     def __init__(self, site: Site, path: Path, open_measured: OpenMeasured) -> None:
@@ -62,12 +58,12 @@ class TerrainFold:
         self._moves = SurfaceMoves(terrain_grid(site.open_dem().geometry, site.terrain.resolution))
         self._open = open_measured
         self.frames = 0
-        """Taken in."""
+        """Number of frames used."""
         self.lost: list[LostFrame] = []
-        """Of which nothing was measured, or what was measured could not be taken in."""
+        """Frames without measured data, or whose data could not be used."""
 
     def take_day(self, tasks: Sequence[Task]) -> None:
-        """The frames of a day's tasks. Raises StoreError; ArchiveError, OSError where a file cannot be read now."""
+        """Add the frames of a day's tasks. Raises StoreError; ArchiveError, OSError if a file cannot be read now."""
         surface = self._terrain.map
         for frame, measured in measured_frames(tasks, self._open, self.lost):
             self._take(frame, measured)
@@ -76,7 +72,7 @@ class TerrainFold:
                 surface.commit()
 
     def tell(self, evidence: LivingFuelMap) -> tuple[list[FrameRecord], list[CellChanges]]:
-        """Have a fuel map know what has changed by now: what belongs into its store."""
+        """Apply the changes found so far to a fuel map and its store."""
         surface = self._terrain.map
         window = surface.seen_window()
         if window is None:
@@ -90,7 +86,7 @@ class TerrainFold:
         return [FrameRecord(SOURCE, surface.newest_ns, sorted(taken.tiles))], [taken.change]
 
     def close(self) -> None:
-        """Write all. Raises StoreError."""
+        """Write everything. Raises StoreError."""
         self._terrain.map.commit(last=True)
         self._terrain.map.close()
 
@@ -118,9 +114,9 @@ class TerrainFold:
 def measured_frames(
     tasks: Sequence[Task], open_measured: OpenMeasured, lost: list[LostFrame]
 ) -> Iterator[tuple[ArchiveFrame, MeasuredFrame]]:
-    """What tasks, each camera's in their order, have measured, in the order of stamps; of equal ones, as they were
-    logged, as a replay takes them. `lost` gets the frames of which nothing was. Of each camera one file is open at a
-    time, and one frame held."""
+    """Yield measured frames in the order of stamps, and of log times for equal stamps, as in a replay. `lost` gets the
+    frames without data. One file per camera is open at a time, and one frame is held.
+    """
     of_cameras: dict[str, list[Task]] = {}
     for task in tasks:
         of_cameras.setdefault(task.frames[0].camera, []).append(task)
@@ -141,7 +137,7 @@ def _of_camera(
 
 @dataclass
 class Reduction:
-    """`counted`: frames that say something of a cell, by camera; `lost`, `unused` as of the tasks."""
+    """`counted`: frames with votes for a cell, by camera; `lost`, `unused` as of the tasks."""
 
     counted: Counter[str] = field(default_factory=Counter)
     lost: list[LostFrame] = field(default_factory=list)
@@ -157,11 +153,11 @@ def reduce_to_store(
     burns: Sequence[Burn] = (),
     terrain: TerrainFold | None = None,
 ) -> Reduction:
-    """Write the store into `path`, where nothing must be yet. `read`: the content of a task's evidence file. `burns`:
-    by their times; each is told when its day comes, so that the journal's days before it know nothing of it. `terrain`:
-    what it has found by the end of a day is told then: what cameras had seen until then where it has changed is void.
+    """Write the store into `path`, which must not exist. `read`: reads a task's evidence file. `burns`: by time; each
+    is applied on its day, so that the journal before it is unaffected. `terrain`: its changes are applied at the end of
+    each day, and void earlier evidence of the changed cells.
 
-    Raises LtmError for evidence that does not fit the site, StoreError where the store cannot be written.
+    Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written.
     """
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
@@ -199,9 +195,10 @@ def reduce_to_store(
 
 
 def store_digest(store: TileStore) -> str:
-    """Of what a map is made of: the state of all tiles, who touched them, and how many frames of whom are counted.
+    """Return the digest of a map's content: the state of all tiles, their sources, and the number of counted frames per
+    source.
 
-    The journal is left out: a live node writes it frame by frame, an archive day by day.
+    The journal is excluded: a live node writes it frame by frame, an archive day by day.
     """
     found = hashlib.sha256(store.schema.described().encode())
     for key, tile in store.tiles():

@@ -1,4 +1,4 @@
-"""The folder that holds an archive's results, on disk or on S3: a file is there whole, or not at all."""
+"""Store an archive's results in a folder, on disk or on S3; files appear completely or not at all."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from ltm_core.base.errors import ArchiveError
 
 
 class ResultFolder:
-    """Files by their names below a folder: a path, or a URL such as `s3://bucket/prefix` of any store that fsspec has.
+    """Files by their names below a folder: a path, or a URL such as `s3://bucket/prefix` of any store that fsspec
+    supports.
 
-    Raises ArchiveError where the place, or a store that is not on this machine's disk, cannot be used; OSError where a
-    file of this machine cannot be read or written just now.
+    Raises ArchiveError if a remote store or the place cannot be used; OSError if a local file cannot be read or written
+    now.
     """
 
     def __init__(self, url: str) -> None:
@@ -29,15 +30,17 @@ class ResultFolder:
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
-            raise ArchiveError(f"{url}: no place for results ({error}); give a folder or s3://bucket/folder") from error
+            raise ArchiveError(
+                f"{url}: not a location for results ({error}); give a folder or s3://bucket/folder"
+            ) from error
 
     @property
     def local(self) -> Path | None:
-        """Where it is on this machine's disk; None: elsewhere."""
+        """Return the path on this machine's disk; None: elsewhere."""
         return Path(self._root) if "file" in _names(self._files.protocol) else None
 
     def names(self, folder: str) -> set[str]:
-        """Of the files in a folder below."""
+        """Return the names of the files in a folder below."""
         place = self._path(folder)
         with self._reached():
             self._files.invalidate_cache()  # others may have written since
@@ -57,13 +60,14 @@ class ResultFolder:
 
     @contextmanager
     def open(self, name: str) -> Iterator[BinaryIO]:
-        """To read parts of it, and to do nothing else meanwhile that may fail."""
+        """Open a file to read parts of it, without other work meanwhile that may fail."""
         with self._reached(), self._files.open(self._path(name), "rb") as file:
             yield file
 
     def write(self, name: str, content: bytes) -> None:
-        """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write
-        the same name at once write the same content, for names of results tell what they hold."""
+        """Write atomically: an object of S3 appears when it is complete, a file is renamed. Names of results follow
+        from their content, so that two writers write the same.
+        """
         if self.local is None:
             with self._reached():
                 self._files.pipe_file(self._path(name), content)
@@ -71,7 +75,7 @@ class ResultFolder:
             _write_whole(self.local / name, io.BytesIO(content))
 
     def put(self, file: Path, name: str) -> None:
-        """Copy a file of this machine; to its own disk in pieces, for a terrain's store may be larger than memory."""
+        """Copy a local file; to a local disk in pieces, because a terrain's store may be larger than memory."""
         if self.local is None:
             self.write(name, file.read_bytes())
             return
@@ -79,7 +83,7 @@ class ResultFolder:
             _write_whole(self.local / name, content)
 
     def remove(self, name: str) -> None:
-        """A file that is there."""
+        """Remove an existing file."""
         with self._reached():
             self._files.rm_file(self._path(name))
 
@@ -91,7 +95,7 @@ class ResultFolder:
             if self.local is not None:
                 raise
             raise ArchiveError(
-                f"{self.url} cannot be used just now ({type(error).__name__}: {error}); check the address, the "
+                f"{self.url} cannot be used now ({type(error).__name__}: {error}); check the address, the "
                 "credentials and the network, then run again"
             ) from error
 
@@ -106,7 +110,7 @@ def _write_whole(place: Path, content: BinaryIO) -> None:
         with partial.open("wb") as file:
             shutil.copyfileobj(content, file)
             file.flush()
-            os.fsync(file.fileno())  # after a power cut, too, a name stands for all of its content
+            os.fsync(file.fileno())  # synced, so that after a power cut a name has its complete content
         partial.replace(place)
     except OSError:
         partial.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
-"""Works an archive again: look through it, plan, map, and reduce to the site's store, layers and a record of the run.
+"""Reprocess an archive: scan, plan, run the tasks, and merge them into the site's store, layers and a record.
 
-Nothing is kept but files named by what they hold, so a run that was stopped is resumed by running it again.
+All intermediate files are named by their content, so a stopped run is resumed by running it again.
 """
 
 from __future__ import annotations
@@ -38,15 +38,16 @@ from ltm_ros.archive.scan import recordings, scan
 
 MANIFEST = "manifest.parquet"
 _NAMED = 1000
-"""Failures that the record of a run names one by one; all are counted."""
+"""Number of failures that the record lists one by one; all are counted."""
 
 
 @dataclass(frozen=True)
 class ArchiveOptions:
-    """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
-    from 1 on: these are worked, and no map is made. `max_failed`: share of all frames that may be lost before they are
-    chosen, and of the chosen ones after. `burns`: GeoJSON of what burned when (`burns_io`). `terrain`: work the terrain
-    too, and have the fuel map know what it has found."""
+    """Options of a run. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the
+    tasks, from 1 on: only these are processed, and no map is made. `max_failed`: share of all frames that may be lost
+    before sampling, and of the sampled ones after. `burns`: GeoJSON of burns with times (`burns_io`). `terrain`: also
+    compute the terrain, and apply its changes to the fuel map.
+    """
 
     archives: tuple[str | Path, ...]
     site: Path
@@ -65,7 +66,7 @@ class ArchiveOptions:
 
 @dataclass(frozen=True)
 class Plan:
-    """An archive that has been looked through."""
+    """A scanned archive."""
 
     options: ArchiveOptions
     site: Site
@@ -73,17 +74,18 @@ class Plan:
     settings: TaskSettings
     manifest: ArchiveManifest
     frames: tuple[ArchiveFrame, ...]
-    """To work, of those in the manifest."""
+    """Frames to process, of those in the manifest."""
     passed_over: Counter[str]
-    """Pictures that the sampling looked at and found not clear, by reason."""
+    """Images that the sampling found not clear, by reason."""
     tasks: tuple[Task, ...]
     burns: tuple[Burn, ...] = ()
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run did. `worked`: frames from picture to votes in this run; `digest`: of the map's store, empty where
-    none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and how many are in it."""
+    """Result of a run. `worked`: frames processed from image to votes in this run; `digest`: of the map's store, empty
+    if none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and its number of frames.
+    """
 
     tasks: int
     worked: int
@@ -100,12 +102,14 @@ class Summary:
 
 
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
-    """`progress`: files looked through, of how many. Raises LtmError for what cannot be worked at all."""
+    """Scan an archive. `progress`: files scanned, of how many. Raises LtmError for an archive that cannot
+    be processed.
+    """
     site = load_site(options.site)
     if options.terrain:
         refuse_terrain(site)
     grid = site.in_crs(site.fuel_geometry(site.open_dem()))
-    # Before hours of looking through: a file of burns may be wrong.
+    # Before a scan of hours, because a file of burns may be invalid.
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
     results = ResultFolder(options.out)
@@ -140,9 +144,9 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
 
 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
-    """Work what is not done and make the map. `progress`: tasks done, of how many.
+    """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
-    Raises ArchiveError where more failed than may, before any map is written; the record of the run is.
+    Raises ArchiveError if too many frames failed, before a map is written; the record of the run is written.
     """
     options, results = planned.options, planned.results
     part, parts = options.shard
@@ -171,7 +175,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
 
 
 def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
-    """Of a run that had nothing to make: its map is that of an earlier run, whose record stays."""
+    """Return the summary of a run without changes: its map is that of an earlier run, whose record stays."""
     frames, terrain = record["frames"], record["terrain"]
     worked: dict[str, Any] = terrain if isinstance(terrain, dict) else {"digest": "", "frames": 0}
     return replace(
@@ -188,7 +192,7 @@ def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
 def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> Summary:
     results = planned.results
     whole = [task for task in planned.tasks if task.evidence_key not in broken]
-    dem = planned.site.open_dem()  # shared by all who open it while it is held: of each day a picture is drawn
+    dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
         path = Path(folder) / STORE_FILE
 
@@ -220,15 +224,14 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> 
 
 
 def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
-    """Why no map may be written, or nothing. What was lost on the way to the manifest is a share of all that archives
-    hold, for a sample is chosen of what is left."""
+    """Return why no map may be written, or nothing. Frames lost before sampling count as a share of all frames."""
     manifest, most = planned.manifest, planned.options.max_failed
     if manifest.unread:
         first = manifest.unread[0]
         return (
-            f"{len(manifest.unread)} recordings could not be read, and nobody knows how many frames they hold: no map "
-            f"was written; {planned.results.url}/{RUN} names them, the first is {first.place} ({first.why}); run "
-            "again, or leave out of ARCHIVES what is none"
+            f"{len(manifest.unread)} recordings could not be read, with an unknown number of frames: no map was "
+            f"written; {planned.results.url}/{RUN} lists them, the first is {first.place} ({first.why}); run "
+            "again, or remove invalid files from ARCHIVES"
         )
     joining, working = manifest.failures, failures[len(manifest.failures) :]
     found = len(manifest.frames) + sum(failure.count for failure in joining)
@@ -240,13 +243,13 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
             named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
             return (
                 f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
-                f"{planned.results.url}/{RUN} names them, --max-failed lets more of them be"
+                f"{planned.results.url}/{RUN} lists them; to accept more, raise --max-failed"
             )
     return ""
 
 
 def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
-    """A frame that gives neither votes nor a measurement is one."""
+    """Count lost frames; one without votes and measurement counts once."""
     first: dict[tuple[str, int], LostFrame] = {}
     for lost in (*found.lost, *(terrain.lost if terrain is not None else ())):
         first.setdefault((lost.camera, lost.stamp_ns), lost)
@@ -255,7 +258,7 @@ def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
 
 def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
     if not planned.options.terrain:
-        return "not worked: what the terrain tells the fuel map is none of this"
+        return "not computed: this part has no terrain results for the fuel map"
     return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 

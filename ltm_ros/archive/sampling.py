@@ -1,13 +1,12 @@
-"""Choose the frames of an archive that a sample takes, and keep each choice.
+"""Choose the frames of an archive that a sample takes, and store each choice.
 
-Chooses frames of an archive: looks of one view within a day tell nearly the same, so a few of them tell almost all.
+Frames of one view within a day are nearly equal, so a few of them are enough.
 
-Whatever looks are left out, the mean of those that are taken shall be that of all. What a view shows changes with the
-light and the weather, so each clear picture stands for the time about it, and looks are taken at even steps along the
-time that clear pictures stand for, by daylight alone on days that have any: foggy hours have none, and no other hour
-speaks for them. Where the first step begins alternates from span to span, so that some days together have looks of all
-hours. A picture that the camera had sent before, on that day or the last one before it, is no new look. A choice hangs
-on nothing else outside its own span.
+The mean of the sample must be that of all frames. A view changes with light and weather, so each clear image represents
+the time around it, and frames are taken at even steps along the time covered by clear images, in daylight only on days
+that have any; foggy hours are not represented. The start of the first step alternates from span to span, so that
+several days cover all hours. An image that the camera sent before, on the same day or the last one, does not count.
+Nothing else outside its span affects a choice.
 """
 
 from __future__ import annotations
@@ -33,34 +32,35 @@ from ltm_ros.archive.results import ResultFolder
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _DAYLIGHT = 0.0
-"""Radians of the sun above the horizon, from which on a picture can be clear. Those that are dim under a low sun are
-told by a look; those that are not count live, so a sample that took none of them would see another land."""
+"""Sun height in radians from which an image can be clear. Dim images under a low sun are rejected by their content; a
+sample without the usable ones would differ from live operation.
+"""
 _ASKED = 4
-"""Pictures, at most, that are looked at for each look that is wanted."""
+"""Maximum number of images that are checked per sampled frame."""
 _PHASES = 16
-"""Places at which the first step begins, a power of two."""
+"""Number of positions of the first step, a power of two."""
 _DAYLIGHT_STEP_NS = 5 * 60 * 10**9
-"""Steps in which the daylight of a span is measured."""
+"""Step in ns for measuring the daylight of a span."""
 
 Look = Callable[[ArchiveFrame], str]
-"""Why a frame's picture shows too little; empty: it is clear."""
+"""Returns why a frame's image is unusable; empty: it is clear."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """`count` frames of each camera a span of `span_ns`; 0: all."""
+    """`count` frames of each camera per span of `span_ns`; 0: all."""
 
     count: int = 0
     span_ns: int = DAY_NS
 
     @classmethod
     def parsed(cls, text: str) -> Sample:
-        """From `all`, `4/day` or `1/hour`. Raises ArchiveError."""
+        """Parse `all`, `4/day` or `1/hour`. Raises ArchiveError."""
         if text == "all":
             return cls()
         found = re.fullmatch(r"([1-9][0-9]*)/(hour|day)", text)
         if found is None:
-            raise ArchiveError(f"sample {text!r}: write all, or a number a span such as 4/day or 1/hour")
+            raise ArchiveError(f"sample {text!r}: give all, or a number per time span such as 4/day or 1/hour")
         return cls(int(found[1]), _SPANS[found[2]])
 
     @property
@@ -72,21 +72,20 @@ class Sample:
 
 @dataclass(frozen=True)
 class Sampled:
-    """`frames`: the chosen ones, by camera and stamp. `passed_over`: pictures that were looked at and not clear, by
-    reason."""
+    """`frames`: the chosen ones, by camera and stamp. `passed_over`: images found not clear, by reason."""
 
     frames: tuple[ArchiveFrame, ...]
     passed_over: Counter[str]
 
 
 def solar_day(stamp_ns: int, longitude: float) -> int:
-    """Whole days since 1970 that begin at the middle of the night; `longitude`: radians east."""
+    """Return whole days since 1970 that begin at solar midnight; `longitude`: radians east."""
     return (stamp_ns + _shift(longitude)) // DAY_NS
 
 
 def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> list[list[ArchiveFrame]]:
-    """Frames of one camera and span each; frames come by camera and stamp. `longitude`: radians east, so that days
-    begin at the middle of the site's night.
+    """Group frames by camera and span; frames come by camera and stamp. `longitude`: radians east, so that days begin
+    at the site's solar midnight.
     """
     found: dict[tuple[str, int], list[ArchiveFrame]] = {}
     for frame in frames:
@@ -95,15 +94,15 @@ def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> l
 
 
 def span_number(stamp_ns: int, sample: Sample, longitude: float) -> int:
-    """Spans since 1970, as `spans` has them."""
+    """Return the number of spans since 1970, as in `spans`."""
     return (stamp_ns + _shift(longitude)) // sample.span_ns
 
 
 def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str, int]]:
-    """Camera and stamp of frames whose picture the camera had sent before: on the same solar day, or on the last day
-    before it of which there are frames. So a picture that stands still for weeks is one look, wherever weeks are cut.
+    """Return camera and stamp of frames whose image the camera sent before: on the same solar day, or on its last day
+    with frames. So an image frozen for weeks counts once, wherever the archive is split.
 
-    Frames come by camera and stamp, all that there are.
+    Frames come by camera and stamp, complete.
     """
     found = set[tuple[str, int]]()
     before, today, of = set[str](), set[str](), ("", 0)
@@ -118,8 +117,9 @@ def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str,
 
 
 def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: int, lit_ns: int) -> Sampled:
-    """Of the frames of one span, in daylight where any are: see above. `turn`: the number of the span; `lit_ns`: its
-    daylight. Where any of the pictures that are looked at is clear, one is taken at least."""
+    """Choose frames of one span, in daylight if there is any. `turn`: the number of the span; `lit_ns`: its daylight.
+    At least one is chosen if any checked image is clear.
+    """
     asked = _evenly(frames, _ASKED * sample.count)
     if not asked:
         return Sampled((), Counter())
@@ -140,7 +140,7 @@ def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look, turn: in
 
 
 def daylight_ns(turn: int, sample: Sample, site: Site) -> int:
-    """How long the sun is up at the site within a span; the whole span where it never is."""
+    """Return the duration of daylight at the site within a span; the whole span if the sun never rises."""
     longitude, latitude = place_of(site)
     begin = turn * sample.span_ns - _shift(longitude)
     at = begin + np.arange(0, sample.span_ns, _DAYLIGHT_STEP_NS)
@@ -149,15 +149,16 @@ def daylight_ns(turn: int, sample: Sample, site: Site) -> int:
 
 
 def _evenly(frames: Sequence[ArchiveFrame], most: int) -> Sequence[ArchiveFrame]:
-    """So many of them at most, from the middles of as many parts."""
+    """Return at most `count` of them, from the middles of as many parts."""
     if len(frames) <= most:
         return frames
     return [frames[(2 * part + 1) * len(frames) // (2 * most)] for part in range(most)]
 
 
 def _times(stamps: Int64Array, most: int) -> Int64Array:
-    """(N,) ns that each of rising stamps stands for: half the way to the one before and to that after it, as far to the
-    other side of the first and the last; `most` at most, and that for a single one."""
+    """Return the time (N,) in ns that each of rising stamps represents: half the distance to both neighbours,
+    symmetrical at the ends; at most `most`, which also holds for a single one.
+    """
     if len(stamps) == 1:
         return np.array([most], np.int64)
     ways = np.diff(stamps)
@@ -167,8 +168,9 @@ def _times(stamps: Int64Array, most: int) -> Int64Array:
 
 
 def _reversed(number: int) -> int:
-    """Its bits from the last to the first, below `_PHASES`: any few numbers that follow each other come out evenly
-    spread (van der Corput's sequence)."""
+    """Return its bits in reverse order, below `_PHASES`: consecutive numbers become evenly spread (van der Corput's
+    sequence).
+    """
     found = 0
     for _ in range(_PHASES.bit_length() - 1):
         found, number = 2 * found + number % 2, number // 2
@@ -176,7 +178,7 @@ def _reversed(number: int) -> int:
 
 
 def in_daylight(frames: Sequence[ArchiveFrame], site: Site) -> list[ArchiveFrame]:
-    """Those taken while the sun is up at the site; all of a day on which it never is, as in a polar night."""
+    """Return the frames in daylight; all of a day without any, as in a polar night."""
     longitude, latitude = place_of(site)
     up = sun_elevation(latitude, longitude, [frame.stamp_ns for frame in frames]) > _DAYLIGHT
     days = [solar_day(frame.stamp_ns, longitude) for frame in frames]
@@ -185,26 +187,26 @@ def in_daylight(frames: Sequence[ArchiveFrame], site: Site) -> list[ArchiveFrame
 
 
 def _sun_rises(day: int, latitude: float, longitude: float) -> bool:
-    """Within a solar day, told by its noon: the sun's height hangs on the date and the place alone."""
+    """Return whether the sun rises within a solar day, given its noon: this depends only on date and place."""
     noon = day * DAY_NS + DAY_NS // 2 - _shift(longitude)
-    # Clocks of the sun are up to 17 minutes off those of the mean sun.
+    # Solar noon differs by up to 17 minutes from that of the mean sun.
     minutes = np.arange(-20, 21, 5) * 60 * 10**9
     return bool((sun_elevation(latitude, longitude, (noon + minutes).tolist()) > _DAYLIGHT).any())
 
 
 def _shift(longitude: float) -> int:
-    """Nanoseconds by which the mean sun is ahead of UTC."""
+    """Return the nanoseconds by which the mean sun is ahead of UTC."""
     return round(longitude / (2 * np.pi) * DAY_NS)
 
 
 def place_of(site: Site) -> tuple[float, float]:
-    """Longitude and latitude of a site's origin, radians."""
+    """Return longitude and latitude of a site's origin in radians."""
     longitude, latitude = site.frame.to_lonlat(0.0, 0.0)
     return float(np.radians(longitude)), float(np.radians(latitude))
 
 
 LOOKS = "looks"
-REPEATED = "repeated: the camera had sent the same picture before"
+REPEATED = "repeated: the camera sent the same image before"
 
 
 def chosen(
@@ -215,8 +217,8 @@ def chosen(
     results: ResultFolder,
     files: ArchiveFiles,
 ) -> tuple[list[ArchiveFrame], Counter[str]]:
-    """Of all `frames` of an archive, by camera and stamp, those of the sample with stamps `within`, both inclusive; and
-    how many pictures were passed over, by reason. Raises ArchiveError, OSError where a picture cannot be read just now.
+    """Choose the sample from all `frames` of an archive, by camera and stamp, with stamps `within`, both inclusive;
+    also return the number of unclear images, by reason. Raises ArchiveError, OSError if an image cannot be read now.
     """
     longitude, _ = place_of(site)
     still = repeated(frames, longitude)

@@ -1,7 +1,7 @@
-"""Looks through a recording once: where its pictures are and what their content is, and all that is joined to them.
+"""Scan a recording once: locations and digests of its images, and all messages that are joined to them.
 
-What a scan finds hangs on the file and the names of topics alone, so it is kept beside the results and read again as
-long as the file is the same.
+A scan depends only on the file and the topic names, so it is stored with the results and used again while the file is
+unchanged.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SCANS = "scans"
 _VERSION = 3
 _ABOUT = "ltm"
 _GROUP = 5_000
-"""Messages that are unpacked at once."""
+"""Number of messages decoded at once."""
 _PICTURES = (IMAGE_COMPRESSED.name, IMAGE_RAW.name)
 
 
@@ -41,8 +41,8 @@ _PICTURES = (IMAGE_COMPRESSED.name, IMAGE_RAW.name)
 class ScannedMessage:
     """A message of a recording, in the order of log times.
 
-    Of a picture `content` is its digest, `stamp_ns` and size are stated in it, and `raw` is empty; `trouble` says why
-    it is none; `file`: its own, where it lies in one. Of all else `raw` is the message itself.
+    For an image, `content` is its digest, `stamp_ns` and size are its own, and `raw` is empty; `trouble` says why it is
+    invalid; `file`: its own file, if any. For others, `raw` is the message.
     """
 
     topic: str
@@ -71,8 +71,7 @@ _SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class Recording:
-    """`name` of an MCAP file, or of the pose list of a folder of photos; `files`: all that it is read from, itself
-    first."""
+    """`name` of an MCAP file, or of the pose list of a folder of photos; `files`: all its files, itself first."""
 
     files: tuple[StoredFile, ...]
 
@@ -83,8 +82,9 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What was found in the recording `name`, which stays where it is kept until it is asked for. `begins`: log time of
-    the first message of each topic. `damage`: what of it could not be read, in words."""
+    """Result of scanning the recording `name`, read on request. `begins`: log time of the first message of each topic.
+    `damage`: unreadable parts, in words.
+    """
 
     name: str
     begins: Mapping[str, int]
@@ -92,7 +92,7 @@ class Scan:
     kept: Callable[[], bytes]
 
     def messages(self, topics: Collection[str]) -> Iterator[ScannedMessage]:
-        """Of some topics, in the order of the recording, by log time. Raises as `ResultFolder.read` does."""
+        """Yield messages of some topics, in the order of the recording, by log time. Raises as `ResultFolder.read`."""
         file = pq.ParquetFile(io.BytesIO(self.kept()))
         groups: dict[str, list[int]] = {}
         for number, topic in enumerate(_about(file)["groups"]):
@@ -103,10 +103,10 @@ class Scan:
 
 
 def recordings(archives: Sequence[str]) -> list[Recording]:
-    """The MCAP files of bags, and the folders of photos with a pose list, in folders at any depth and on stores; each
-    once, in the order of their names.
+    """Return the MCAP files of bags, and the folders of photos with a pose list, in folders at any depth and on stores;
+    each once, by name.
 
-    Raises ArchiveError for a place that holds none, or that cannot be read just now.
+    Raises ArchiveError for a place without any, or that cannot be read now.
     """
     found: dict[str, Recording] = {}
     for archive in archives:
@@ -120,18 +120,18 @@ def recordings(archives: Sequence[str]) -> list[Recording]:
             inside.append(Recording((listed, *photos)))
         if not inside:
             raise ArchiveError(
-                f"{archive}: holds no recordings (*.mcap) and no photos with a {POSES}; photos of other kinds become a "
-                "recording with `ltm import`"
+                f"{archive}: contains no recordings (*.mcap) and no photos with a {POSES}; convert other photos "
+                "with `ltm import`"
             )
         found.update({recording.name: recording for recording in inside})
     return list(found.values())
 
 
 def scan(recording: Recording, site: Site, results: ResultFolder, files: ArchiveFiles) -> Scan:
-    """As kept in `results`, or made and kept now.
+    """Return the scan in `results`, or make and store it now.
 
-    Raises RecordingError for what is no recording; ArchiveError, OSError where it cannot be read just now, in whole or
-    in part: then nothing is kept.
+    Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
+    nothing is stored.
     """
     topics = {camera_topic(site.name, camera, topic): topic.name for camera in site.cameras for topic in CAMERA_INPUTS}
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
@@ -151,13 +151,13 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
 def _scanned_bag(
     name: str, topics: Mapping[str, str], files: ArchiveFiles
 ) -> tuple[list[ScannedMessage], Sequence[str]]:
-    """And the damage."""
+    """Scan a bag; return also its damage."""
     with files.at_hand(name) as path:
         reader = BagReader(path)
         wanted = topics.keys() & reader.topics().keys()
         messages = [_scanned(message, topics[message.topic]) for message in reader.messages(wanted)]
         if reader.unread:
-            raise ArchiveError(f"{name} cannot be read just now: {'; '.join(reader.unread)}")
+            raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
         return messages, [note.replace(str(path), name) for note in reader.damage]
 
 
@@ -186,7 +186,7 @@ def _with_picture(message: ScannedMessage, picture: CompressedPicture | RawPictu
 
 
 def _packed(messages: Sequence[ScannedMessage], damage: Sequence[str]) -> bytes:
-    """Row groups of one topic each, so that a camera's messages are read without those of others."""
+    """Pack row groups of one topic each, so that cameras can be read separately."""
     by_topic: dict[str, list[dict[str, Any]]] = {}
     for order, message in enumerate(messages):
         by_topic.setdefault(message.topic, []).append({"order": order, **asdict(message)})

@@ -1,7 +1,7 @@
-"""One task of an archive: a camera's day, from frames to votes to evidence. Needs no middleware and no other task.
+"""Run one task of an archive: a camera's day, from frames to votes to evidence, without middleware or other tasks.
 
-Each step has a file of its own, named by the digest of all that went into it. A file that is there is right, whoever
-wrote it and when; a step whose file is there is not done again.
+Each step writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it; its step is not
+repeated.
 """
 
 from __future__ import annotations
@@ -50,15 +50,16 @@ _TILES = pa.schema(
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What was worked: frames of which pictures were read, 0 where all that they make was there."""
+    """Result of a task: number of frames whose images were read, 0 if all files existed."""
 
     worked: int
 
 
 @dataclass(frozen=True, eq=False)
 class TaskEvidence:
-    """`touched`: tile -> stamps of the frames that touch it. `lost`: frames that failed; `unused`: reason -> number of
-    those whose picture shows too little."""
+    """`touched`: tile -> stamps of its frames. `lost`: frames that failed; `unused`: reason -> number of frames with
+    unusable images.
+    """
 
     partial: PartialEvidence
     touched: dict[Key, list[int]]
@@ -68,11 +69,12 @@ class TaskEvidence:
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Do what is not done yet. Raises ArchiveError where this worker's program or files of the site are others than
-    those of the run, OSError where results cannot be read or written just now."""
+    """Run the missing steps. Raises ArchiveError if this worker's program or files differ from those of the run,
+    OSError if results cannot be read or written now.
+    """
     if (own := code_digest()) != settings.code:
         raise ArchiveError(
-            f"this worker's program has the digest {own}, that of the run is {settings.code}: install the same version "
+            f"this worker's program has the digest {own}, the run's is {settings.code}: install the same version "
             "on all workers"
         )
     results = ResultFolder(settings.results)
@@ -97,7 +99,7 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """What evidence is made on: the same for all tasks of a run. `empty` makes maps without any."""
+    """The basis of evidence, the same for all tasks of a run. `empty` makes maps without evidence."""
 
     site: Site
     labels: LabelSet
@@ -107,14 +109,14 @@ class _Ground:
 
 @lru_cache(maxsize=1)
 def _ground(site: str, of_evidence: str) -> _Ground:
-    """`of_evidence`: digest of the files that it is read from, now."""
+    """Load the basis. `of_evidence`: digest of its files now."""
     found = load_site(site)
     labels, geometry = LabelSet.load(config_path(found.labels)), found.fuel_geometry(found.open_dem())
     return _Ground(found, labels, geometry, empty_maps(found, geometry, labels))
 
 
 def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> bytes:
-    """One row a tile: its state, and the stamps of the frames that touch it."""
+    """Write one row per tile: its state, and the stamps of its frames."""
     labels, geometry, evidence = ground.labels, ground.geometry, ground.empty()
     for burn in burns:
         evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
@@ -137,7 +139,9 @@ def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> byte
 
 
 def read_evidence(content: bytes, site: Site, geometry: GridGeometry) -> TaskEvidence:
-    """The inverse of what a task writes; `geometry`: the fuel grid in the map frame. Raises ConfigError on damage."""
+    """Read the evidence file of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is
+    corrupt.
+    """
     table, schema = read_packed(content), fuel_schema(site, geometry)
     about = json.loads(table.schema.metadata[ABOUT.encode()])
     tiles, touched = {}, {}

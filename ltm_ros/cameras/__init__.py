@@ -1,1 +1,1 @@
-"""Cameras as sources of frames: what they send, when it was taken, where they looked, and whether they are well."""
+"""Read frames from cameras: images, their times, viewing directions and the cameras' states."""

@@ -1,5 +1,6 @@
-"""One camera as a source of frames: asks it, judges what it gives, tells when and where it was taken, and knows how it
-is. Without ROS; time comes from a clock that tests replace."""
+"""Read one camera: request images, check them, compute when and in which direction they were taken, and keep the
+camera's state. Uses no ROS; tests replace the clock.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +38,11 @@ FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0
 UNAUTHORISED_S = 600.0
 """Pause after a rejected password: cameras lock an account after a few of them within minutes."""
 SETTLE_S = 1.0
-"""After a picture that was taken while the PTZ head moved: it may rest by then."""
+"""Pause in seconds after an image taken while the PTZ head moved, so that it can stop."""
 SET_BACK_NS = 10**10
-"""By which a stamp is before the last one only where the clock was set; frames so far ahead are refused anyway."""
+"""Nanoseconds by which a stamp can precede the last one only if the clock was set; frames so far ahead are rejected
+anyway.
+"""
 
 
 def camera_backoff(jitter: random.Random | None = None) -> Backoff:
@@ -49,10 +52,10 @@ def camera_backoff(jitter: random.Random | None = None) -> Backoff:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture that can be used. One of `jpeg` and `rgb` is given.
+    """A usable image. Either `jpeg` or `rgb` is given.
 
-    `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: not known, or not
-    asked for.
+    `uncertainty`: seconds, see `Exposure`. `synchronised`: whether this computer's clock was; None: unknown, or not
+    required.
     """
 
     stamp_ns: int
@@ -62,17 +65,18 @@ class Frame:
     jpeg: bytes | None
     rgb: UInt8Array | None
     camera: Camera
-    """Of this picture: a lens may zoom."""
+    """Camera model of this image, because a lens may zoom."""
     pose: Pose | None
     covariance: Float64Array | None
     reading: PtzReading | None = None
-    """What a PTZ head said just after the picture."""
+    """Reading of the PTZ head just after the image."""
 
 
 @dataclass(frozen=True)
-class Gaze:
-    """How a camera's pose is known: a fixed one, or by what its PTZ head says and what the mount makes of that;
-    neither: somebody else tells it."""
+class CameraDirection:
+    """Source of a camera's pose: fixed, or from readings of its PTZ head and the mount; neither: published by another
+    node.
+    """
 
     pose: Pose | None = None
     covariance: Float64Array | None = None
@@ -80,26 +84,23 @@ class Gaze:
     model: PoseModel | None = None
     tolerance: Tolerance = field(default_factory=Tolerance)
     lens: ZoomLens | None = None
-    """None: it does not zoom."""
+    """None: the lens does not zoom."""
     patrol: Patrol | None = None
-    """None: the PTZ head is not driven."""
+    """None: the PTZ head is not moved."""
 
 
 class CameraSource:
-    """`step` by `step`, from one thread.
+    """Call `step` repeatedly, from one thread.
 
-    Args:
-        calibration: that pictures must fit.
-        open_reader: connects to the camera; raises SourceError.
-        deliver: takes each frame.
-        health: counts what is given up, by its cause, and holds what is said of the camera.
+    Args: calibration: images must match it. open_reader: connects to the camera; raises SourceError. deliver: takes
+    each frame. health: counts dropped images by cause, and holds the camera's state.
     """
 
     def __init__(
         self,
         settings: SourceSettings,
         calibration: Camera,
-        gaze: Gaze,
+        gaze: CameraDirection,
         open_reader: Callable[[], CameraReader],
         deliver: Callable[[Frame], None],
         health: Health,
@@ -114,7 +115,7 @@ class CameraSource:
         self._stuck = StuckPicture(settings.stuck_s)
         self._record = StateRecord(clock.monotonic())
         self._before: PtzReading | None = None
-        """What the PTZ head said last; None: not since the connection was made."""
+        """Last reading of the PTZ head; None: none since the connection began."""
         self._digest = b""
         self._stamp_ns = -1
         self._last_good: float | None = None
@@ -126,11 +127,11 @@ class CameraSource:
 
     @property
     def why(self) -> str:
-        """What is wrong, in words; empty: nothing."""
+        """Return the current problem in words; empty: none."""
         return self._record.why
 
     def step(self) -> float:
-        """Ask once; the seconds after which to ask again."""
+        """Request one image; return the seconds to wait before the next request."""
         begun = self._clock.monotonic()
         try:
             pause = self._ask()
@@ -144,20 +145,20 @@ class CameraSource:
             self._refuse("picture", str(error))
             state = self._state_without_picture()
             if self._reader is None or (self._reader.pause == 0 and state is CameraState.STALLED):
-                # A stream that sends nothing of use may be another one when it is asked for anew.
+                # A stream that sends nothing usable may recover when it is reopened.
                 return self._failed(state, error, self._backoff.failed())
             self._become(state, str(error))
             pause = self._reader.pause
         except SourceError as error:
             return self._failed(CameraState.STALLED, error, self._backoff.failed())
-        # From one beginning to the next, however long the camera took.
+        # Measured from start to start, however long the camera took.
         return max(0.0, begun + pause - self._clock.monotonic())
 
     def close(self) -> None:
         self._disconnect()
 
     def report(self) -> None:
-        """State how the camera is now, for diagnostics."""
+        """Report the camera's state in the diagnostics."""
         now, wall = self._clock.monotonic(), self._clock.wall()
         health, record = self._health, self._record
         health.gauge("state", record.state.value)
@@ -180,8 +181,8 @@ class CameraSource:
         reader, gaze = self._reader, self._gaze
         if gaze.patrol is not None:
             gaze.patrol.advance()
-        # A camera that is asked for a picture is asked for its direction just before; of a stream, what was said after
-        # the picture before is what was said before this one.
+        # For snapshots, the direction is requested just before the image; for a stream, the reading after the
+        # previous image serves as the one before this image.
         if gaze.direction is not None and (reader.pause > 0 or self._before is None):
             self._before = gaze.direction.read()
         item = reader.read()
@@ -198,14 +199,14 @@ class CameraSource:
         return reader.pause
 
     def _take(self, picture: CameraImage) -> bool:
-        """Judge a picture, and deliver it where it is good. False where the PTZ head moved. Raises PictureError."""
+        """Check an image, and deliver it if it is usable. Returns False if the PTZ head moved. Raises PictureError."""
         reading, rested = self._read_ptz(picture)
         now = self._clock.monotonic()
         wall_less_monotonic = self._clock.wall() - now
         exposure = self._exposures.estimate(picture.timing, wall_less_monotonic)
         if not rested:
-            self._refuse("moved", "the PTZ head moved while the picture was taken; let a preset rest longer")
-            self._become(CameraState.MOVED, "the PTZ head moves")
+            self._refuse("moved", "the PTZ head moved during the exposure; increase the time at each preset")
+            self._become(CameraState.MOVED, "the PTZ head is moving")
             return False
         self._check_fit(picture)
         if picture.jpeg is not None:
@@ -236,7 +237,7 @@ class CameraSource:
         return True
 
     def _read_ptz(self, picture: CameraImage) -> tuple[PtzReading | None, bool]:
-        """Where the PTZ head looked, and whether it stood still."""
+        """Return the direction of the PTZ head, and whether it was at rest."""
         gaze = self._gaze
         if gaze.direction is None:
             return picture.direction, picture.direction is None or not picture.direction.moving
@@ -245,7 +246,7 @@ class CameraSource:
         return after, before is not None and at_rest(before, after, gaze.tolerance)
 
     def _check_fit(self, picture: CameraImage) -> None:
-        """Raises PictureError with both sizes where the calibration is for another."""
+        """Check the image size. Raises PictureError with both sizes if the calibration has another."""
         if picture.rgb is not None:
             size = (picture.rgb.shape[1], picture.rgb.shape[0])
         else:
@@ -256,8 +257,8 @@ class CameraSource:
         wanted = (self._calibration.width, self._calibration.height)
         if size != wanted:
             raise PictureError(
-                f"picture of {size[0]} x {size[1]} pixels, the calibration in the site file is for {wanted[0]} x "
-                f"{wanted[1]}: set the camera to that size, or calibrate it for this one"
+                f"the image has {size[0]} x {size[1]} pixels, but the calibration in the site file is for "
+                f"{wanted[0]} x {wanted[1]}: set the camera to that size, or calibrate it for this one"
             )
 
     def _publish(
@@ -267,7 +268,9 @@ class CameraSource:
         self._health.gauge("clock_synchronised", {None: "unknown", True: "yes", False: "no"}[synchronised])
         if synchronised is False:
             if self._settings.unsynchronised == "hold":
-                self._refuse("unsynchronised", "this computer's clock is not synchronised: let it reach a time server")
+                self._refuse(
+                    "unsynchronised", "the system clock is not synchronised; connect this computer to a time server"
+                )
                 return
             self._health.note("unsynchronised")
         pose, covariance, camera = self._gaze.pose, self._gaze.covariance, self._calibration
@@ -280,12 +283,12 @@ class CameraSource:
                 self._refuse("zoom", str(error))
                 return
         estimated_ns = stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
-        # Equal stamps are one frame to all that listen. Where the clock was set back, what came before was wrong, and
-        # to go on from there would make all frames come from the future until the clock has caught up.
+        # Equal stamps count as one frame in all nodes. If the clock was set back, earlier stamps were wrong;
+        # continuing from them would put all frames in the future until the clock has caught up.
         if stamp_ns <= self._stamp_ns < stamp_ns + SET_BACK_NS:
             stamp_ns = self._stamp_ns + 1
         self._stamp_ns = stamp_ns
-        # A picture behind one whose time was put too late, when less was known, is late by that much itself.
+        # An image after one whose time was estimated too late is late by that much itself.
         uncertainty = exposure.uncertainty + (stamp_ns - estimated_ns) / 1e9
         self._health.gauge("stamp_told_by", exposure.by)
         self._health.gauge("stamp_uncertainty_s", round(uncertainty, 3))
@@ -305,7 +308,7 @@ class CameraSource:
         )
 
     def _repeated(self) -> None:
-        """The camera's picture is the one of before: there is nothing to publish, for it would get a new stamp."""
+        """Ignore an image equal to the previous one; publishing it would give it a new stamp."""
         now = self._clock.monotonic()
         self._backoff.succeeded()
         self._health.note("repeated")
@@ -316,10 +319,10 @@ class CameraSource:
     def _wait(self) -> None:
         state = self._state_without_picture()
         if state is CameraState.STALLED:
-            self._become(state, "nothing new comes")
+            self._become(state, "no new image")
 
     def _state_without_picture(self) -> CameraState:
-        """That of a camera that is there and gives nothing that can be used: bad at once where it never did."""
+        """Return the state of a connected camera without usable images: bad at once if it never sent one."""
         last = self._connected_at if self._last_good is None else self._last_good
         if self._clock.monotonic() - last >= self._settings.stall_s:
             return CameraState.STALLED

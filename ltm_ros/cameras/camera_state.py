@@ -1,4 +1,4 @@
-"""How a camera is, and since when."""
+"""Define the states of a camera."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from enum import StrEnum
 
 class CameraState(StrEnum):
     CONNECTING = "connecting"
-    """Asked for the first time, or again after a trouble that is over."""
+    """First request, or a new request after a solved problem."""
     ALIVE = "alive"
     STALLED = "stalled"
-    """No picture that can be used comes: it cannot be reached, breaks off, or sends what is none."""
+    """No usable image: not reachable, connection lost, or invalid data."""
     UNAUTHORISED = "unauthorised"
-    """It refuses the user or the password, or none can be read."""
+    """The camera rejected the user or password, or the password cannot be read."""
     STUCK = "stuck"
-    """It sends the same picture again and again, or a turned PTZ head does not change it."""
+    """The camera repeats the same image, or the image does not change with the PTZ head."""
     MOVED = "moved"
-    """Its PTZ head was moving while the pictures were taken."""
+    """The PTZ head moved during the exposures."""
     NIGHT = "night"
-    """Nothing is to be seen for the dark, or it sees by infrared."""
+    """The image is dark, or infrared."""
 
 
 class StateRecord:
-    """The state now. `since`: seconds of the caller's clock."""
+    """The current state. `since`: seconds of the caller's clock."""
 
     def __init__(self, now: float) -> None:
         self.state = CameraState.CONNECTING
@@ -30,7 +30,7 @@ class StateRecord:
         self.why = ""
 
     def become(self, state: CameraState, now: float, why: str = "") -> bool:
-        """Whether that is a change; `why` is of the newest word."""
+        """Set the state and its latest reason; return whether the state changed."""
         changed = state is not self.state
         if changed:
             self.state, self.since = state, now

@@ -1,7 +1,7 @@
-"""Asks one network for cameras by WS-Discovery (ONVIF). Source: OASIS WS-Discovery 1.0 (draft of April 2005), ONVIF
+"""Discover cameras on one network by WS-Discovery (ONVIF). Source: OASIS WS-Discovery 1.0 (draft of April 2005), ONVIF
 Core Specification 7.
 
-Only the network of the interface that the user names is asked, once, and answers are bounded: in number, size, time.
+Only the network of the given interface is queried, once. Answers are limited in number, size and time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_BYTES = 64 << 10
 
 @dataclass(frozen=True)
 class Discovered:
-    """`address`: of the device service, as the camera states it; `host`: that its answer came from."""
+    """A discovered camera. `address`: of its device service, as it reports; `host`: the sender of its answer."""
 
     host: str
     address: str
@@ -36,13 +36,14 @@ class Discovered:
 def discover(
     interface: str, seconds: float = 4.0, group: str = GROUP, port: int = PORT
 ) -> tuple[list[Discovered], int]:
-    """Cameras that answer within `seconds` on the network of `interface`, an IPv4 address of this computer; and how
-    many answers were none. Raises ConfigError for an address that is not this computer's."""
+    """Return the cameras that answer within `seconds` on the network of `interface`, an IPv4 address of this computer,
+    and the number of invalid answers. Raises ConfigError if the address is not this computer's.
+    """
     try:
         ours = ipaddress.IPv4Address(interface)
     except ValueError:
         raise ConfigError(
-            f"{interface!r} is no IPv4 address: give that of this computer on the cameras' network"
+            f"{interface!r} is not an IPv4 address: give this computer's address on the cameras' network"
         ) from None
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         try:
@@ -81,15 +82,15 @@ def _answers(asking: socket.socket, asked: str, seconds: float) -> tuple[list[Di
 
 
 def camera_in(body: bytes, host: str, asked: str) -> Discovered:
-    """The camera that an answer of `host` to the question `asked` describes. Raises SourceError for what is none."""
+    """Return the camera in the answer of `host` to message `asked`. Raises SourceError if it is invalid."""
     root = parsed_xml(body)
     relates, addresses, scopes = found(root, "RelatesTo"), found(root, "XAddrs"), found(root, "Scopes")
     if relates is None or (relates.text or "").strip() != asked or addresses is None:
-        raise SourceError("an answer to another question")
+        raise SourceError("an answer to another request")
     places = [place for place in (addresses.text or "").split() if place.startswith(("http://", "https://"))]
     if not places:
         raise SourceError("an answer without an address")
-    # A camera on two networks states both.
+    # A camera on two networks reports both addresses.
     own = next((place for place in places if split_address(place).hostname == host), places[0])
     words = ((scopes.text if scopes is not None else None) or "").split()
     return Discovered(host, plain(own, 200), _scope(words, "name"), _scope(words, "hardware"))

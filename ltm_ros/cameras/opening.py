@@ -1,4 +1,4 @@
-"""Open a camera as its site file says, report what it lacks, and query it in a thread of its own."""
+"""Open a camera as its site file describes, warn about missing parts, and read it in a thread of its own."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ltm_core.site.source_config import (
     V4l2Config,
 )
 from ltm_core.storage.disk_io import is_file, is_folder, is_there
-from ltm_ros.cameras.camera_source import CameraSource, Gaze, camera_backoff
+from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, camera_backoff
 from ltm_ros.cameras.protocols.credentials import UnauthorisedError, read_secret
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
 from ltm_ros.cameras.protocols.files import CameraListReader, FolderReader
@@ -47,7 +47,7 @@ from ltm_ros.runtime.heartbeat import Activity
 
 
 def doubts_of(source: SourceConfig) -> Iterator[str]:
-    """Each with its remedy. A service may have what a shell has not, so none of them is certain."""
+    """Return warnings with remedies. They are no errors, because a service may have access that a shell lacks."""
     if isinstance(source, NetworkSettings) and source.password is not None:
         try:
             read_secret(source.password)
@@ -57,13 +57,13 @@ def doubts_of(source: SourceConfig) -> Iterator[str]:
         yield 'video needs PyAV: pip install "ltm[rtsp]"'
     if isinstance(source, V4l2Config):
         if not is_there(source.device):
-            yield f"{source.device} is not there: plug the camera in, or mend device (ls /dev/v4l/by-id)"
+            yield f"{source.device} does not exist: plug the camera in, or correct device (ls /dev/v4l/by-id)"
         elif not os.access(source.device, os.R_OK | os.W_OK):
-            yield f"{source.device} may not be read: add the user to the group video"
+            yield f"{source.device} is not readable: add the user to the group video"
     if isinstance(source, HttpSettings) and source.ca is not None and not is_file(source.ca):
-        yield f"ca {source.ca} is not there"
+        yield f"ca {source.ca} does not exist"
     if isinstance(source, FolderConfig) and not is_folder(source.path):
-        yield f"{source.path} is no folder: make it, or mend path"
+        yield f"{source.path} is not a folder: create it, or correct path"
 
 
 class MountPoses:
@@ -71,23 +71,26 @@ class MountPoses:
 
     def __init__(self, model: MountModel, tolerance: Tolerance) -> None:
         self._model = model
-        # What a PTZ head at rest may still have moved.
+        # Angle by which a PTZ head may have moved although its reading shows rest.
         self._moved = (tolerance.angle_deg, tolerance.angle_deg)
 
     def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
         return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
 
 
-def gaze_of_ptz(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
-    """Asks the PTZ head nothing yet. Without `ptz`, directions come with the pictures. Raises what `MountConfig.model`
-    raises."""
+def direction_of_ptz(
+    site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None
+) -> CameraDirection:
+    """Return the pose source of a PTZ camera, without connecting. Without `ptz`, directions come with the images.
+    Raises as `MountConfig.model`.
+    """
     model = mount.model(site.open_dem(), site.frame)
     lens = None if mount.lens is None else mount.lens.lens()
     if ptz is None:
-        return Gaze(model=MountPoses(model, Tolerance()), lens=lens)
+        return CameraDirection(model=MountPoses(model, Tolerance()), lens=lens)
     tolerance = tolerance_of(ptz)
     direction = PtzDirection(lambda: open_ptz(ptz, source))
-    return Gaze(
+    return CameraDirection(
         direction=direction,
         model=MountPoses(model, tolerance),
         tolerance=tolerance,
@@ -97,7 +100,7 @@ def gaze_of_ptz(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: S
 
 
 def calibration_of(camera: CameraConfig, name: str) -> Camera:
-    """Of a lens that zooms, at its widest. Raises ConfigError where the site file states none."""
+    """Return the calibration, at the widest zoom. Raises ConfigError if the site file has none."""
     if camera.mount is not None and camera.mount.lens is not None:
         lens = camera.mount.lens.lens()
         return lens.camera(lens.table[0][0])
@@ -106,21 +109,20 @@ def calibration_of(camera: CameraConfig, name: str) -> Camera:
     return camera.calibration.camera()
 
 
-def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
-    """Of a camera that stands still, the pose that the site file states; of one on a PTZ head, what makes poses of its
-    readings."""
+def direction_of(site: Site, camera: CameraConfig) -> CameraDirection:
+    """Return the pose source: the stated pose of a fixed camera, or poses from the readings of a PTZ head."""
     if camera.mount is not None:
-        return gaze_of_ptz(site, camera.mount, camera.ptz, camera.source)
+        return direction_of_ptz(site, camera.mount, camera.ptz, camera.source)
     if camera.pose is None:
-        return Gaze()
+        return CameraDirection()
     pose = camera.pose.pose(site.open_dem(), site.frame)
     assumed = site.assumed_pose_error
     covariance = camera.pose.covariance(pose, assumed.position, assumed.angle_deg)
-    return Gaze(pose, assumed.covariance() if covariance is None else covariance)
+    return CameraDirection(pose, assumed.covariance() if covariance is None else covariance)
 
 
 def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraReader:
-    """`most_bytes`: of a picture. Raises SourceError."""
+    """Open a reader. `most_bytes`: maximum size of an image. Raises SourceError."""
     match config:
         case SnapshotConfig():
             return SnapshotReader(config, most_bytes)
@@ -137,13 +139,15 @@ def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> CameraRe
 
 
 SPREAD_S = 2.0
-"""In which the cameras of a process are first asked, one after the other."""
+"""Seconds over which the first requests to a process's cameras are spread."""
 END_S = 2.0
-"""For which a camera that is being asked is waited for at the end."""
+"""Maximum seconds to wait at the end for a request in progress."""
 
 
 class SourceThread:
-    """Runs `source.step` until it is told to end; a bug in it is counted (`crash`), told, and tried again later."""
+    """Runs `source.step` until `stop`; a bug in it is counted (`crash`) and reported, and the step is tried again
+    later.
+    """
 
     def __init__(self, name: str, source: CameraSource, health: Health, activity: Activity) -> None:
         self._name, self._source, self._health, self._activity = name, source, health, activity
@@ -155,7 +159,7 @@ class SourceThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """Let the step at work come to its end, for a moment."""
+        """Stop after the current step; waits for a moment."""
         self._stopping.set()
         if self._thread.ident is not None:
             self._thread.join(END_S)
@@ -163,7 +167,7 @@ class SourceThread:
     def _run(self) -> None:
         pause = random.uniform(0.0, SPREAD_S)  # nosec B311 # spreads load, guards nothing
         while not self._stopping.wait(pause):
-            with self._activity.turn(f"picture of {self._name}"):
+            with self._activity.turn(f"image of {self._name}"):
                 pause = self._step()
         self._source.close()
 
@@ -175,12 +179,12 @@ class SourceThread:
             pause = self._crashes.failed()
         except Exception as error:
             self._tell(error)
-            self._health.drop("crash", f"{type(error).__name__}: a bug; the camera is asked again; see the log")
+            self._health.drop(
+                "crash", f"{type(error).__name__}: internal error, see the log; the camera is tried again"
+            )
             try:
                 self._source.close()
-            except (
-                Exception
-            ) as another:  # of a connection that the bug has left half done: it is forgotten all the same
+            except Exception as another:  # a connection left incomplete by the bug is dropped all the same
                 self._tell(another)
             pause = self._crashes.failed()
         else:
@@ -189,5 +193,5 @@ class SourceThread:
 
     @staticmethod
     def _tell(error: Exception) -> None:
-        # Its message may hold what another library was given.
+        # Its message may contain secrets passed to another library.
         print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Find out what a camera speaks, and write its section of a site file."""
+"""Probe a camera's protocols, and write its section of a site file."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import at_asked_host
+from ltm_ros.cameras.ptz.connection import with_configured_host
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 MOST_BYTES, MOST_WORDS = 32 << 20, 64 << 10
 LISTENS_S = 4.0
-"""To a stream, to count its pictures."""
+"""Seconds for which a stream is read to count its images."""
 FEW = 3
-"""Pictures that are asked for one by one."""
+"""Number of single images that are requested."""
 
 SNAPSHOT_PATHS = (
     "/axis-cgi/jpg/image.cgi",
     "/ISAPI/Streaming/channels/101/picture",
     "/snapshot.jpg",
 )
-"""Where makers have them: Axis, Hikvision, and what many use."""
+"""Common snapshot paths: Axis, Hikvision, and others."""
 REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
-"""Only for a camera that is one of Reolink's: others would get the password in a URL for nothing."""
+"""Only for Reolink cameras, because the URL contains the password."""
 PTZ_KINDS: tuple[dict[str, Any], ...] = (
     {"kind": "vapix"},
     {"kind": "isapi", "units": "degrees"},
@@ -67,8 +67,9 @@ class PtzFound:
 
 @dataclass
 class Found:
-    """What a camera turned out to be. `source`: its section of a site file, without user and password; `tried`: what
-    was asked and what came, in words."""
+    """Result of a probe. `source`: the camera's section of a site file, without user and password; `tried`: requests
+    and answers, in words.
+    """
 
     source: dict[str, Any] | None = None
     size: tuple[int, int] | None = None
@@ -76,12 +77,12 @@ class Found:
     rate_hz: float | None = None
     seconds_each: float | None = None
     fresh: bool | None = None
-    """Whether two requests a moment apart gave two pictures."""
+    """Whether two requests a moment apart returned different images."""
     clock_ahead_s: float | None = None
     clock_known_to_s: float | None = None
     ptz: PtzFound | None = None
     stream: str | None = None
-    """Another address of the camera, as it states it."""
+    """Another address that the camera reports."""
     tried: list[tuple[str, str]] = field(default_factory=list)
 
 
@@ -94,9 +95,9 @@ def probe(
     timeout: float = 5.0,
     say: Callable[[str], None] = lambda text: None,
 ) -> Found:
-    """Asks for a picture at `url`, or where makers have theirs, and whether it has a head.
+    """Request an image at `url` or at common paths, and look for a PTZ head.
 
-    Raises UnauthorisedError at the first refusal, and asks nothing more then: cameras lock an account after a few.
+    Raises UnauthorisedError at the first rejected password, and stops: cameras lock an account after a few failures.
     """
     found = Found()
     login = {"user": user, "password": password, "timeout": timeout}
@@ -118,7 +119,7 @@ def probe(
             paths = [base + REOLINK_SNAPSHOT]
         for place in paths:
             if found.source is None:
-                say(f"a picture at {urlsplit(place).path}")
+                say(f"an image at {urlsplit(place).path}")
                 _try(found, place, lambda place=place: _picture(found, place, tls))  # type: ignore[misc]
     web = {"url": base, **login, "ca": ca, "check_name": check_name}
     for given in PTZ_KINDS:
@@ -133,16 +134,17 @@ def probe(
 
 
 def _address_at(base: str, stated: str) -> str:
-    """What the camera at `base` states as an address of its own. Raises SourceError where it is none, or holds what
-    would be a password in the site file."""
+    """Return an address that the camera at `base` reports. Raises SourceError if it is invalid, or would put a password
+    into the site file.
+    """
     try:
-        return url_without_secrets(at_asked_host(stated, base), ("http", "https"))
+        return url_without_secrets(with_configured_host(stated, base), ("http", "https"))
     except ValueError as error:
-        raise SourceError(f"the address that the camera states cannot be taken: {error}") from None
+        raise SourceError(f"invalid address reported by the camera: {error}") from None
 
 
 def _is_reolink(base: str, timeout: float, ca: Path | None, check_name: bool) -> bool:
-    """Whether a camera answers in Reolink's form; it is asked without user and password."""
+    """Return whether a camera answers as a Reolink camera; the request has no user or password."""
     client = HttpClient(HttpSettings(url=base, timeout=timeout, ca=ca, check_name=check_name), most_bytes=MOST_WORDS)
     try:
         kind = {"content-type": "application/json"}
@@ -165,7 +167,7 @@ def _try(found: Found, what: str, ask: Callable[[], str]) -> None:
 
 
 def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
-    """One picture a request, or a stream of them."""
+    """Read one image per request, or a stream."""
     client = HttpClient(HttpSettings(url=url, **login), most_bytes=MOST_BYTES)
     try:
         with client.stream(url) as (response, _, _):
@@ -184,7 +186,7 @@ def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
     found.fresh = answers[0].body != last.body
     _clock_of(found, answers)
     found.source = {"kind": "snapshot", "url": url}
-    return f"a picture of {found.size[0]} x {found.size[1]} pixels"
+    return f"an image of {found.size[0]} x {found.size[1]} pixels"
 
 
 def _stream(found: Found, reader: CameraReader) -> str:
@@ -203,9 +205,9 @@ def _stream(found: Found, reader: CameraReader) -> str:
     finally:
         reader.close()
     if not count:
-        raise SourceError(f"no picture within {LISTENS_S:g} s")
+        raise SourceError(f"no image within {LISTENS_S:g} s")
     found.rate_hz = (count - 1) / (last - first) if count > 1 and last > first else None
-    return f"{count} pictures in {LISTENS_S:g} s"
+    return f"{count} images in {LISTENS_S:g} s"
 
 
 def _pictures(reader: CameraReader) -> Iterator[CameraImage]:
@@ -217,7 +219,7 @@ def _pictures(reader: CameraReader) -> Iterator[CameraImage]:
 
 
 def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
-    """All answers together say more than one: the camera's time has whole seconds."""
+    """Estimate the camera's clock from all answers together, because each has only whole seconds."""
     low, high = -float("inf"), float("inf")
     for answer in answers:
         stated = http_time(answer.headers, "Date")
@@ -256,7 +258,7 @@ SNAPSHOT_EVERY_S = 10.0
 
 @dataclass(frozen=True)
 class Placing:
-    """What a camera cannot say of itself."""
+    """What a camera cannot report itself."""
 
     lon: float | None = None
     lat: float | None = None
@@ -267,7 +269,7 @@ class Placing:
 
 
 def site_entry(found: Found, user: str | None, password: SecretConfig | None, placing: Placing) -> dict[str, Any]:
-    """Sections source, ptz, mount or pose, calibration, as far as they are known."""
+    """Return the sections source, ptz, mount or pose, and calibration, as far as known."""
     entry: dict[str, Any] = {}
     if found.source is not None:
         entry["source"] = dict(found.source)
@@ -294,7 +296,7 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
             mount["tilt_sign"] = -1
         width, height = found.size
         if found.ptz.config["kind"] == "vapix" and placing.hfov_deg is None:
-            # The table is that of ALERTCalifornia's Axis cameras, until it is calibrated.
+            # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
             mount["lens"] = {"width": width, "height": height}
         elif placing.hfov_deg is not None:
             entry["calibration"] = {"width": width, "height": height, "hfov_deg": placing.hfov_deg}
@@ -307,13 +309,13 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
 
 
 def lacking(entry: dict[str, Any]) -> list[str]:
-    """What a person must add before the camera can be used, with the option of `ltm cameras probe` for it."""
+    """Return what the user must add, each with its option of `ltm cameras probe`."""
     said = []
     if "source" not in entry:
-        said.append("source: no picture was found; give the address of one")
+        said.append("source: no image was found; give an image address")
     if "azimuth_deg" not in (entry.get("mount") or entry.get("pose") or {}):
         which = "mount" if "ptz" in entry else "pose"
-        said.append(f"{which}: where it stands and looks (--lonlat, --height, --azimuth)")
+        said.append(f"{which}: position and viewing direction (--lonlat, --height, --azimuth)")
     if "calibration" not in entry and "lens" not in entry.get("mount", {}):
-        said.append("calibration: the horizontal field of view, of the data sheet or measured (--hfov)")
+        said.append("calibration: horizontal field of view, from the data sheet or measured (--hfov)")
     return said

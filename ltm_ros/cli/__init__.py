@@ -1,1 +1,1 @@
-"""The command `ltm`, one module a command."""
+"""The command `ltm`: one module per command."""

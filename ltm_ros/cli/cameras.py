@@ -1,4 +1,4 @@
-"""`ltm cameras`: finds cameras, asks what they speak, watches them, and takes a picture with its pose."""
+"""`ltm cameras`: discover, probe and watch cameras, and take a snapshot with its pose."""
 
 from __future__ import annotations
 
@@ -16,31 +16,35 @@ if TYPE_CHECKING:
     from ltm_ros.cameras.probe import Found, Placing
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
-"""Environment variable of this process in which a password that was typed is kept."""
+"""Environment variable of this process that holds a password typed at the prompt."""
 
-cameras = typer.Typer(no_args_is_help=True, help="Find, probe, watch and try the cameras of a site.")
+cameras = typer.Typer(no_args_is_help=True, help="Discover, probe and watch the cameras of a site, and take snapshots.")
 
 
 @cameras.command()
 def probe(
-    url: Annotated[str, typer.Argument(help="http://, https:// or rtsp:// address; with no path: the camera.")],
-    user: Annotated[str | None, typer.Option(help="User; the password is asked for, or see below.")] = None,
+    url: Annotated[
+        str, typer.Argument(help="Address (http://, https:// or rtsp://); without a path, the camera's host.")
+    ],
+    user: Annotated[
+        str | None, typer.Option(help="User name; the password is prompted for unless given below.")
+    ] = None,
     password_env: Annotated[str | None, typer.Option(help="Environment variable that holds the password.")] = None,
-    password_file: Annotated[Path | None, typer.Option(help="File that holds the password and nothing else.")] = None,
-    ca: Annotated[Path | None, typer.Option(help="Certificates (PEM) for https instead of the system's.")] = None,
+    password_file: Annotated[Path | None, typer.Option(help="File that holds only the password.")] = None,
+    ca: Annotated[Path | None, typer.Option(help="CA certificates (PEM) for https. Default: the system's.")] = None,
     check_name: Annotated[
-        bool, typer.Option("--check-name/--any-name", help="Whether the certificate must be for this host.")
+        bool, typer.Option("--check-name/--any-name", help="Check that the certificate is for this host.")
     ] = True,
-    site: Annotated[Path | None, typer.Option(help="With --camera: write what was found into this site file.")] = None,
+    site: Annotated[Path | None, typer.Option(help="With --camera: write the result into this site file.")] = None,
     camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
-    lonlat: Annotated[str | None, typer.Option(help="Where it stands: LON,LAT in degrees (WGS 84).")] = None,
-    height: Annotated[float | None, typer.Option(help="Metres above the ground.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Degrees from grid north; of a PTZ head at pan 0.")] = None,
-    pitch: Annotated[float, typer.Option(help="Degrees up, of a camera without a head.")] = 0.0,
-    hfov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
-    timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Seconds for each answer.")] = 5.0,
+    lonlat: Annotated[str | None, typer.Option(help="Camera position LON,LAT in degrees (WGS 84).")] = None,
+    height: Annotated[float | None, typer.Option(help="Height above the ground in metres.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Azimuth in degrees from grid north (PTZ: at pan 0).")] = None,
+    pitch: Annotated[float, typer.Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
+    hfov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees.")] = None,
+    timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
 ) -> None:
-    """What a camera speaks: pictures, size, rate, clock, PTZ head; and its entry for the site file."""
+    """Probe a camera: protocol, image size, rate, clock and PTZ head; print its site-file entry."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -51,7 +55,7 @@ def probe(
     from ltm_ros.cameras.protocols.credentials import UnauthorisedError
 
     if (site is None) != (not camera):
-        raise ConfigError("give --site and --camera together: which camera of which site file is written")
+        raise ConfigError("give --site and --camera together: the site file to write and the camera's name in it")
     placing = _placing(lonlat, height, azimuth, pitch, hfov)
     address = _checked_address(url)
     secret, kept = _secret(user, password_env, password_file, camera)
@@ -59,17 +63,16 @@ def probe(
     with console.status("asking") as status:
         try:
             found = ask(
-                address, user, secret, ca, check_name, timeout, lambda what: status.update(f"asking for {what}")
+                address, user, secret, ca, check_name, timeout, lambda what: status.update(f"requesting {what}")
             )
         except UnauthorisedError as error:
             raise UnauthorisedError(
-                f"{error}. Nothing more was asked, since cameras lock an account after a few wrong passwords"
+                f"{error}. Probing stopped here, because cameras lock an account after a few wrong passwords"
             ) from None
     _print_found(console, found)
     if found.source is None and found.ptz is None:
         raise ConfigError(
-            f"{address}: neither a picture nor a PTZ head was found:\n"
-            + "\n".join(f"  {w}: {t}" for w, t in found.tried)
+            f"{address}: found neither an image nor a PTZ head:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
     entry = site_entry(found, user, kept, placing)
     missing = lacking(entry)
@@ -78,26 +81,26 @@ def probe(
     for what in missing:
         console.print(f"[yellow]still to be added: {escape(what)}", highlight=False)
     if kept is not None and kept.environment == _variable(camera):
-        console.print(f"set the password where `ltm run` runs: export {kept.environment}=...", highlight=False)
+        console.print(
+            f"set the password in the environment of `ltm run`: export {kept.environment}=...", highlight=False
+        )
     if site is None:
         return
     if missing:
-        raise ConfigError(f"{site} was left as it is: it lacks {'; '.join(missing)}")
+        raise ConfigError(f"{site} was not changed: the new entry lacks {'; '.join(missing)}")
     if camera in load_site(site).cameras:
-        raise ConfigError(f"{site} has a camera {camera} already: name another, or change its sections by hand")
+        raise ConfigError(f"{site} already has a camera {camera}: choose another name, or edit its sections")
     write_camera_section(site, camera, None, entry)
     typer.echo(f"wrote camera {camera} into {site}")
 
 
 @cameras.command()
 def discover(
-    interface: Annotated[
-        str, typer.Option(help="IPv4 address of this computer on the cameras' network; no other is asked.")
-    ],
-    seconds: Annotated[float, typer.Option(min=0.1, max=30, help="For which answers are awaited.")] = 4.0,
+    interface: Annotated[str, typer.Option(help="IPv4 address of this computer on the cameras' network.")],
+    seconds: Annotated[float, typer.Option(min=0.1, max=30, help="Time to wait for answers in seconds.")] = 4.0,
     port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of WS-Discovery.")] = 3702,
 ) -> None:
-    """Cameras that answer to WS-Discovery (ONVIF) on one network."""
+    """Discover cameras on one network by WS-Discovery (ONVIF)."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -108,19 +111,21 @@ def discover(
     rows = (tuple(map(escape, (one.host, one.name, one.hardware, one.address))) for one in found)
     print_table(console, f"{len(found)} cameras answered", ("host", "name", "hardware", "address"), rows)
     if wrong:
-        console.print(f"[yellow]{wrong} answers were none that could be read", highlight=False)
+        console.print(f"[yellow]{wrong} answers could not be read", highlight=False)
     if found:
         console.print(f"next: ltm cameras probe http://{escape(found[0].host)} --user NAME", highlight=False)
 
 
 @cameras.command()
 def watch(
-    site: Annotated[Path, typer.Argument(help="Site file of the graph that runs.")],
-    once: Annotated[bool, typer.Option("--once", help="Print the table when all were heard of, and end.")] = False,
-    seconds: Annotated[float, typer.Option(min=0.1, help="With --once: at most so long.")] = 15.0,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+    site: Annotated[Path, typer.Argument(help="Site file of the running graph.")],
+    once: Annotated[
+        bool, typer.Option("--once", help="Print the table once every camera has reported, then exit.")
+    ] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="With --once: maximum time to wait in seconds.")] = 15.0,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
 ) -> None:
-    """How each camera is, live: its state and since when, the age of its picture, its clock. Ctrl-C ends it."""
+    """Watch the cameras live: state and since when, age of the newest frame, clock. Ctrl-C ends it."""
     from rich.console import Console
     from rich.live import Live
 
@@ -141,8 +146,8 @@ def watch(
             Console().print(state_table(watched.states()))
             if watched.silent():
                 raise ConfigError(
-                    f"nothing was heard of {', '.join(watched.silent())} for {seconds:g} s: does `ltm run {site}` run, "
-                    "in this ROS domain?"
+                    f"received no report from {', '.join(watched.silent())} in {seconds:g} s: check that `ltm run "
+                    f"{site}` is running in this ROS domain"
                 )
             return
         with Live(state_table(watched.states()), console=Console(), refresh_per_second=2) as live:
@@ -159,20 +164,24 @@ def watch(
 def snapshot(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the picture, its pose file and its trace.")],
-    name: Annotated[str, typer.Option(help="Of the files; default: camera and time.")] = "",
-    trace: Annotated[bool, typer.Option("--trace/--no-trace", help="Depth over the picture and a map.")] = True,
-    tries: Annotated[int, typer.Option(min=1, max=100, help="Pictures that may be refused.")] = 5,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image, its pose file and its trace.")],
+    name: Annotated[str, typer.Option(help="Base name of the files. Default: camera and time.")] = "",
+    trace: Annotated[
+        bool, typer.Option("--trace/--no-trace", help="Also draw the depth over the image, and a map.")
+    ] = True,
+    tries: Annotated[
+        int, typer.Option(min=1, max=100, help="Number of images that may be rejected before giving up.")
+    ] = 5,
     overwrite: Overwrite = False,
 ) -> None:
-    """A picture now, with its pose; of a PTZ head also a line in readings.csv, which `ltm pose --readings` takes."""
+    """Take an image now, with its pose. For a PTZ head, add its reading to readings.csv for `ltm pose --readings`."""
     from rich.console import Console
     from rich.markup import escape
 
     from ltm_ros.cli.cameras_watch import take_snapshot
 
     console = Console()
-    with console.status(f"asking {camera}"):
+    with console.status(f"requesting an image from {camera}"):
         written, told = take_snapshot(site, camera, out, name, trace, tries, overwrite)
     for line in told:
         console.print(escape(line), highlight=False)
@@ -181,7 +190,7 @@ def snapshot(
 
 
 def _checked_address(url: str) -> str:
-    """Raises ConfigError for a password in it, and for what is no address."""
+    """Return the checked address. Raises ConfigError if it is invalid or contains a password."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.base.redaction import redacted
     from ltm_core.site.source_config import url_without_secrets
@@ -192,8 +201,8 @@ def _checked_address(url: str) -> str:
         return url_without_secrets(url, ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
         raise ConfigError(
-            f"{redacted(url)}: {error}. Here: --user NAME, and --password-env or --password-file, or type the password "
-            "when asked"
+            f"{redacted(url)}: {error}. Give --user NAME and --password-env or --password-file, or type the "
+            "password at the prompt"
         ) from None
 
 
@@ -204,14 +213,14 @@ def _variable(camera: str) -> str:
 def _secret(
     user: str | None, password_env: str | None, password_file: Path | None, camera: str
 ) -> tuple[SecretConfig | None, SecretConfig | None]:
-    """Where the password stands now, and where the site file shall look for it."""
+    """Return where the password is now, and where the site file should read it from."""
     import os
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.source_config import SecretConfig
 
     if password_env is not None and password_file is not None:
-        raise ConfigError("give either --password-env or --password-file, not both")
+        raise ConfigError("give --password-env or --password-file, not both")
     if user is None:
         if password_env is not None or password_file is not None:
             raise ConfigError("a password needs --user")
@@ -237,7 +246,7 @@ def _placing(
         try:
             lon, lat = (float(part) for part in lonlat.split(","))
         except ValueError:
-            raise ConfigError(f"--lonlat {lonlat}: two numbers with a comma between, LON,LAT") from None
+            raise ConfigError(f"--lonlat {lonlat}: give two numbers separated by a comma, LON,LAT") from None
     return Placing(lon, lat, height, azimuth, pitch, hfov)
 
 
@@ -249,7 +258,7 @@ def _print_found(console: Console, found: Found) -> None:
     rows: list[tuple[str, str]] = []
 
     def row(what: str, told: str) -> None:
-        """Cameras' own words are text, not markup; the address that one states may hold its password."""
+        """Add a row. Escapes text that cameras wrote, and removes a password from an address."""
         rows.append((what, escape(plain(told))))
 
     if found.source is not None:
@@ -260,10 +269,10 @@ def _print_found(console: Console, found: Found) -> None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))
     if found.rate_hz is not None:
-        rows.append(("rate", f"{found.rate_hz:.1f} pictures a second"))
+        rows.append(("rate", f"{found.rate_hz:.1f} images per second"))
     if found.seconds_each is not None:
-        fresh = "another picture each time" if found.fresh else "[yellow]the same picture each time"
-        rows.append(("answers within", f"{found.seconds_each:.2f} s, {fresh}"))
+        fresh = "a new image each time" if found.fresh else "[yellow]the same image each time"
+        rows.append(("response time", f"{found.seconds_each:.2f} s, {fresh}"))
     if found.clock_ahead_s is not None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
@@ -271,13 +280,13 @@ def _print_found(console: Console, found: Found) -> None:
         reading, limits = found.ptz.reading, found.ptz.limits
 
         def ends(span: tuple[float, float] | None, unit: str) -> str:
-            return "limits not told" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
+            return "limits not reported" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
 
-        row("PTZ head speaks", " ".join(str(value) for value in found.ptz.config.values()))
+        row("PTZ protocol", " ".join(str(value) for value in found.ptz.config.values()))
         rows.append(("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}"))
         rows.append(("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}"))
         rows.append(("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}"))
         row("presets", ", ".join(found.ptz.presets) or "none")
     for what, told in found.tried:
-        rows.append((f"[dim]asked: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
+        rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
     print_table(console, "camera", ("what", "found"), rows)

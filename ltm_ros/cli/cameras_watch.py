@@ -34,7 +34,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import calibration_of, gaze_of, open_reader
+from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cli.output import table
 from ltm_ros.runtime.clocks import SystemClock
@@ -42,13 +42,13 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.ros_environment import limit_shutdown
 
 STYLES = {"alive": "green", "connecting": "cyan", "night": "blue", "moved": "cyan"}
-"""Of the states that need nobody; the others are red."""
+"""Styles of the states that need no action; other states are red."""
 SILENT_S = 5.0
-"""Diagnostics come once a second."""
+"""Seconds without diagnostics after which a node counts as silent; diagnostics come once a second."""
 
 
 class CameraWatch:
-    """Listens to `/diagnostics` in a context of its own."""
+    """Subscriber to `/diagnostics` with its own ROS context."""
 
     def __init__(self, site: str, cameras: Sequence[str]) -> None:
         self._names = {f"/{site}/{camera}/source": camera for camera in cameras}
@@ -61,13 +61,13 @@ class CameraWatch:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
     def listen(self, seconds: float, until_all: bool = False) -> None:
-        """For so long, or until every camera was heard of."""
+        """Listen for the given time, or until every camera has reported."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not (until_all and not self.silent()):
             self._executor.spin_once(timeout_sec=0.1)
 
     def states(self) -> dict[str, dict[str, str]]:
-        """What was said last, by camera; empty of one that is silent."""
+        """Return the last report of each camera; empty for silent cameras."""
         now = time.monotonic()
         found: dict[str, dict[str, str]] = {}
         for camera in self._names.values():
@@ -76,7 +76,7 @@ class CameraWatch:
         return found
 
     def silent(self) -> list[str]:
-        """Cameras of which nothing was ever heard."""
+        """Return the cameras that have never reported."""
         return [camera for camera in self._names.values() if camera not in self._said]
 
     def close(self) -> None:
@@ -97,7 +97,7 @@ def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
     rows: list[Sequence[str]] = []
     for camera, said in states.items():
         if not said:
-            rows.append((camera, "[red]silent", *[""] * 6, "its node says nothing: does the graph run?"))
+            rows.append((camera, "[red]silent", *[""] * 6, "no report from its node: check that the graph is running"))
             continue
         state = said.get("state", "?")
         age, known = said.get("picture_age_s"), said.get("stamp_uncertainty_s")
@@ -115,7 +115,7 @@ def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
                 escape(said.get("state_why", "")),
             )
         )
-    columns = ("camera", "state", "since", "picture", "stamps", "clock", "published", "refused", "why")
+    columns = ("camera", "state", "since", "image", "stamps", "clock", "published", "rejected", "why")
     return table("", columns, rows)
 
 
@@ -131,13 +131,14 @@ READINGS = "readings.csv"
 def take_snapshot(
     site_file: Path, camera_name: str, out: Path, name: str, trace: bool, tries: int, overwrite: bool
 ) -> tuple[list[Path], list[str]]:
-    """The files that were written, and what is to be said. Raises ConfigError, and SourceError where no picture came
-    that can be used, in words."""
+    """Take an image; return the written files and the lines to print. Raises ConfigError, and SourceError if no usable
+    image came.
+    """
     site = load_site(site_file)
-    require_folder(out, "a picture")
+    require_folder(out, "an image")
     frame, reason = _frame(site, camera_name, tries)
     if frame is None:
-        raise SourceError(f"{camera_name} gave no picture that can be used: {reason}")
+        raise SourceError(f"{camera_name} sent no usable image: {reason}")
     taken = datetime.fromtimestamp(frame.stamp_ns / 1e9, UTC)
     name = name or f"{camera_name}_{taken:%Y%m%dT%H%M%SZ}"
     picture = out / f"{name}.jpg"
@@ -156,9 +157,9 @@ def take_snapshot(
         append_reading(out / READINGS, picture.name, reading.pan_deg, reading.tilt_deg, reading.zoom)
         files.append(out / READINGS)
     if frame.pose is None:
-        return files, [*told, "the site file states no pose of it, so that it cannot be traced"]
+        return files, [*told, "the site file has no pose for this camera, so the image cannot be traced"]
     told.append(_pose_line(frame.pose, frame))
-    notes = [f"Picture of {camera_name} of {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."]
+    notes = [f"Image of {camera_name} at {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."]
     guess = GuessConfig.model_validate(
         {
             "pose": dict(zip("xyz", map(float, frame.pose.position), strict=True)),
@@ -175,18 +176,20 @@ def take_snapshot(
 
 
 def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
-    """The first good picture; else what was wrong with the last."""
+    """Return the first usable image, or the reason why the last one was rejected."""
     camera = site.camera(name)
     if camera.source is None:
-        raise ConfigError(f"camera {name} of site {site.name} has no section `source`: nobody can ask it for a picture")
+        raise ConfigError(
+            f"camera {name} of site {site.name} has no section `source`, so no image can be requested from it"
+        )
     clock, frames = SystemClock(), list[Frame]()
-    # By hand, a picture at night is wanted too.
+    # A snapshot at night is accepted, too.
     settings = camera.source.model_copy(update={"night": "publish"})
     source = CameraSource(
         settings,
         calibration_of(camera, name),
-        # By hand a PTZ head is asked and not driven: what runs for the site may drive it just now.
-        replace(gaze_of(site, camera), patrol=None),
+        # The PTZ head is only read, not moved: the site's running graph may be moving it.
+        replace(direction_of(site, camera), patrol=None),
         partial(open_reader, settings, site.limits.image_bytes, clock),
         frames.append,
         Health(),
@@ -209,7 +212,7 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
 
 def _pose_line(pose: Pose, frame: Frame) -> str:
     azimuth, pitch, roll = pose.angles_deg
-    line = f"looks to azimuth {azimuth:.2f}, pitch {pitch:+.2f}, roll {roll:+.2f} deg"
+    line = f"viewing direction: azimuth {azimuth:.2f}, pitch {pitch:+.2f}, roll {roll:+.2f} deg"
     if frame.covariance is not None:
         sigmas = pose_sigmas(pose, frame.covariance)[3:]
         line += f" (sigmas {', '.join(f'{sigma:.2f}' for sigma in sigmas)})"

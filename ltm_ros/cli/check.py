@@ -1,4 +1,4 @@
-"""`ltm check`: checks a site file and draws what it describes, before anything runs."""
+"""`ltm check`: check a site file and draw what it describes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from ltm_core.site.site_check import SiteCheck
 
 _CELLS = 100_000
-"""At which the view of the cameras is judged: a second or two a camera."""
+"""Number of DEM cells at which the cameras' views are evaluated; takes 1 to 2 s per camera."""
 
 
 def check(
     site: Annotated[Path, typer.Argument(help="Site file (YAML).")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="PNG to draw: terrain, views, what they cover, prior fuel map.")
+        Path | None, typer.Option("--out", "-o", help="PNG to draw: terrain, views, covered ground, prior fuel map.")
     ] = None,
     bag: Annotated[
-        Path | None, typer.Option(help="Recording to take the views of cameras from whose poses come as topics.")
+        Path | None, typer.Option(help="Recording with the views of cameras whose poses are topics.")
     ] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Only this camera; may be given several times.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Check only this camera. Repeatable.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
+    """Check a site: CRS, terrain, cameras, prior, networks, parameters, folders. Exit code 1 if it has errors."""
     from rich.console import Console
 
     from ltm_core.base.errors import SiteVerdict
@@ -55,7 +55,7 @@ def check(
         console.print(f"  {out}", highlight=False)
     wrong = len(found.wrong)
     doubtful = sum(finding.verdict is SiteVerdict.DOUBTFUL for finding in found.findings)
-    typer.echo(f"{wrong} wrong, {doubtful} doubtful" if wrong or doubtful else "nothing is wrong")
+    typer.echo(f"{wrong} errors, {doubtful} warnings" if wrong or doubtful else "no errors")
     raise typer.Exit(1 if wrong else 0)
 
 
@@ -70,7 +70,7 @@ def _print(console: Console, findings: list[SiteFinding]) -> None:
 
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
-    """The views that a recording has of cameras without a pose in the site file."""
+    """Add the recorded views of cameras that have no pose in the site file."""
     from ltm_core.base.errors import LtmError, SiteFinding
     from ltm_core.site.camera_check import check_views
     from ltm_ros.recordings.camera_pictures import recorded_views
@@ -108,7 +108,7 @@ def _picture(found: SiteCheck) -> RgbImage:
         sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
         seen = viewshed(sight, above, max(geometry.resolution, finest))
     names = [view.name for view in found.views]
-    named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views the middle one
+    named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views, the middle one
     cameras = [
         MapCamera(
             v.name if k in named else "",
@@ -134,5 +134,5 @@ def _told(found: SiteCheck) -> str:
     assert found.site is not None  # nosec B101 # tells the type checker what holds
     shown = {view.name for view in found.views}
     absent = [name for name in found.site.cameras if name not in shown]
-    what = "ground that cameras see" if shown else "terrain"
-    return f"{what}; {', '.join(absent)}: pose as topic" if absent else what
+    what = "ground covered by cameras" if shown else "terrain"
+    return f"{what}; {', '.join(absent)}: pose from a topic" if absent else what

@@ -1,4 +1,4 @@
-"""`ltm demo`: runs the whole system on the recording that ships with it."""
+"""`ltm demo`: run the whole system on the recording that is shipped with it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Default: out/demo, with --real out/demo-real.")
+        Path | None, typer.Option("--out", "-o", help="Output folder. Default: out/demo, or out/demo-real with --real.")
     ] = None,
     real: Annotated[
-        bool, typer.Option("--real", help="A real photo with control points instead, where its data is present.")
+        bool, typer.Option("--real", help="Use a real photo with control points, if its data is present.")
     ] = False,
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
 ) -> None:
-    """Run the live graph on a small recording and leave a report, a fuel map and a Rerun recording in OUT."""
+    """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
     import shutil
 
     from rich.console import Console
@@ -37,7 +37,9 @@ def demo(
     require_folder(target)
     if target.exists() and any(target.iterdir()):
         if not (target / "report.html").is_file() and not (target / "log").is_dir():
-            raise ConfigError(f"{target} holds something that is not a former demo; name another folder with --out")
+            raise ConfigError(
+                f"{target} contains files that are not from an earlier demo; give another folder with --out"
+            )
         shutil.rmtree(target)
     (_real if real else _simulated)(target, domain, console)
 
@@ -58,16 +60,19 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
                 if score.pixels:
                     rows.append((f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m"))
     if result.score.labels is not None:
-        rows.append(("labels right", f"{100 * result.score.labels.accuracy:.1f} %"))
+        rows.append(("correct labels", f"{100 * result.score.labels.accuracy:.1f} %"))
     if (fuel := result.score.fuel) is not None:
         rows.append(("fuel cells seen", f"{fuel.seen} of {fuel.cells}"))
         maps = (("", fuel), (", majority vote", result.score.fuel_vote), (", prior alone", result.score.fuel_prior))
         for name, one in maps:
             if one is not None:
                 share = 100 * one.right / max(1, one.seen)
-                rows.append((f"fuel cells right{name}", f"{one.right} ({share:.1f} %)"))
+                rows.append((f"correct fuel cells{name}", f"{one.right} ({share:.1f} %)"))
     if (changes := result.score.fuel_changes) is not None:
-        for name, part in (("changed, found", changes.found), ("unchanged, changed by the map", changes.false_flips)):
+        for name, part in (
+            ("changed, detected", changes.found),
+            ("unchanged, changed by the map", changes.false_flips),
+        ):
             rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
     print_table(console, "against truth", ("", ""), rows)
     _print_walk(console, result.walk)
@@ -79,14 +84,14 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
 
 
 def _print_walk(console: Console, walk: Walk) -> None:
-    columns = ("poses", ">azimuth off, median", ">largest", ">cells labelled", ">most frequent label right")
+    columns = ("poses", ">azimuth off, median", ">largest", ">cells labelled", ">most frequent label correct")
     rows = []
     for row in walk.maps:
         off = (f"{value:.2f}°" for value in row.errors.azimuth_deg)
         rows.append((row.poses, *off, f"{row.cells:,}", f"{row.right_percent:.1f} %"))
     print_table(console, "a simulated walk with a phone, by poses", columns, rows)
-    found = f"{walk.accepted} of {walk.photos} poses were found in the pictures"
-    console.print(f"{found}; they say how far off the compass is in the others", highlight=False)
+    found = f"{walk.accepted} of {walk.photos} poses were found in the photos"
+    console.print(f"{found}; they give the compass error of the other photos", highlight=False)
 
 
 def _real(out: Path, domain: int, console: Console) -> None:
@@ -102,7 +107,7 @@ def _real(out: Path, domain: int, console: Console) -> None:
     print_nodes(console, nodes)
     columns = (">point", ">range m", ">distance m", ">hidden by the DEM")
     rows = ((p.name, f"{p.range:.0f}", f"{p.distance:.2f}", "yes" if p.hidden else "") for p in points)
-    print_table(console, "control points: traced against surveyed", columns, rows)
+    print_table(console, "control points: traced and surveyed positions", columns, rows)
     over_all, over_clear = medians(points)
-    console.print(f"median {over_all:.2f} m over all, {over_clear:.2f} m over points that the DEM does not hide")
+    console.print(f"median {over_all:.2f} m over all points, {over_clear:.2f} m over points not hidden by the DEM")
     console.print(f"report: {out / 'report.html'}")

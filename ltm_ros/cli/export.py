@@ -1,4 +1,4 @@
-"""`ltm export`: writes a fuel map in formats of fire models and GIS, and the living terrain as GeoTIFF."""
+"""`ltm export`: write a fuel map for fire models and GIS, and the updated terrain as GeoTIFF."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """What to write."""
+    """Format to write."""
 
     auto = "auto"
     classes = "classes"
@@ -33,7 +33,7 @@ class Format(StrEnum):
 
 
 class Codes(StrEnum):
-    """Surface fuel models."""
+    """Set of surface fuel models."""
 
     fbfm40 = "fbfm40"
     fbfm13 = "fbfm13"
@@ -47,36 +47,37 @@ def export(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Store of a site's fuel map (.ltm) or terrain (.sqlite), bag with a fuel_map topic, fuel map GeoTIFF."
+            help="Fuel map store (.ltm), terrain store (.sqlite), bag with fuel_map topic, or fuel map GeoTIFF."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File, or folder for elmfire and layers.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
     site: Annotated[
-        Path | None, typer.Option("--site", help="Site file; only a GeoTIFF of classes does without.")
+        Path | None, typer.Option("--site", help="Site file; required except for a GeoTIFF of classes.")
     ] = None,
     crs: Annotated[
-        str | None, typer.Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's.")
+        str | None, typer.Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's CRS.")
     ] = None,
     format_: Annotated[
         Format,
         typer.Option(
             "--format",
-            help="auto: by the suffix of --out. classes: label map; lcp, landscape (GeoTIFF of 8 bands), elmfire "
-            "(folder): for fire models; layers: folder of Cloud Optimized GeoTIFFs; ply, las: 3D points; pictures: png "
-            "(what the map says and how surely), change (before and after), coverage (who saw what), kmz (on a globe). "
-            "Of a terrain, as GeoTIFF: change (shift, sigma, kind, since), surface (height, sigma).",
+            help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
+            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. 3D points: ply, las. "
+            "Images: png (classes and confidence), change (before and after), coverage (cameras that see "
+            "each cell), kmz (for globe programs). Terrain as GeoTIFF: change (shift, sigma, kind, since), "
+            "surface (height, sigma).",
         ),
     ] = Format.auto,
     system: Annotated[Codes, typer.Option(help="Fuel models of a landscape.")] = Codes.fbfm40,
     as_of: Annotated[
-        str | None, typer.Option("--as-of", help="Of a store: the map as it was then, a date or moment, UTC.")
+        str | None, typer.Option("--as-of", help="Store only: export the map at this date or time (UTC).")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="For change: the earlier date. Default: the map before any evidence.")
+        str | None, typer.Option("--since", help="For change: the earlier date. Default: the prior map.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a fuel map, into another CRS by nearest cell on a grid with edges at 15 mod 30; or a living terrain."""
+    """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.fuel_map.export import export_site, sidecars
@@ -88,26 +89,28 @@ def export(
         )
         return
     if format_ is Format.surface:
-        raise ConfigError(f"{source} is no terrain: surface is of a store terrain.sqlite")
+        raise ConfigError(f"{source} is not a terrain store: surface needs a terrain.sqlite")
     kind = _BY_SUFFIX.get(out.suffix.lower()) if format_ is Format.auto else format_
     if kind is None:
-        raise ConfigError(f"{out}: its suffix names no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
+        raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
     if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; make it first")
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     if kind in (Format.elmfire, Format.layers):
         require_folder(out)
         if out.is_dir() and any(out.iterdir()) and not overwrite:
-            raise ConfigError(f"{out}: holds files already; name another folder, or write over them with --overwrite")
+            raise ConfigError(f"{out}: contains files already; give another folder, or --overwrite")
     else:
         require_files([out], overwrite)
     if since is not None and kind is not Format.change:
-        raise ConfigError("--since is the earlier date of a picture of change: give --format change")
+        raise ConfigError("--since is the earlier date of a change image: give --format change")
     require_files(sidecars(out, kind.value), overwrite)
     if kind is Format.classes:
         geometry = _export_classes(source, out, site, crs, as_of)
     else:
         if site is None:
-            raise ConfigError(f"{kind} needs the terrain and the prior fuel map of a site: name its file with --site")
+            raise ConfigError(
+                f"{kind} needs the terrain and the prior fuel map of a site: give the site file with --site"
+            )
         from ltm_core.site.site_io import load_site
         from ltm_ros.fuel_map.source import FuelSource
 
@@ -119,21 +122,23 @@ def export(
 
 
 def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, unfit: list[str | None]) -> GridGeometry:
-    """`unfit`: options that a terrain does not have."""
+    """Write a terrain. `unfit`: given options that do not apply to a terrain."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.pipeline.site_surface import open_stored_surface
     from ltm_core.site.site_io import load_site
     from ltm_core.surface.surface_io import BANDS, write_export
 
     if site is None:
-        raise ConfigError(f"{source} holds what differs from its site's terrain: name the site file with --site")
+        raise ConfigError(f"{source} holds differences from its site's terrain: give the site file with --site")
     if any(unfit):
-        raise ConfigError("a terrain is exported as it is now, in its site's CRS: leave --crs, --as-of, --since away")
+        raise ConfigError(
+            "a terrain is exported in its current state, in its site's CRS: remove --crs, --as-of and --since"
+        )
     what = next((name for name in BANDS if name == kind.value), None)
     if what is None or out.suffix.lower() not in (".tif", ".tiff"):
-        raise ConfigError(f"{out}: a terrain is written as a GeoTIFF (.tif), with --format change or --format surface")
+        raise ConfigError(f"{out}: a terrain is written as GeoTIFF (.tif); give --format change or --format surface")
     if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; make it first")
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     loaded = load_site(site)
     surface = open_stored_surface(source, loaded)
     geometry = loaded.in_crs(surface.reference.geometry)
@@ -156,7 +161,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
         classes, geometry = read_fuel_map(source)
     else:
         if site is None:
-            raise ConfigError("a bag's fuel map stands in its site's map frame: name the site file with --site")
+            raise ConfigError("the fuel map of a bag is in its site's map frame: give the site file with --site")
         loaded = load_site(site)
         tags = {"site": loaded.name, "software": software()}
         if source.suffix == ".ltm" or as_of is not None:

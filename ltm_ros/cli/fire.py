@@ -1,4 +1,4 @@
-"""`ltm fire`: a fire on a fuel map as it was and as it is, by a fire model."""
+"""`ltm fire`: simulate a fire on the fuel map before and after its update."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from ltm_ros.cli.output import Overwrite, print_table
 def fire(
     landscape: Annotated[
         Path,
-        typer.Argument(help="Store of a site's fuel map (.ltm, with --site), or a landscape: LCP, GeoTIFF of 8 bands."),
+        typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands)."),
     ],
-    ignition: Annotated[str, typer.Option("--ignition", help="Where it starts: x,y in the landscape's CRS.")],
-    wind: Annotated[
-        str, typer.Option("--wind", help="m/s at 10 m, and the degrees from north that it blows from: 8,45.")
-    ],
+    ignition: Annotated[str, typer.Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
+    wind: Annotated[str, typer.Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
     moisture: Annotated[
         str | None,
         typer.Option(
-            help="Of the fuel: a scenario of Scott and Burgan such as D2L2, or dead 1 h, 10 h, 100 h, live herbaceous, "
-            "live woody in %: 6,7,8,60,90."
+            help="Fuel moisture: Scott and Burgan scenario (D2L2), or five values in %: dead 1 h, 10 h, 100 h, "
+            "live herbaceous, live woody (6,7,8,60,90)."
         ),
     ] = None,
-    hours: Annotated[float, typer.Option(help="How long it runs.")] = 6.0,
+    hours: Annotated[float, typer.Option(help="Duration of the fire in hours.")] = 6.0,
     ensemble: Annotated[
-        int, typer.Option(help="Of a store: also on so many landscapes drawn from what is known of its cells.", min=0)
+        int, typer.Option(help="Store only: number of random landscapes drawn from cell probabilities.", min=0)
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed of the draws.", min=0)] = 1,
     site: Annotated[Path | None, typer.Option("--site", help="Site file of a store.")] = None,
-    before: Annotated[Path | None, typer.Option("--before", help="Of a file: the landscape as it was.")] = None,
+    before: Annotated[
+        Path | None, typer.Option("--before", help="For a landscape file: the earlier landscape.")
+    ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="Of a store: as it was then. Default: before any camera looked.")
+        str | None, typer.Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
     ] = None,
     ignition_crs: Annotated[
         str | None, typer.Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for page, pictures, GeoTIFF, KMZ.")] = Path(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path(
         "out/fire"
     ),
     overwrite: Overwrite = False,
 ) -> None:
-    """Run a fire on a map as it was and as it is, and show what the update changes. Not a forecast."""
+    """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
     from rich.console import Console
 
     from ltm_core.fire.pyretechnics import interpreter
@@ -69,7 +69,7 @@ def fire(
         change = f"{area.after - area.before:+.0f}"
         rows.append((f"{area.hours:g}", f"{area.before:.0f}", f"{area.after:.0f}", change, drawn))
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
-    columns = (">hours", ">as it was", ">as it is", ">difference", ">eight in ten draws")
+    columns = (">hours", ">before", ">after", ">difference", ">80 % of draws")
     print_table(console, title, columns, rows)
     for sentence in [*sentences(pair, result), NO_FORECAST]:
         console.print(sentence, highlight=False)

@@ -1,4 +1,4 @@
-"""`ltm import`: makes a recording from photos, by EXIF, a phone's recording of its sensors, or a pose file."""
+"""`ltm import`: make a recording from photos and videos, using EXIF, phone sensors or a pose file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def import_(
         list[Path],
         typer.Option(
             "--images",
-            help="Photo (JPEG, PNG, HEIC), video (MP4, MOV), folder of them, or recording of Sensor Logger, Stray "
-            "Scanner or Record3D. Repeatable.",
+            help="Photo (JPEG, PNG, HEIC), video (MP4, MOV), folder, or Sensor Logger, Stray Scanner or Record3D "
+            "recording. Repeatable.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
@@ -24,60 +24,66 @@ def import_(
         Path | None,
         typer.Option(
             "--poses",
-            help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ...; or a folder of pose files. Before EXIF.",
+            help="CSV or YAML (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. "
+            "Overrides EXIF.",
         ),
     ] = None,
-    site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="Site file: map frame, DEM, camera names.")] = None,
     camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
     pitch_deg: Annotated[
-        float | None, typer.Option(help="Pitch of photos without one (EXIF has none); else they are refused.")
+        float | None, typer.Option(help="Pitch in degrees of photos without one. Default: reject them.")
     ] = None,
     keep_unknown: Annotated[
         bool,
         typer.Option(
             "--keep-unknown",
-            help="Take photos of unknown direction or pitch as such: nothing is placed by them until a pose is found.",
+            help="Accept photos without direction or pitch; they are placed once a pose is found.",
         ),
     ] = False,
-    roll_deg: Annotated[float, typer.Option(help="Roll of photos without one; EXIF has none.")] = 0.0,
-    height_above_ground: Annotated[float, typer.Option(min=0, help="Metres, where no height is known.")] = 2.0,
+    roll_deg: Annotated[float, typer.Option(help="Roll in degrees of photos without one.")] = 0.0,
+    height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
         float | None,
-        typer.Option(help="Metres in the DEM's datum at which a barometer's record begins; else by the terrain."),
+        typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's."),
     ] = None,
     geoid_undulation_m: Annotated[
         float | None,
-        typer.Option(help="Geoid above ellipsoid, metres, for ellipsoidal altitudes; EXIF's are then taken as such."),
+        typer.Option(help="Geoid height above ellipsoid in metres, for ellipsoidal altitudes (then also EXIF's)."),
     ] = None,
     sensor_width_mm: Annotated[
-        float | None, typer.Option(min=0.1, help="Long side of the sensor, for EXIF focal lengths in mm.")
+        float | None, typer.Option(min=0.1, help="Long side of the sensor in mm, for EXIF focal lengths.")
     ] = None,
     focal_35mm: Annotated[
-        float | None, typer.Option("--focal-35mm", min=1, help="Of photos that state none, as on 36 mm wide film.")
+        float | None,
+        typer.Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
     ] = None,
-    every: Annotated[float, typer.Option(min=0.01, help="Seconds from one frame of a video to the next.")] = 1.0,
+    every: Annotated[float, typer.Option(min=0.01, help="Seconds between the frames taken from a video.")] = 1.0,
     time_zone: Annotated[
-        str | None, typer.Option(help="Of EXIF dates that state none and have no GPS stamp, as Europe/Oslo.")
+        str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
     ] = None,
-    gps_sigma: Annotated[float, typer.Option(min=0.01, help="Metres, of positions that state no error.")] = 5.0,
+    gps_sigma: Annotated[
+        float, typer.Option(min=0.01, help="Standard deviation in metres of positions that state none.")
+    ] = 5.0,
     compass_sigma_deg: Annotated[
         float,
         typer.Option(
-            min=0.01, help="Of directions that state no error; a phone's compass is 5.5 degrees off in the median."
+            min=0.01, help="Standard deviation in degrees of directions without one (phone compass: median error 5.5)."
         ),
     ] = 8.2,
-    tilt_sigma_deg: Annotated[float, typer.Option(min=0.01, help="Of an assumed pitch or roll.")] = 3.0,
+    tilt_sigma_deg: Annotated[
+        float, typer.Option(min=0.01, help="Standard deviation in degrees of an assumed pitch or roll.")
+    ] = 3.0,
     write_photos: Annotated[
         Path | None,
-        typer.Option(help="Also write the upright photos and poses.csv of what is known, for `ltm pose --photo`."),
+        typer.Option(help="Also write upright photos and poses.csv for `ltm pose --photo`."),
     ] = None,
     refine: Annotated[
         bool,
-        typer.Option("--refine", help="Find each photo's pose in its picture, by the site's terrain; needs --site."),
+        typer.Option("--refine", help="Find the pose of each photo by the terrain's skyline; needs --site."),
     ] = False,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Skip photos that cannot be imported.")] = False,
 ) -> None:
-    """Make a bag from photos and recordings of phones: image_raw/compressed, camera_info and pose with covariance."""
+    """Make a bag from photos and phone recordings: image_raw/compressed, camera_info, pose with covariance."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -93,7 +99,7 @@ def import_(
     search = None
     if refine:
         if place is None:
-            raise ConfigError("--refine lays photos on terrain: name the site that has the DEM, with --site")
+            raise ConfigError("--refine needs terrain: give the site that has the DEM, with --site")
         search = PoseRefinement(place)
     console = Console()
     columns = (TextColumn("Importing photos"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
@@ -132,17 +138,17 @@ def import_(
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""
         console.print(f"[yellow]{names[0]}{others}: {note}", highlight=False)
     for file, why in report.skipped:
-        console.print(f"[red]left out {file.name}: {why}", highlight=False)
+        console.print(f"[red]skipped {file.name}: {why}", highlight=False)
     if report.refined:
         rows = []
         for name, found in report.refined:
             turned = ", ".join(f"{angle:+.2f}" for angle in found.turned_deg)
-            rows.append((name, found.verdict, turned if any(found.turned_deg) else "stays as given"))
-        print_table(console, "poses", ("photo", "verdict", "turned by azimuth, pitch, roll, deg"), rows)
+            rows.append((name, found.verdict, turned if any(found.turned_deg) else "unchanged"))
+        print_table(console, "poses", ("photo", "verdict", "rotation in azimuth, pitch, roll, deg"), rows)
         verdicts = [found.verdict for _, found in report.refined]
-        said = f"{verdicts.count('accepted')} of {len(verdicts)} poses found in the pictures"
+        said = f"{verdicts.count('accepted')} of {len(verdicts)} poses found in the photos"
         if "as_others" in verdicts:
-            said += f"; {verdicts.count('as_others')} turned by the compass error that these agree on"
+            said += f"; {verdicts.count('as_others')} corrected by the compass error on which these agree"
         console.print(said, highlight=False)
     topics = (
         (f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))

@@ -1,4 +1,4 @@
-"""`ltm locate`: from what is marked in pictures to a place on the map, and from a place to the pictures."""
+"""`ltm locate`: find the place of marks in images, and find a place in the images."""
 
 from __future__ import annotations
 
@@ -19,47 +19,49 @@ FILES = ("locate.png", "locate.json", "locate.geojson", "posterior.tif")
 
 
 def locate(
-    site: Annotated[Path | None, typer.Option(help="Site file: its terrain and its cameras with pose.")] = None,
+    site: Annotated[Path | None, typer.Option(help="Site file with terrain and cameras with poses.")] = None,
     pose: Annotated[
         list[str] | None,
-        typer.Option(help="Pose file of a camera, NAME=FILE; without --site FILE does, with --dem. Repeatable."),
+        typer.Option(help="Pose file of a camera: NAME=FILE, or FILE with --dem. Repeatable."),
     ] = None,
     dem: Annotated[
-        list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
+        list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
     ] = None,
     camera: Annotated[
-        list[str] | None, typer.Option(help="Camera that a mark is in; once for each mark, in their order.")
+        list[str] | None, typer.Option(help="Camera of a mark; give one for each mark, in order.")
     ] = None,
     pixel: Annotated[list[str] | None, typer.Option(help="Mark: a pixel, u,v. Repeatable.")] = None,
     box: Annotated[
-        list[str] | None, typer.Option(help="Mark: a box, u_min,v_min,u_max,v_max; its lower edge counts. Repeatable.")
+        list[str] | None, typer.Option(help="Mark: a box u_min,v_min,u_max,v_max; its lower edge is used. Repeatable.")
     ] = None,
     polygon: Annotated[
-        list[str] | None, typer.Option(help="Mark: a polygon, u,v,u,v,u,v,...; its lower edge counts. Repeatable.")
+        list[str] | None, typer.Option(help="Mark: a polygon u,v,u,v,u,v,...; its lower edge is used. Repeatable.")
     ] = None,
     mask: Annotated[
-        list[str] | None, typer.Option(help="NAME=PNG: what is not black in it is left out of that camera's marks.")
+        list[str] | None, typer.Option(help="Mask NAME=PNG: marks ignore the non-black pixels of that camera.")
     ] = None,
     smoke: Annotated[
-        bool, typer.Option("--smoke", help="The mark is the lowest visible smoke: its foot may be behind a ridge.")
+        bool, typer.Option("--smoke", help="The mark is the lowest visible smoke; its base may be behind a ridge.")
     ] = False,
     place: Annotated[
-        str | None, typer.Option(help="The way back: x,y in the site's CRS, or x,y,height above ground.")
+        str | None, typer.Option(help="Reverse query: x,y in the site's CRS, or x,y,height above ground.")
     ] = None,
-    lonlat: Annotated[str | None, typer.Option(help="As --place, in degrees: lon,lat.")] = None,
+    lonlat: Annotated[str | None, typer.Option(help="Like --place, in degrees: lon,lat.")] = None,
     points: Annotated[
         Path | None, typer.Option(help="CSV of control points to draw over --photo: id, x, y, z, u, v.")
     ] = None,
-    first_pixel: Annotated[float, typer.Option(help="With --points: number of the first pixel's centre.")] = 0.0,
-    photo: Annotated[Path | None, typer.Option(help="Picture of the camera, to draw places over; needs --out.")] = None,
-    dem_sigma: Annotated[float | None, typer.Option(help="Sigma of the terrain's heights, metres.", min=0)] = None,
-    plume_height: Annotated[float | None, typer.Option(help="With --smoke: mean height of plumes, metres.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON instead of tables.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the picture, JSON, GeoJSON and the posterior.")] = None,
-    crs: Annotated[str | None, typer.Option(help="With --dem: CRS of a raster that carries none.")] = None,
+    first_pixel: Annotated[float, typer.Option(help="With --points: coordinate of the first pixel's centre.")] = 0.0,
+    photo: Annotated[Path | None, typer.Option(help="Image of the camera to draw places over; needs --out.")] = None,
+    dem_sigma: Annotated[
+        float | None, typer.Option(help="Standard deviation of terrain heights in metres.", min=0)
+    ] = None,
+    plume_height: Annotated[float | None, typer.Option(help="With --smoke: mean height of plumes in metres.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for image, JSON, GeoJSON and the posterior.")] = None,
+    crs: Annotated[str | None, typer.Option(help="With --dem: CRS of a raster that states none.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Where is it? From marks in pictures to a place with its ellipses; with --place, from a place to the pictures."""
+    """Find the place of marks in images, with its error ellipses; with --place, find a place in the images."""
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
@@ -70,10 +72,10 @@ def locate(
     marks = [*(pixel or []), *(box or []), *(polygon or [])]
     if reverse == bool(marks):
         raise ConfigError(
-            "give a mark (--pixel, --box or --polygon), or for the way back --place, --lonlat or --points"
+            "give a mark (--pixel, --box or --polygon), or for the reverse query --place, --lonlat or --points"
         )
     if photo is not None and out is None:
-        raise ConfigError("--photo is drawn over and written to --out: give a folder")
+        raise ConfigError("--photo is drawn over and written to --out: give that folder")
     if out is not None:
         require_files((out / name for name in (FILES if marks else ("places.png", "places.json"))), overwrite)
     if site is not None:
@@ -94,10 +96,12 @@ def locate(
     )
     kinds = [kind for kind in (pixel, box, polygon) if kind]
     if len(kinds) > 1:
-        raise ConfigError("give marks of one kind; a pixel is a --polygon of one point too, a box one of four")
+        raise ConfigError("give marks of one kind; --polygon also takes a pixel (one point) or a box (four points)")
     names = camera or (list(scene.cameras) if len(scene.cameras) == 1 else [])
     if len(names) != len(marks):
-        raise ConfigError(f"{len(marks)} marks need as many --camera, in their order; got {', '.join(names) or 'none'}")
+        raise ConfigError(
+            f"{len(marks)} marks need as many --camera, in the same order; got {', '.join(names) or 'none'}"
+        )
     masks = hidden_by(scene, mask or [])
     sightings = [marked(scene, name, text, config, smoke, masks) for name, text in zip(names, marks, strict=True)]
     said = _answer(scene, config, sightings, smoke)

@@ -26,21 +26,20 @@ from ltm_core.visibility.viewshed import PosedCamera
 
 
 def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
-    """Numbers with commas. Raises ConfigError: others, or not as many as the option takes."""
+    """Return comma-separated numbers. Raises ConfigError if their count is not one that the option accepts."""
     try:
         values = [float(part) for part in text.replace(";", ",").replace(" ", ",").split(",") if part]
     except ValueError as error:
-        raise ConfigError(f"{option} must be numbers with commas, got {text!r}") from error
+        raise ConfigError(f"{option} must be numbers separated by commas, got {text!r}") from error
     if not all(math.isfinite(value) for value in values) or (counts and len(values) not in counts) or not values:
         wanted = f"{' or '.join(map(str, counts))} " if counts else ""
-        raise ConfigError(f"{option} wants {wanted}finite numbers with commas, got {text!r}")
+        raise ConfigError(f"{option} needs {wanted}finite numbers separated by commas, got {text!r}")
     return values
 
 
 @dataclass(frozen=True, eq=False)
 class LocatingCamera:
-    """A camera with what is known of its pose: `covariance` (6, 6). `hidden`: (H, W) of its picture, True where the
-    site file masks it; None: nowhere."""
+    """A camera with its pose and pose covariance (6, 6). `hidden`: (H, W), True for masked pixels; None: no mask."""
 
     name: str
     camera: Camera
@@ -55,7 +54,7 @@ class LocatingCamera:
 
 @dataclass(frozen=True, eq=False)
 class LocatingScene:
-    """`dem`: what the cameras see. `skipped`: cameras of the site whose pose or calibration come as topics."""
+    """Terrain and cameras. `skipped`: cameras of the site whose pose or calibration are topics."""
 
     dem: Dem
     sight: PointVisibility
@@ -67,7 +66,7 @@ class LocatingScene:
     skipped: tuple[str, ...] = field(default=())
 
     def camera(self, name: str) -> LocatingCamera:
-        """Raises ConfigError naming the cameras there are."""
+        """Return a camera by name. Raises ConfigError that lists the cameras."""
         if name in self.cameras:
             return self.cameras[name]
         if name in self.skipped:
@@ -78,7 +77,7 @@ class LocatingScene:
 
 
 def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
-    """A site, with pose files `NAME=FILE` for cameras that have none there, or in the place of theirs."""
+    """Read a site; pose files `NAME=FILE` add or replace the poses of its cameras."""
     from ltm_core.fuel.prior_io import load_prior
     from ltm_core.site.site_io import load_site
     from ltm_core.tracing.trace_io import load_picture_config
@@ -120,12 +119,12 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
 
 
 def of_poses(paths: Sequence[str], rasters: Sequence[Path], crs: str | None) -> LocatingScene:
-    """Cameras that are known by pose files, `FILE` or `NAME=FILE`, over one terrain; the first one's rays' bend."""
+    """Read cameras from pose files, `FILE` or `NAME=FILE`, over one terrain; refraction is that of the first."""
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, near_frame
 
     if not rasters:
-        raise ConfigError("--pose without --site needs the terrain too: --dem D.tif")
+        raise ConfigError("--pose without --site needs the terrain, too: give --dem D.tif")
     terrain = open_terrain([(rasters[0], crs), *((raster, None) for raster in rasters[1:])])
     named = [_named(text) if "=" in text else (Path(text).stem, Path(text)) for text in paths]
     configs = {name: load_picture_config(path) for name, path in named}
@@ -146,17 +145,17 @@ def of_poses(paths: Sequence[str], rasters: Sequence[Path], crs: str | None) -> 
 def _named(text: str) -> tuple[str, Path]:
     name, given, path = text.partition("=")
     if not given or not name or not path:
-        raise ConfigError(f"--pose {text!r}: with --site, name the camera: --pose north=north.yaml")
+        raise ConfigError(f"--pose {text!r}: with --site, give the camera's name: --pose north=north.yaml")
     return name, Path(path)
 
 
 def hidden_by(scene: LocatingScene, given: list[str]) -> dict[str, BoolArray | None]:
-    """Of each camera, (H, W): what its site file hides, and what is given besides as NAME=PNG. Raises ConfigError."""
+    """Return each camera's mask (H, W), from the site file and from NAME=PNG arguments. Raises ConfigError."""
     found = {name: camera.hidden for name, camera in scene.cameras.items()}
     for text in given:
         name, equals, path = text.partition("=")
         if not equals:
-            raise ConfigError(f"--mask {text!r}: name its camera: --mask north=mast.png")
+            raise ConfigError(f"--mask {text!r}: give the camera's name: --mask north=mast.png")
         more, hidden = read_mask(Path(path), scene.camera(name).camera), found[name]
         found[name] = more if hidden is None else more | hidden
     return found
@@ -170,7 +169,7 @@ def marked(
     smoke: bool,
     masks: dict[str, BoolArray | None],
 ) -> Sighting:
-    """A mark in a camera's picture: a pixel, a box or a polygon, by how many numbers it has. Raises ConfigError."""
+    """Return a mark; the count of numbers decides between pixel, box and polygon. Raises ConfigError."""
     camera = scene.camera(name)
     values = numbers(text, "a mark")
     mask = masks.get(name)

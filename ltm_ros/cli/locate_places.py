@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 def show_answer(said: LocateResult, frame: SiteFrame, console: Console) -> None:
-    """Print where it is, and whether the cameras agree."""
+    """Print the place and whether the cameras agree."""
     name, posterior = said.name, said.location.posterior
     x, y = posterior.likeliest
     rows = [
         (f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}"),
-        ("likeliest place", f"{x + frame.x_origin:.1f}, {y + frame.y_origin:.1f}"),
+        ("most probable place", f"{x + frame.x_origin:.1f}, {y + frame.y_origin:.1f}"),
         ("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}"),
         ("MGRS", name.mgrs or "none at this latitude"),
     ]
@@ -48,39 +48,37 @@ def show_answer(said: LocateResult, frame: SiteFrame, console: Console) -> None:
         rows.append(("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)"))
     if said.fuel is not None:
         rows.append(("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})"))
-    print_table(console, "smoke, its foot" if said.smoke else "on the ground", ("", ""), rows)
+    print_table(console, "base of the smoke" if said.smoke else "on the ground", ("", ""), rows)
     agreement = said.location.agreement
     if agreement is not None and agreement.wrong is not None:
         verdict = agreement.verdict
         turn, sigma = math.degrees(verdict.turn), math.degrees(verdict.sigma)
         left_out = agreement.suspicion[agreement.wrong]
         console.print(
-            f"[yellow]The cameras disagree: {agreement.wrong} seems to be turned "
-            f"({verdict.suspicion[agreement.wrong]:.0%}), its stated azimuth is {abs(turn):.1f} degrees (sigma "
-            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. It is left out of the place by {left_out:.0%}; "
-            "check its pose.",
+            f"[yellow]The cameras disagree. {agreement.wrong} is probably misaligned "
+            f"({verdict.suspicion[agreement.wrong]:.0%}): its stated azimuth is {abs(turn):.1f} degrees (sigma "
+            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. The place ignores it with a weight of "
+            f"{left_out:.0%}; check its pose.",
             highlight=False,
         )
     elif agreement is not None and not agreement.agree:
         shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
-        console.print(
-            f"[yellow]The cameras disagree, and which one is wrong cannot be told: {shares}.", highlight=False
-        )
+        console.print(f"[yellow]The cameras disagree, and it is unknown which one is wrong: {shares}.", highlight=False)
     print_views(console, said.views)
 
 
 def print_views(console: Console, views: Sequence[PlaceView]) -> None:
-    """Print from where each camera sees a place, and whether it does."""
+    """Print whether each camera sees a place, and in which direction it is."""
     rows = []
     for view in views:
         state = view.state.name.lower()
         if view.hidden_by is not None:
-            state += f": seen from {view.lift:.0f} m above it"
+            state += f": visible from {view.lift:.0f} m above it"
         pixel = "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}"
         angles = (f"{view.azimuth_deg:.2f}°", f"{view.pitch_deg:+.2f}°", f"{view.hfov_deg:.0f}° wide")
         rows.append((view.camera, f"{view.distance / 1000:.2f} km", *angles, pixel, state))
     columns = ("camera", ">distance", ">bearing", ">pitch", ">look", ">pixel", "state")
-    print_table(console, "seen from the cameras", columns, rows)
+    print_table(console, "visibility from the cameras", columns, rows)
 
 
 def show_places(
@@ -98,7 +96,7 @@ def show_places(
     """Print where cameras see places; draw them over a camera's photo. Raises ConfigError, RegionError, PoseError."""
     chosen = [scene.camera(name) for name in cameras] if cameras else list(scene.cameras.values())
     if not chosen:
-        raise ConfigError(f"no camera has calibration and pose ({', '.join(scene.skipped)} come as topics): --pose")
+        raise ConfigError(f"no camera has calibration and pose ({', '.join(scene.skipped)}: from topics); give --pose")
     names, places, marked = _places(scene, place, lonlat, points, first_pixel)
     posed = [camera.posed for camera in chosen]
     data = []
@@ -130,7 +128,9 @@ def show_places(
     written = [out / "places.json"]
     if photo is not None:
         if len(chosen) != 1:
-            raise ConfigError(f"--photo is of one camera: name it with --camera, one of {', '.join(scene.cameras)}")
+            raise ConfigError(
+                f"--photo belongs to one camera: give its name with --camera, one of {', '.join(scene.cameras)}"
+            )
         written.append(out / "places.png")
         _draw(scene, chosen[0].name, names, places, marked, photo, written[-1])
     if not as_json:
@@ -166,7 +166,7 @@ def _draw(
 def _places(
     scene: LocatingScene, place: str | None, lonlat: str | None, points: Path | None, first_pixel: float
 ) -> tuple[list[str], Float64Array, Float64Array | None]:
-    """Names, places (N, 3) in the map frame, and where they were marked (N, 2), of control points."""
+    """Return names, places (N, 3) in the map frame, and marked pixels (N, 2) of control points."""
     frame = scene.frame
     if points is not None:
         from ltm_core.pose_estimation.points.resection_io import read_control_points
@@ -183,8 +183,8 @@ def _places(
     if not np.isfinite(ground):
         covered = scene.dem.levels[-1].geometry.translated(frame.x_origin, frame.y_origin)
         raise RegionError(
-            f"no terrain is known at ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}; the DEM "
-            f"covers {covered.described()}"
+            f"({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs} has no terrain; the DEM covers "
+            f"{covered.described()}"
         )
     above = values[2] if len(values) == 3 else 0.0
     return ["place"], np.array([[x, y, ground + above]]), None

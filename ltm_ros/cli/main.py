@@ -28,13 +28,13 @@ from ltm_ros.cli.train import train
 from ltm_ros.cli.view import view
 
 _PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""A file or a file system that the user must see to: what was checked before may change while a command works."""
+"""Errors of a file or file system that the user must fix; it may have changed since the command's checks."""
 
 
 def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> None:
-    """Run `cli` as `program`; `extras`: what to install for each optional Python package that a command needs."""
+    """Run `cli` as `program`. `extras`: what to install for each optional Python package."""
     if not sys.stdout.isatty():
-        os.environ.setdefault("COLUMNS", "120")  # a log is no 80 characters wide: tables would lose figures
+        os.environ.setdefault("COLUMNS", "120")  # wide enough that tables in a log lose no figures
     try:
         cli()
     except LtmError as error:
@@ -60,31 +60,41 @@ cli = typer.Typer(
     add_completion=False,
     pretty_exceptions_show_locals=False,
 )
-cli.command()(demo)
-cli.command()(check)
-cli.command()(run)
-cli.command()(replay)
-cli.command()(reprocess)
-cli.add_typer(cameras, name="cameras")
-cli.command()(record)
-cli.command(name="import")(import_)
-cli.command()(trace)
-cli.command()(pose)
-cli.command()(viewshed)
-cli.command()(locate)
-cli.command()(mask)
-cli.command()(label)
-cli.add_typer(train, name="train")
-cli.command()(export)
-cli.command()(fire)
-cli.command()(view)
-cli.command()(status)
-cli.command()(doctor)
-cli.command()(upgrade)
-cli.command()(rollback)
-cli.command()(models)
-cli.command()(region)
-cli.command()(certs)
+START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
+    "Start here",
+    "Run the command line `ltm`.",
+    "Maps",
+    "Recordings",
+    "Tower and region",
+    "Networks",
+)
+"""Headings under which `ltm --help` lists the commands."""
+
+cli.command(rich_help_panel=START)(demo)
+cli.command(rich_help_panel=START)(check)
+cli.command(rich_help_panel=START)(run)
+cli.command(rich_help_panel=START)(view)
+cli.add_typer(cameras, name="cameras", rich_help_panel=POSES)
+cli.command(rich_help_panel=POSES)(pose)
+cli.command(rich_help_panel=POSES)(mask)
+cli.command(rich_help_panel=POSES)(label)
+cli.add_typer(train, name="train", rich_help_panel=POSES)
+cli.command(rich_help_panel=POSES)(locate)
+cli.command(rich_help_panel=POSES)(viewshed)
+cli.command(rich_help_panel=POSES)(trace)
+cli.command(rich_help_panel=MAPS)(export)
+cli.command(rich_help_panel=MAPS)(fire)
+cli.command(rich_help_panel=RECORDINGS)(record)
+cli.command(rich_help_panel=RECORDINGS)(replay)
+cli.command(name="import", rich_help_panel=RECORDINGS)(import_)
+cli.command(rich_help_panel=RECORDINGS)(reprocess)
+cli.command(rich_help_panel=TOWER)(status)
+cli.command(rich_help_panel=TOWER)(doctor)
+cli.command(rich_help_panel=TOWER)(upgrade)
+cli.command(rich_help_panel=TOWER)(rollback)
+cli.command(rich_help_panel=TOWER)(region)
+cli.command(rich_help_panel=TOWER)(certs)
+cli.command(rich_help_panel=NETWORKS)(models)
 
 EXTRAS = {
     "rclpy": "ltm[ros]",

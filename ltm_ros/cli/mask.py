@@ -1,4 +1,4 @@
-"""`ltm mask` and `ltm label`: mask what never shows the landscape, and name areas in photos."""
+"""`ltm mask` and `ltm label`: mask foreground objects, and label areas in photos."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 
 def label(
-    folder: Annotated[Path, typer.Argument(help="Folder of photos; polygons.json and NAME_labels.png go there.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of photos; receives polygons.json and NAME_labels.png.")],
     model: Annotated[
-        str, typer.Option(help="Segmentation network whose answer is a start; none: no network. Default: the shipped.")
+        str, typer.Option(help="Segmentation network that proposes labels, or none. Default: the shipped one.")
     ] = "",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of this machine alone; 0: a free one.")] = 0,
-    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
 ) -> None:
-    """Name areas in photos with polygons and a brush, on a page that only this machine and this link reach.
+    """Label areas in photos with polygons and a brush, on a web page that only this machine can open.
 
-    Ends with Ctrl-C; each photo is written when it is left, or with Ctrl-S.
+    A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program.
     """
     import threading
     import webbrowser
@@ -56,36 +56,30 @@ def label(
 
 
 def mask(
-    pictures: Annotated[Path, typer.Argument(help="Folder of one camera's pictures, or a recording (with --site).")],
+    pictures: Annotated[Path, typer.Argument(help="Folder of one camera's images, or a recording (with --site).")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="PNG to write; default: CAMERA_mask.png beside the site file, or mask.png."),
+        typer.Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png beside the site file, or mask.png."),
     ] = None,
     site: Annotated[Path | None, typer.Option(help="Site file of the camera.")] = None,
     camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
-    only: Annotated[str, typer.Option(help="Of a folder, only pictures so called, such as 'west_2018*'.")] = "*",
-    keep: Annotated[
-        str, typer.Option(help="Numbers of the proposals that are right, such as 1,3; or all, or none.")
-    ] = "",
+    only: Annotated[str, typer.Option(help="For a folder: pattern of image names, such as 'west_2018*'.")] = "*",
+    keep: Annotated[str, typer.Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
     drawn: Annotated[
         Path | None,
-        typer.Option(
-            help="polygons.json of `ltm label`: areas of its class masked (or any that is no label) are proposed too."
-        ),
+        typer.Option(help="polygons.json of `ltm label`; its areas of class masked are proposed, too."),
     ] = None,
-    view: Annotated[
-        str, typer.Option(help="Of a turning camera: name of the view that these pictures are of (with --looking).")
-    ] = "",
+    view: Annotated[str, typer.Option(help="PTZ camera: name of the view of these images (with --looking).")] = "",
     looking: Annotated[
         str,
         typer.Option(
-            help="Where that view looks: AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees, as the poses have it; of a "
-            "recording, only pictures that look there are taken."
+            help="Viewing direction of that view: AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees; of a "
+            "recording, only images with this direction are used."
         ),
     ] = "",
     overwrite: Overwrite = False,
 ) -> None:
-    """Propose a camera's mask: lens corners and captions. Check the written picture, then repeat with --keep.
+    """Propose a camera's mask: lens corners and captions. Check the written image, then repeat with --keep.
 
     Without --keep, the PNG and the polygons hold every proposal. With --keep, they hold only the chosen ones, and the
     line for the site file is printed. The proposals depend only on the images, so their numbers stay the same. Draw
@@ -105,14 +99,14 @@ def mask(
     from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
 
     if (site is None) != (not camera):
-        raise ConfigError("give --site and --camera together: whose mask it shall be")
+        raise ConfigError("give --site and --camera together: the site file and the camera of the mask")
     turned = _view(view, looking)
     known = None if site is None else load_site(site)
     if known is not None:
         known.camera(camera)
     is_recording = pictures.is_file() or any(pictures.glob("*.mcap"))
     if is_recording and known is None:
-        raise ConfigError(f"{pictures} is a recording: give --site and --camera, whose pictures shall be looked at")
+        raise ConfigError(f"{pictures} is a recording: give --site and --camera to choose its images")
     target = out or (
         site.parent / f"{camera}{f'_{view}' if view else ''}_mask.png" if site is not None else Path("mask.png")
     )
@@ -132,11 +126,11 @@ def mask(
         (str(number), proposal.kind, f"{proposal.hidden.mean():.2%}", proposal.reason, "yes" if keeps else "no")
         for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1)
     )
-    title = f"{len(frames)} pictures of one camera"
+    title = f"{len(frames)} images of one camera"
     print_table(console, title, (">number", "what", ">share", "why", "kept"), rows)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside[1].write_bytes(to_png(mask_picture(frames[0], [p.hidden for p in proposals], kept)))
-    console.print(f"  look at {beside[1]}", highlight=False)
+    console.print(f"check {beside[1]}", highlight=False)
     chosen = [(n, p) for n, (p, k) in enumerate(zip(proposals, kept, strict=True), start=1) if k]
     if not chosen:
         console.print("nothing to mask" if keep or not proposals else "nothing is kept")
@@ -146,7 +140,7 @@ def mask(
     hidden = np.logical_or.reduce([proposal.hidden for _, proposal in chosen])
     write_mask(target, hidden)
     write_areas(beside[0], _areas(names[0], chosen))
-    console.print(f"  {target}: {hidden.mean():.1%} of the picture\n  {beside[0]}", highlight=False)
+    console.print(f"{target}: {hidden.mean():.1%} of the image\n  {beside[0]}", highlight=False)
     if keep:
         typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n{_line(_below(target, site), turned)}")
     else:
@@ -154,14 +148,14 @@ def mask(
 
 
 def _view(name: str, looking: str) -> ViewMask | None:
-    """What --view and --looking say; its mask is still to be found. Raises ConfigError."""
+    """Return the view of --view and --looking, without its mask. Raises ConfigError."""
     from pydantic import ValidationError
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.vision.masks import ViewMask
 
     if bool(name) != bool(looking):
-        raise ConfigError("give --view and --looking together: a view has a name, and looks somewhere")
+        raise ConfigError("give --view and --looking together: the name and the viewing direction of a view")
     if not name:
         return None
     parts = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), looking.split(","), strict=False))
@@ -176,7 +170,7 @@ def _view(name: str, looking: str) -> ViewMask | None:
 
 
 def _line(mask: str, view: ViewMask | None) -> str:
-    """What the site file needs, below the camera."""
+    """Return the lines for the site file, below the camera."""
     if view is None:
         return f"    mask: {mask}"
     stated = view.model_dump(exclude={"mask"}, exclude_defaults=True)
@@ -215,9 +209,9 @@ def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
 
 
 def _below(target: Path, site: Path | None) -> str:
-    """The mask's path as the site file names it."""
+    """Return the mask's path for the site file."""
     folder = target.parent if site is None else site.parent
     resolved = target.resolve()
     if resolved.is_relative_to(folder.resolve()):
         return resolved.relative_to(folder.resolve()).as_posix()
-    return f"{target.name}   # copy {target} into {folder}: a site names no file outside its folder"
+    return f"{target.name}   # copy {target} into {folder}: a site file names only files in its folder"

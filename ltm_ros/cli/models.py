@@ -36,8 +36,7 @@ def check(
 ) -> None:
     """Print the model's input, output and running time; write overlay images.
 
-    With `classes`, comma-separated words are looked for instead of the model's own classes. Without `images` the
-    picture is of a plain scene that is drawn here.
+    With `classes`, comma-separated words replace the model's classes. Without `images`, a drawn scene is used.
     """
     if classes is None:
         segmenter = Segmenter(manifest, threads)
@@ -58,7 +57,7 @@ def check(
 
 
 def check_depth(console: Console, manifest: NetworkManifest, threads: int, images: Path | None, out: Path) -> None:
-    """Print what a depth model takes and gives and its time; write pictures, near red and far blue."""
+    """Print the input, output and running time of a depth model; write images (red near, blue far)."""
     network = DepthNetwork(manifest, threads)
     _describe(console, manifest, manifest.model_file())
     pictures = [(path, _read(path)) for path in photos_in(images)] if images is not None else []
@@ -76,7 +75,7 @@ def check_depth(console: Console, manifest: NetworkManifest, threads: int, image
 
 
 def trial_scene() -> UInt8Array:
-    """A sky over two ridges and a meadow, (360, 640, 3): enough for a trial where no photo is at hand."""
+    """Return a drawn scene (360, 640, 3) with sky, two ridges and a meadow, for tests without a photo."""
     rng = np.random.default_rng(5)
     height, width = 360, 640
     rows, cols = np.mgrid[0:height, 0:width]
@@ -108,7 +107,7 @@ def _describe(console: Console, manifest: NetworkManifest, path: Path) -> None:
 
 
 def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
-    """Ranks of a depth image as colours: a network's own scale means nothing to the eye."""
+    """Return the ranks of a depth image as colours."""
     values = found.values if found.kind == "relative_inverse" else -found.values
     ranks = np.searchsorted(np.sort(values[np.isfinite(values)]), values) / values.size * 255.0
     large = cv2.resize(np.nan_to_num(ranks).astype(np.uint8), size[::-1], interpolation=cv2.INTER_LINEAR)
@@ -131,12 +130,12 @@ def _read(path: Path) -> UInt8Array:
     check_picture(path)
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
-        raise ImageError(f"{path}: cannot be read as a picture")
+        raise ImageError(f"{path}: cannot be read as an image")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
 class Action(StrEnum):
-    """What `ltm models` does."""
+    """Action of `ltm models`."""
 
     list = "list"
     check = "check"
@@ -145,19 +144,19 @@ class Action(StrEnum):
 
 def models(
     action: Annotated[
-        Action, typer.Argument(help="list: all manifests; check: run one on photos; add: take one over.")
+        Action, typer.Argument(help="list: all manifests; check: run one on photos; add: install one.")
     ] = Action.list,
     name: Annotated[str | None, typer.Argument(help="Model name (check) or path of a manifest (check, add).")] = None,
     images: Annotated[Path | None, typer.Option(help="Photo or folder of photos to run on (check).")] = None,
     classes: Annotated[
-        str | None, typer.Option(help='Look for these words instead: "dry grass, chaparral, oak, road" (check).')
+        str | None, typer.Option(help='Classes given as words: "dry grass, chaparral, oak, road" (check).')
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for pictures (check, add).")] = Path("out/models"),
+    out: Annotated[Path, typer.Option(help="Folder for images (check, add).")] = Path("out/models"),
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    zoom: Annotated[float, typer.Option(help="Second look at distant slopes, so much larger (check).")] = 1.0,
+    zoom: Annotated[float, typer.Option(help="Magnification of a second pass over distant slopes (check).")] = 1.0,
     fetch: Annotated[bool, typer.Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
 ) -> None:
-    """List the networks, check one (shapes, time, pictures), or add one to those found by name."""
+    """List the networks, check one (shapes, time, images), or install one by its manifest."""
     from rich.console import Console
 
     console = Console()
@@ -172,7 +171,7 @@ def models(
     manifest = NetworkManifest.find(name or DEFAULT_MODEL)
     if action is Action.add:
         if name is None:
-            raise ConfigError("name the manifest to add: ltm models add my_network.yaml")
+            raise ConfigError("give the manifest to add: ltm models add my_network.yaml")
         manifest = _add(console, Path(name), fetch)
     if manifest.output.is_depth:
         check_depth(console, manifest, threads, images, out)
@@ -218,7 +217,7 @@ def _list(console: Console) -> None:
             (
                 f"{name} (default)" if name == DEFAULT_MODEL else name,
                 f"{spec.width} x {spec.height} {spec.dtype}",
-                output.kind + (", of words" if manifest.text is not None else what),
+                output.kind + (", from words" if manifest.text is not None else what),
                 manifest.licence,
                 manifest.sha256[:12],
                 state,

@@ -66,7 +66,7 @@ def print_findings(console: Console, rows: Iterable[tuple[str, str, str, str, st
 
 @contextmanager
 def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar over messages; yields `update(done, total)`. A bar that is full starts over, as a loop does."""
+    """Show a progress bar over messages; yields `update(done, total)`. A full bar starts again, for loops."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(f"{what}: starting the graph", total=None)
@@ -81,7 +81,7 @@ def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], No
 
 @contextmanager
 def counting_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar over things that are done one by one, with the time that is left; yields `update(done, total)`."""
+    """Show a progress bar over items, with the remaining time; yields `update(done, total)`."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task(what, total=None)
@@ -90,7 +90,7 @@ def counting_bar(console: Console, what: str) -> Iterator[Callable[[int, int], N
 
 @contextmanager
 def stop_on_signals(event: threading.Event) -> Iterator[None]:
-    """Within it, SIGINT and SIGTERM set the event instead of ending the process."""
+    """Set the event on SIGINT and SIGTERM instead of ending the process, within the context."""
     before = {number: signal.signal(number, lambda *_: event.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
@@ -99,34 +99,33 @@ def stop_on_signals(event: threading.Event) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Write over files that are there already.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Overwrite existing files.")]
 
 
 def writable_file(path: Path | None) -> Path | None:
-    """Callback of an option that names a file, which may be there already. Raises ConfigError."""
+    """Check an option that names a file, which may exist. Raises ConfigError."""
     if path is not None:
         require_files([path])
     return path
 
 
 def writable_folder(path: Path | None) -> Path | None:
-    """Callback of an option that names a folder. Raises ConfigError."""
+    """Check an option that names a folder. Raises ConfigError."""
     if path is not None:
         require_folder(path)
     return path
 
 
 JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write every figure to this file.", callback=writable_file)
+    Path | None, typer.Option("--json", help="Also write all figures to this file.", callback=writable_file)
 ]
 
 
 def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
-    """Messages in and out, drops by cause with the first of each in words, and latency from the moment a frame was
-    taken."""
+    """Print messages in and out, drops by cause with an example of each, and latency since capture."""
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
-        columns.append("why dropped")
+        columns.append("dropped because")
     cells = []
     for row in rows:
         times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
@@ -138,22 +137,22 @@ def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
     for row in rows:
         for reason in row.reasons:
             console.print(f"[red]{escape(_short(row))}[/red] dropped by {escape(reason)}", highlight=False)
-    console.print("in, out: frames; p50, p95: latency since the frame was taken; work: the node's own time, median")
+    console.print("in, out: frames; p50, p95: latency since capture; work: median time in the node")
 
 
 def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """What became of a replay: verdicts of depth fusion, cells that were seen and changed, what was noted. What was
-    refused and why stands under the nodes (`print_nodes`).
+    """Print the results of a replay: states of depth fusion, cells seen and changed, events. `print_nodes` prints what
+    was dropped.
     """
     said = outcome(summaries)
     if not said:
         return
     rows = ((what, escape(how_much)) for what, how_much in said)  # reasons may hold brackets
-    print_table(console, "what became of it", ("", ""), rows)
+    print_table(console, "results", ("", ""), rows)
 
 
 def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
-    """Rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
+    """Return rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
     rows = []
     for name, summary in sorted(summaries.items()):
         node = "/".join(name.split("/")[2:]) or name
@@ -161,7 +160,7 @@ def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]
         if verdicts:
             counted = sum(verdicts.values())
             shares = (f"{verdict} {n} ({n / counted:.0%})" for verdict, n in verdicts.items())
-            rows.append((f"{node}: verdicts", ", ".join(shares)))
+            rows.append((f"{node}: states", ", ".join(shares)))
             if "last_verdict" in summary:
                 rows.append((f"{node}: the last that was not ok", summary["last_verdict"]))
         cells = _counts(summary, "cells.")
@@ -169,7 +168,7 @@ def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]
             rows.append((f"{node}: cells", ", ".join(f"{what} {n:,}" for what, n in cells.items())))
         events = {k: n for k, n in _counts(summary, "noted.").items() if not k.startswith("verdict.")}
         if events:
-            rows.append((f"{node}: noted", ", ".join(f"{event} {n:,}" for event, n in events.items())))
+            rows.append((f"{node}: events", ", ".join(f"{event} {n:,}" for event, n in events.items())))
     return rows
 
 

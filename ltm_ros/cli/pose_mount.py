@@ -1,4 +1,4 @@
-"""`ltm pose --site --camera`: calibrates the mount of a PTZ head, and writes it into the site file."""
+"""`ltm pose --site --camera`: calibrate the mount of a PTZ head, and write it into the site file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StatedMount:
-    """A PTZ head of a site, as its file states it."""
+    """A PTZ head as its site file describes it."""
 
     site: Site
     camera: str
@@ -32,7 +32,7 @@ class StatedMount:
 
 
 def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
-    """Raises ConfigError for a camera that has no mount, or no lens."""
+    """Return the PTZ head of a camera. Raises ConfigError if it has no mount or no lens."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.geometry.zoom_lens import ZoomLens
     from ltm_core.site.site_io import load_site
@@ -42,22 +42,22 @@ def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
     mount = settings.mount
     if mount is None:
         raise ConfigError(
-            f"{site_file}: camera {camera} has no `mount:`; state its place and roughly its azimuth at pan 0 "
-            "(docs/cameras.md), so that it can be calibrated"
+            f"{site_file}: camera {camera} has no `mount:`; give its position and its approximate azimuth at pan "
+            "0 (docs/cameras.md)"
         )
     if mount.lens is not None:
         lens = mount.lens.lens()
     elif settings.calibration is not None:
         lens = ZoomLens.fixed(settings.calibration.camera())
     else:
-        raise ConfigError(f"{site_file}: camera {camera} has neither `mount.lens` nor `calibration`: state its lens")
+        raise ConfigError(f"{site_file}: camera {camera} has neither `mount.lens` nor `calibration`: give its lens")
     return StatedMount(site, camera, mount, mount.model(site.open_dem(), site.frame), lens)
 
 
 def calibrate_from_points(
     ptz: StatedMount, gcps: Path, first_pixel: float, free: set[str], sigma_px: float
 ) -> tuple[MountModel, ZoomLens]:
-    """Fit to landmarks; prints what was found."""
+    """Fit the mount to landmarks; print the result."""
     from rich.console import Console
 
     from ltm_core.pose_estimation.mount.mount_io import read_ptz_points
@@ -88,8 +88,9 @@ def calibrate_from_points(
 def calibrate_from_photos(
     ptz: StatedMount, photos: Path, readings: Path, model_name: str
 ) -> tuple[MountModel, ZoomLens]:
-    """Fit to the skylines of pictures of several presets, labelled and masked as the site has it. Raises PoseError
-    where they do not tell."""
+    """Fit the mount to skylines of several presets, with the site's labels and mask. Raises PoseError if they do not
+    determine it.
+    """
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError, ImageError, PoseError
@@ -128,17 +129,17 @@ def calibrate_from_photos(
     fit = fit_mount(priors, searches, config, tilt_zero)
     if fit.word != "accepted":
         raise PoseError(
-            f"the mount is not told by these {len(priors)} pictures: {fit.word} ({fit.reason}). Take more presets with "
-            "a clear skyline, spread in pan, or mark landmarks (--gcps); nothing was written"
+            f"these {len(priors)} photos do not determine the mount: {fit.word} ({fit.reason}). Take more presets "
+            "with a clear skyline, spread in pan, or mark landmarks (--gcps); nothing was written"
         )
-    Console().print(f"{fit.reason}; the next best mount costs {fit.gap:.1f} more", highlight=False)
+    Console().print(f"{fit.reason}; the cost of the second best mount is {fit.gap:.1f} higher", highlight=False)
     return ptz.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), ptz.lens
 
 
 def write_mount(
     ptz: StatedMount, model: MountModel, lens: ZoomLens, site_file: Path, camera: str, out: Path | None
 ) -> None:
-    """Into the site file, or into `out` alone. Prints what changed."""
+    """Write the mount into the site file, or into `out` alone. Prints what changed."""
     from rich.console import Console
 
     from ltm_core.pose_estimation.mount.mount_config import written_mount
@@ -174,7 +175,7 @@ def _print_mount(console: Console, stated: MountModel, found: MountModel) -> Non
         rows.append((name, words[now < 0], "", words[before < 0]))
     worst = max(found.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
     print_table(console, "", ("mount", ">fitted, deg", ">sigma", ">stated, deg"), rows)
-    console.print(f"a direction is known to {worst:.3f} deg or better at every pan", highlight=False)
+    console.print(f"standard deviation of the viewing direction: at most {worst:.3f} deg at every pan", highlight=False)
 
 
 def _print_landmarks(console: Console, found: MountResection) -> None:
@@ -197,5 +198,5 @@ def _print_lens(console: Console, found: MountResection) -> None:
     for zoom, factor in found.focal_factors.items():
         hfov = found.lens.camera(zoom).hfov_deg
         rows.append((f"{zoom:g}", f"{hfov:.3f}", f"{factor:.4f}", f"{found.focal_sigmas[zoom]:.4f}"))
-    columns = (">zoom", ">field of view, deg", ">focal length, of the table's", ">sigma")
+    columns = (">zoom", ">field of view, deg", ">focal length / table", ">sigma")
     print_table(console, "", columns, rows)

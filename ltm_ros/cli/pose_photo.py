@@ -1,4 +1,4 @@
-"""`ltm pose --photo`: finds the poses of photos by their skylines and ridges."""
+"""`ltm pose --photo`: find the poses of photos from their skylines and ridges."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter
 
 FOCAL_SIGMA = 0.05
-"""Of a focal length that is to be fitted, relative: it is tried up to twice this off."""
+"""Relative standard deviation of a focal length to fit; the search covers twice this."""
 
 FREE_POSITION_SIGMA = 10.0
-"""Metres, of a position that is to be fitted and states no sigma."""
+"""Standard deviation in metres of a position to fit that states none."""
 
 
 @dataclass(frozen=True)
 class PhotoOptions:
-    """Of one run: where labels come from, what is fitted besides the angles, what the DEM holds."""
+    """Options of one search: source of labels, what is fitted besides the angles, type of DEM."""
 
     labels: Path | None
     model: str
@@ -33,7 +33,7 @@ class PhotoOptions:
     canopy: bool
     mount: bool
     mask: Path | None = None
-    """PNG of what of the photos never shows the landscape."""
+    """Mask PNG: non-zero pixels are ignored in all photos."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class FoundPhoto:
 
 
 def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
-    """The photos of a folder that a photo list names, with what it knows of them. Raises ConfigError."""
+    """Return the photos of a folder that a photo list names, with their known values. Raises ConfigError."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.config_io import checked
     from ltm_core.tracing.trace_io import GuessConfig
@@ -72,7 +72,7 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
 
 
 def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOptions) -> list[FoundPhoto]:
-    """Search the pose of each photo; with `mount`, one correction for all of them."""
+    """Search the pose of each photo; with `mount`, find one correction for all of them."""
     from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.scene_view import SceneFilter
@@ -140,7 +140,7 @@ def _as_one_mount(found: list[FoundPhoto], config: Any, options: PhotoOptions) -
 
 
 def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, report: Path | None, folder: bool) -> None:
-    """Pose files, pictures before and after, and the figures as JSON. `folder`: `out` and `picture` are folders."""
+    """Write pose files, images before and after, and the figures as JSON. `folder`: `out` and `picture` are folders."""
     from ltm_core.pictures import to_png
     from ltm_core.pictures.photo_overlays import pose_fit_picture
     from ltm_core.pose_estimation.skyline.picture_pose_io import figures, write_figures_of, write_result
@@ -163,7 +163,7 @@ def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, repor
             poses.append((f"found ({f.word})", f.result.camera, f.result.pose))
         elif f.search.hypotheses:
             best = f.search.hypotheses[0].refined
-            poses.append((f"best, not taken: {f.word}", camera, best.pose))
+            poses.append((f"best, not accepted: {f.word}", camera, best.pose))
         at = picture / f"{Path(f.name).stem}.png" if folder else picture
         at.parent.mkdir(parents=True, exist_ok=True)
         at.write_bytes(to_png(pose_fit_picture(f.photo, camera, f.search.horizon, poses)))

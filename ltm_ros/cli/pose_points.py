@@ -1,4 +1,4 @@
-"""`ltm pose --gcps`: fits a camera's pose and calibration to ground control points, and shows how well they fit."""
+"""`ltm pose --gcps`: fit a camera's pose and calibration to ground control points, and print the residuals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fit_to_points(
     report: Path | None,
     crs: str | None,
 ) -> Path:
-    """Fit to control points; returns the pose file that was written."""
+    """Fit to control points; return the written pose file."""
     from typing import cast
 
     from rich.console import Console
@@ -122,7 +122,7 @@ def _print_points(
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)
         traced = traced_errors(result, tracer)
-        columns += [">traced off by", ">over the DEM", "the DEM says"]
+        columns += [">trace error", ">over the DEM", "state in the DEM"]
         title += f"\n{_summary(traced)}"
     rows = []
     for k, name in enumerate(result.points.names):
@@ -138,7 +138,7 @@ def _print_points(
 
 
 def _summary(traced: TracedErrors) -> str:
-    """How far traced places lie from surveyed ones, of the points that it can be said of."""
+    """Return the median distance between traced and surveyed places, of the points that meet terrain."""
     import numpy as np
 
     met, seen = traced.met, traced.met & traced.visible
@@ -148,5 +148,5 @@ def _summary(traced: TracedErrors) -> str:
     if not met.all():
         said += f" of {met.sum()} points ({(~met).sum()} meet no known terrain)"
     if seen.any():
-        said += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the camera sees on the DEM"
+        said += f", {np.median(traced.errors[seen]):.2f} m for the {seen.sum()} that are visible on the DEM"
     return said

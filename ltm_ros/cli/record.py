@@ -16,28 +16,28 @@ def record(
     out: Annotated[Path, typer.Option("--out", "-o", help="Bag folder to write.")],
     topics: Annotated[
         list[str] | None,
-        typer.Argument(help="Topics or patterns such as '/site/*/depth/*'; default: the site's inputs and results."),
+        typer.Argument(help="Topics or patterns such as '/site/*/depth/*'. Default: the site's inputs and results."),
     ] = None,
     max_gb: Annotated[
         float | None,
         typer.Option(
             min=0,
-            help="Of all recordings of this name; the oldest files go. 0: no bound. Default: the site file's, else "
-            "16 GB, or half of the disk where that is less.",
+            help="Maximum GB of all recordings of this name; oldest files go first (0: unlimited). Default: the "
+            "site file's value, else 16 GB or half of the disk.",
         ),
     ] = None,
     min_free_gb: Annotated[
         float | None,
         typer.Option(
             min=0,
-            help="Free space under which recording stops. Default: the site file's, else 2 GB, or a tenth of the disk "
-            "where that is less.",
+            help="Stop recording below this free space in GB. Default: the site file's value, else 2 GB or a "
+            "tenth of the disk.",
         ),
     ] = None,
-    sim_time: Annotated[bool, typer.Option("--sim-time", help="Stamp by /clock, as beside a replay.")] = False,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+    sim_time: Annotated[bool, typer.Option("--sim-time", help="Use /clock for stamps, as during a replay.")] = False,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
 ) -> None:
-    """Record a site's topics to OUT until Ctrl-C; of a long recording the newest files stay (--max-gb)."""
+    """Record a site's topics to OUT until Ctrl-C. Long recordings keep the newest files (--max-gb)."""
     from dataclasses import replace
 
     from ltm_core.site.site_io import load_site
@@ -52,10 +52,10 @@ def record(
             parameters[name] = round(gigabytes * 1e9)
     if topics:
         parameters["topics"] = list(topics)
-    require_folder(out, "a bag")  # of former ones the recorder keeps clear
+    require_folder(out, "a bag")  # the recorder checks the folders of earlier recordings itself
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
-    # Beside a graph the recorder is an extra; here it is all there is to run.
+    # With `ltm run`, the recorder is an extra; here it is the only node.
     graph = Graph(config.name, (replace(whole.node("recorder"), required=True),))
     runner = Runner(graph, domain_id=domain, log_folder=new_log_folder(config.name))
     raise typer.Exit(runner.run())
@@ -64,23 +64,23 @@ def record(
 def replay(
     bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for what comes out.")] = Path("out/replay"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
     offline: Annotated[
-        bool, typer.Option("--offline", help="One process, no DDS, as fast as it goes, bit-repeatable.")
+        bool, typer.Option("--offline", help="Replay in one process without DDS, at full speed, bit-repeatable.")
     ] = False,
-    rate: Annotated[float, typer.Option(help="Live: 2 plays twice as fast.")] = 1.0,
+    rate: Annotated[float, typer.Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
     longest_pause: Annotated[
         float,
-        typer.Option(help="Live: seconds after which a longer pause of the recording is stepped over; inf: never."),
+        typer.Option(help="Live: skip recorded pauses longer than this, in seconds. inf: never."),
     ] = LONGEST_PAUSE,
-    loop: Annotated[bool, typer.Option("--loop", help="Live: start again at the end, until Ctrl-C.")] = False,
-    start: Annotated[float, typer.Option(min=0, help="Seconds into the recording.")] = 0.0,
-    duration: Annotated[float | None, typer.Option(min=0, help="Seconds to play.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Live: repeat until Ctrl-C.")] = False,
+    start: Annotated[float, typer.Option(min=0, help="Start, in seconds into the recording.")] = 0.0,
+    duration: Annotated[float | None, typer.Option(min=0, help="Duration to play, in seconds.")] = None,
     record: Annotated[bool, typer.Option("--record", help="Also write a bag of the results.")] = False,
     rrd: Annotated[bool, typer.Option("--rrd", help="Live: also write a Rerun recording.")] = False,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
     publish_only: Annotated[
-        bool, typer.Option("--publish-only", help="Live: play into a graph that runs already (with sim time).")
+        bool, typer.Option("--publish-only", help="Live: publish to a running graph (with sim time).")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -88,7 +88,7 @@ def replay(
     from ltm_core.base.errors import ConfigError
 
     if offline and (loop or rrd or publish_only or rate != 1.0):
-        raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
+        raise ConfigError("--offline ignores time: remove --rate, --loop, --rrd and --publish-only")
 
     import threading
 

@@ -1,4 +1,4 @@
-"""`ltm reprocess`: works archives of recordings again, to the store of a site's fuel map."""
+"""`ltm reprocess`: compute a site's fuel map again from archives of recordings."""
 
 from __future__ import annotations
 
@@ -20,31 +20,35 @@ if TYPE_CHECKING:
 def reprocess(
     archives: Annotated[
         list[str],
-        typer.Argument(help="Bags, .mcap files, folders that hold bags or photos with poses.csv, s3://bucket/folder."),
+        typer.Argument(help="Bags, .mcap files, folders with bags or photos and poses.csv, or s3://bucket/folder."),
     ],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
     out: Annotated[str, typer.Option("--out", "-o", help="Folder for results, or s3://bucket/folder.")],
-    workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: this one alone.")] = 2,
-    cluster: Annotated[str, typer.Option(help="Dask scheduler in their place: tls://host:8786.")] = "",
-    tls_ca: Annotated[Path | None, typer.Option(help="PEM of the cluster's authority.")] = None,
-    tls_cert: Annotated[Path | None, typer.Option(help="PEM of our certificate.")] = None,
-    tls_key: Annotated[Path | None, typer.Option(help="PEM of its key.")] = None,
-    cameras: Annotated[str, typer.Option(help="Only these, separated by commas.")] = "",
-    since: Annotated[str, typer.Option(help="First moment, such as 2026-05-31, UTC.")] = "",
-    until: Annotated[str, typer.Option(help="Last date (its end) or moment, UTC.")] = "",
+    workers: Annotated[int, typer.Option(min=0, help="Worker processes on this machine; 0: work in this process.")] = 2,
+    cluster: Annotated[str, typer.Option(help="Dask scheduler to use instead: tls://host:8786.")] = "",
+    tls_ca: Annotated[Path | None, typer.Option(help="CA certificate of the cluster (PEM).")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate (PEM).")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Key of the certificate (PEM).")] = None,
+    cameras: Annotated[str, typer.Option(help="Only these cameras, separated by commas.")] = "",
+    since: Annotated[str, typer.Option(help="First date or time, such as 2026-05-31, UTC.")] = "",
+    until: Annotated[str, typer.Option(help="Last date (inclusive) or time, UTC.")] = "",
     sample: Annotated[str, typer.Option(help="Frames of each camera: all, or 4/day, 1/hour.")] = "all",
-    shard: Annotated[str, typer.Option(help="i/n: work the i-th of n parts and make no map.")] = "1/1",
-    frames_per_task: Annotated[int, typer.Option(min=1, help="Of one camera's day, at most.")] = 1500,
-    max_failed: Annotated[str, typer.Option(help="Share of frames that may be lost.")] = "0.1%",
-    burns: Annotated[Path | None, typer.Option(help="GeoJSON of what burned, with `burned_at`.")] = None,
-    terrain: Annotated[bool, typer.Option("--terrain", help="The site's terrain too, and what it tells.")] = False,
-    cache: Annotated[str, typer.Option(help="Where files of stores lie while they are read.")] = "",
-    cache_gb: Annotated[float, typer.Option(min=0.001, help="Of them at most, a machine.")] = 20.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only count, find gaps and estimate the cost.")] = False,
+    shard: Annotated[str, typer.Option(help="i/n: process only the i-th of n parts, without a map.")] = "1/1",
+    frames_per_task: Annotated[int, typer.Option(min=1, help="Maximum frames per camera and day.")] = 1500,
+    max_failed: Annotated[str, typer.Option(help="Accepted share of lost frames.")] = "0.1%",
+    burns: Annotated[Path | None, typer.Option(help="GeoJSON of burned areas, with `burned_at`.")] = None,
+    terrain: Annotated[
+        bool, typer.Option("--terrain", help="Also compute the site's terrain and use its changes.")
+    ] = False,
+    cache: Annotated[str, typer.Option(help="Folder for files of stores while they are read.")] = "",
+    cache_gb: Annotated[float, typer.Option(min=0.001, help="Maximum size of these files per machine, in GB.")] = 20.0,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only count frames, find gaps and estimate the cost.")
+    ] = False,
 ) -> None:
-    """Work all frames of ARCHIVES again with SITE and write the fuel map, its layers and the record of the run to OUT.
+    """Reprocess all frames of ARCHIVES with SITE; write fuel map, layers and a record of the run to OUT.
 
-    What is done stays done: run it again to go on, or after a change to work only what hangs on it.
+    Run it again to resume. After a change, only affected results are recomputed.
     """
     from rich.console import Console
 
@@ -71,7 +75,7 @@ def reprocess(
         terrain=terrain,
         cache=CacheConfig(cache or CacheConfig().folder, round(cache_gb * 1e9)),
     )
-    with counting_bar(console, "looking through") as progress:
+    with counting_bar(console, "scanning") as progress:
         planned = look_through(options, progress)
     if dry_run:
         _print_dry_run(console, planned)
@@ -88,7 +92,7 @@ def _print_dry_run(console: Console, planned: Plan) -> None:
     print_table(console, title, COST_COLUMNS, cost_rows(planned))
     console.print(cost_note(planned), highlight=False)
     if lost := lost_rows(planned):
-        print_table(console, "not taken", ("camera", "cause", ">frames", "first reason"), lost)
+        print_table(console, "not used", ("camera", "cause", ">frames", "first reason"), lost)
 
 
 def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | None, key: Path | None) -> Engine:
@@ -101,7 +105,7 @@ def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | Non
 
 def _print(console: Console, summary: Summary, out: str) -> None:
     console.print(
-        f"{summary.worked} frames worked now, {summary.merged} in the map, {summary.failed} failed; "
+        f"{summary.worked} frames processed now, {summary.merged} in the map, {summary.failed} failed; "
         f"{summary.tasks} tasks"
     )
     for reason, count in sorted(summary.unused.items()):
@@ -122,7 +126,7 @@ def _shard(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= part <= parts:
-        raise ArchiveError(f"shard {text!r}: write i/n with i from 1 to n, such as 3/8")
+        raise ArchiveError(f"shard {text!r}: give i/n with i from 1 to n, such as 3/8")
     return part, parts
 
 
@@ -132,5 +136,5 @@ def _share(text: str) -> float:
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(%?)", text)
     share = float(found[1]) / (100 if found[2] else 1) if found else -1.0
     if not 0 <= share <= 1:
-        raise ArchiveError(f"share {text!r}: write a number such as 0.001, or 0.1%")
+        raise ArchiveError(f"share {text!r}: give a number such as 0.001, or 0.1%")
     return share

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 def region(
     config: Annotated[Path, typer.Argument(help="Region file (YAML).")],
 ) -> None:
-    """Keep the fuel map of a region until Ctrl-C or SIGTERM: count the votes of its towers, which come over MQTT, each
-    frame once; send tiles as they change; write GeoTIFFs.
+    """Run the fuel map of a region: merge the votes of its towers (MQTT), send tiles, write GeoTIFFs. Ctrl-C or SIGTERM
+    ends it.
     """
     import os
 
     from ltm_ros.runtime.ros_environment import thread_limits
 
-    # Before NumPy is loaded: its threads would fight over arrays of a thousand cells.
+    # Set before NumPy is loaded: more threads slow it down on arrays of a thousand cells.
     os.environ.update(thread_limits(busy=False))
 
     from ltm_core.uplink.config import load_region
@@ -34,22 +34,20 @@ def region(
 
 
 def certs(
-    folder: Annotated[Path, typer.Argument(help="Folder, made where it is missing; what is in it stays.")],
+    folder: Annotated[Path, typer.Argument(help="Folder for the files, created if missing; existing files are kept.")],
     region: Annotated[str, typer.Option(help="Name of the region.")],
-    tower: Annotated[list[str] | None, typer.Option(help="Name of a tower; may be given several times.")] = None,
-    follower: Annotated[
-        list[str] | None, typer.Option(help="Name of somebody who follows the map; may be given several times.")
-    ] = None,
+    tower: Annotated[list[str] | None, typer.Option(help="Name of a tower. Repeatable.")] = None,
+    follower: Annotated[list[str] | None, typer.Option(help="Name of a follower of the map. Repeatable.")] = None,
     host: Annotated[
-        list[str] | None, typer.Option(help="Name or address by which the broker is called. Default: this machine.")
+        list[str] | None, typer.Option(help="Host name or address of the broker. Default: this machine.")
     ] = None,
-    listen: Annotated[str, typer.Option(help="Address at which the broker listens.")] = "127.0.0.1",
+    listen: Annotated[str, typer.Option(help="Address on which the broker listens.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the broker.")] = 8883,
-    days: Annotated[int, typer.Option(min=1, max=3650, help="For which certificates are valid.")] = 365,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="Validity of the certificates in days.")] = 365,
 ) -> None:
-    """Make certificates of a region's broker, map, towers and followers, and mosquitto's configuration for them.
+    """Make certificates for a region's broker, map, towers and followers, and a mosquitto configuration.
 
-    Whoever reads ca.key can be any tower: keep it elsewhere, and for more than a trial use an authority of your own.
+    Whoever can read ca.key can impersonate any tower: store it elsewhere. Use your own authority for more than a trial.
     """
     from ltm_ros.region.certs import TrialAuthority
 
@@ -68,35 +66,32 @@ def run(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(
-            help="Also record the graph's topics into this new folder; of a long recording the newest files stay."
-        ),
+        typer.Option(help="Also record the graph's topics to this new folder; long recordings keep the newest files."),
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Also serve a live view on this machine.")] = False,
-    sim_time: Annotated[bool, typer.Option("--sim-time", help="Follow /clock, as `ltm replay` publishes it.")] = False,
-    only: Annotated[list[str] | None, typer.Option(help="Only this camera; may be given several times.")] = None,
+    sim_time: Annotated[bool, typer.Option("--sim-time", help="Use /clock, as published by `ltm replay`.")] = False,
+    only: Annotated[list[str] | None, typer.Option(help="Use only this camera. Repeatable.")] = None,
     state: Annotated[
         Path | None,
         typer.Option(
-            help="Folder, made if missing, where fuel map, terrain and outbox outlive stops, kills and power cuts. "
-            "Default: what the site file's nodes say, else nothing is kept."
+            help="Folder, created if missing, that keeps fuel map, terrain and outbox across restarts. Default: "
+            "the site file's, else nothing is kept."
         ),
     ] = None,
     logs: Annotated[
-        Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
+        Path | None, typer.Option(help="Folder for the nodes' logs. Default: a new one in ~/.local/state/ltm.")
     ] = None,
     notify: Annotated[
         bool | None,
         typer.Option(
             "--notify/--no-notify",
-            help="Tell systemd when all nodes are ready, that they are watched over, and of the end. "
-            "Default: where NOTIFY_SOCKET is set.",
+            help="Report readiness, watchdog and stop to systemd. Default: if NOTIFY_SOCKET is set.",
         ),
     ] = None,
 ) -> None:
-    """Run a site: its nodes' processes, restarted when they die; Ctrl-C or SIGTERM stops all of them in order.
+    """Run a site: start its nodes, restart those that die; Ctrl-C or SIGTERM stops them in order.
 
-    What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
+    Errors that `ltm check` finds end it before any process starts: exit code 78 if the site file must be corrected.
     """
     from ltm_ros.launching.graph import describe
     from ltm_ros.launching.node_log import new_log_folder
@@ -146,19 +141,19 @@ def run(
     processes = f"{len(graph)} nodes in {len(graph.processes)} processes"
     typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
     if view:
-        typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
+        typer.echo(f"-- live view (available once the nodes run): {_address(graph.node('viewer').parameters)}")
     if config.health is not None:
         scheme = "https" if config.health.certificate else "http"
         typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
     settle()
     status = runner.run(manager)
-    # Not by echo: a console that has gone meanwhile is no error of the run.
+    # Written without echo: a closed console is not an error of the run.
     print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")
     raise typer.Exit(status)
 
 
 def _address(viewer: Mapping[str, ParameterValue]) -> str:
-    """The page of the viewer node, whose ports the site file may name."""
+    """Return the address of the viewer node's page; its ports may be in the site file."""
     from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url
 
     web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))

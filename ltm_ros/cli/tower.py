@@ -1,4 +1,4 @@
-"""`ltm status`, `doctor`, `upgrade` and `rollback`: commands of an installed tower."""
+"""`ltm status`, `doctor`, `upgrade` and `rollback`: commands for an installed tower."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ STYLES = {"ok": "green", "troubled": "yellow", "silent": "bold red", "missing": 
 
 def status(
     site: Annotated[Path, typer.Argument(help="Site file (YAML), with the section `health`.")] = INSTALLED_SITE,
-    json_: Annotated[bool, typer.Option("--json", help="Print what the tower says as JSON.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
 ) -> None:
-    """Ask a running tower how it is. Exit code 0 where all nodes report and all frames come, else 1."""
+    """Print the state of a running tower. Exit code 0 if all nodes are healthy and all cameras send, else 1."""
     import json
 
     from ltm_core.base.errors import ConfigError
@@ -32,7 +32,7 @@ def status(
 
     config = load_site(site).health
     if config is None:
-        raise ConfigError(f"{site}: has no section `health`; add `health: {{}}`, and start the tower again")
+        raise ConfigError(f"{site}: has no section `health`; add `health: {{}}` and restart the tower")
     said: dict[str, Any] = ask(config, "/status.json")
     if json_:
         typer.echo(json.dumps(said, indent=2))
@@ -48,9 +48,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
 
     console = Console()
     wrong = said["wrong"]
-    console.print(
-        f"[bold]{escape(said['site'])}[/]: {'all is well' if not wrong else f'{len(wrong)} things are wrong'}"
-    )
+    console.print(f"[bold]{escape(said['site'])}[/]: {'no problems' if not wrong else f'{len(wrong)} problems'}")
     for line in wrong:
         console.print(f"  - {escape(line)}", style="yellow", highlight=False)
     cameras = []
@@ -85,18 +83,20 @@ def _print_status(said: Mapping[str, Any]) -> None:
     print_table(console, "", columns, cameras)
     print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)
     if (outbox := said["outbox"]) is not None:
-        link = "the region's map is there" if outbox["link_up"] else "the region's map cannot be reached"
+        link = "connected to the region's map" if outbox["link_up"] else "no connection to the region's map"
         console.print(
             escape(
-                f"outbox: {outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, the oldest of "
-                f"{outbox['age_s']:.0f} s ago; {link}"
+                f"outbox: {outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, oldest {outbox['age_s']:.0f} "
+                f"s; {link}"
             ),
             highlight=False,
         )
     kept = "; ".join(f"{d['folder']} {d['free'] / 1e9:.1f} of {d['total'] / 1e9:.0f} GB free" for d in said["disks"])
     used = ", ".join(f"{name} {size / 1e6:.0f} MB" for name, size in said["process_memory"].items())
-    sync = {True: "kept right", False: "kept right by nothing", None: "not known"}[said["clock"]["synchronised"]]
-    console.print(escape(f"clock {sync}, set {said['clock_steps']} times; {kept}"), highlight=False)
+    sync = {True: "synchronised", False: "not synchronised (no NTP)", None: "synchronisation unknown"}[
+        said["clock"]["synchronised"]
+    ]
+    console.print(escape(f"clock {sync}, stepped {said['clock_steps']} times; {kept}"), highlight=False)
     console.print(
         escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available; {used}"),
         highlight=False,
@@ -111,10 +111,10 @@ def _seconds(value: float | None, end: str = "") -> str:
 def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
     site: Annotated[
-        Path | None, typer.Option(help="Site file of a tower, for its port; default: /etc/ltm/site.yaml, if there.")
+        Path | None, typer.Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml, if present.")
     ] = None,
 ) -> None:
-    """Look at the installation. Exit code 1 when something required is missing."""
+    """Check the installation. Exit code 1 if something required is missing."""
     from rich.console import Console
 
     from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
@@ -132,7 +132,7 @@ def doctor(
     }
     rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
     print_findings(Console(), rows)
-    # Below the table, unbroken, so that they can be copied.
+    # Printed below the table without line breaks, so that they can be copied.
     for finding in findings:
         if finding.remedy:
             typer.echo(f"{finding.state} {finding.name}: {finding.remedy}")
@@ -142,19 +142,21 @@ def doctor(
 
 
 READY_MINUTES = 2.0
-"""Kernels are compiled before, so a good release starts in seconds; a tower shall not stand still for longer than
-three minutes, and the former release needs some of them."""
+"""Time in minutes in which a release must be ready. Kernels are compiled before, so a good release starts in seconds;
+the tower should be down for three minutes at most, and going back to the previous release takes part of them.
+"""
 
 
 def upgrade(
     package: Annotated[Path, typer.Argument(help="Debian package of a release (`make deb`).")],
     ready_minutes: Annotated[
-        float, typer.Option(min=0.1, help="Time in which all its nodes must be ready; else the former release returns.")
+        float,
+        typer.Option(min=0.1, help="Minutes in which all nodes must be ready; else the previous release returns."),
     ] = READY_MINUTES,
 ) -> None:
-    """Run another release of LTM; where it does not come up, the former one returns by itself. As root.
+    """Install another release of LTM; if it does not start, the previous one returns. Needs root.
 
-    The new release is asked first (`ltm doctor`, `ltm check`, its kernels), while the former one works. The stores are
+    The new release is checked first (`ltm doctor`, `ltm check`, its kernels) while the current one runs. The stores are
     copied before it is started.
     """
     import os
@@ -165,28 +167,28 @@ def upgrade(
     change = _upgrade(ready_minutes)
     opened = PackageFile.open(package)
     change.install(opened)
-    # Now dpkg is told, and takes over its files: the service runs them already.
+    # dpkg takes over the files now; the service already runs them.
     ran = subprocess.run(  # nosec B603 B607 # no shell; root's own PATH
         ["dpkg", "--install", str(opened.path)], env=os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
     )
     if ran.returncode:
-        typer.echo("-- dpkg did not take it: `dpkg --configure ltm` says why; the release runs all the same", err=True)
+        typer.echo("-- dpkg failed: `dpkg --configure ltm` prints the reason; the release runs all the same", err=True)
         raise typer.Exit(1)
 
 
 def rollback(
-    to: Annotated[str, typer.Option(help="Version to return to. Default: the former one.")] = "",
+    to: Annotated[str, typer.Option(help="Version to return to. Default: the previous one.")] = "",
     unconfirmed: Annotated[
         bool,
-        typer.Option("--unconfirmed", help="Only where an upgrade was cut short; the service's own start asks for it."),
+        typer.Option("--unconfirmed", help="Only if an upgrade was interrupted; the service's start uses it."),
     ] = False,
-    ready_minutes: Annotated[float, typer.Option(min=0.1, help="Time in which it must be ready.")] = READY_MINUTES,
+    ready_minutes: Annotated[float, typer.Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:
-    """Run the former release of LTM again. As root."""
+    """Return to the previous release of LTM. Needs root."""
     change = _upgrade(ready_minutes)
     if unconfirmed:
         returned = change.return_unconfirmed()
-        typer.echo(f"-- back on {returned}: the release on trial had not come up" if returned else "-- nothing to do")
+        typer.echo(f"-- back on {returned}: the release on trial did not start" if returned else "-- nothing to do")
         return
     change.go_back(to)
 
@@ -201,10 +203,10 @@ def _upgrade(ready_minutes: float) -> Upgrade:
     from ltm_ros.tower.upgrade import Places, Upgrade
 
     releases = Releases()
-    _ = releases.current  # first: that this is an installed tower at all
+    _ = releases.current  # first check that this is an installed tower
     if os.geteuid() != 0 or not os.access(ROOT, os.W_OK):
-        raise ConfigError("releases are changed by root: sudo ltm upgrade ...")
-    # A radio link that drops takes the shell with it, and its terminal: the change goes on, or back, to its end.
+        raise ConfigError("upgrade and rollback need root: sudo ltm upgrade ...")
+    # If a radio link drops, the shell and its terminal end. The upgrade still runs to its end, or back.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     return Upgrade(releases, SystemdService(), Places(), _say, ready_minutes * 60.0)
 

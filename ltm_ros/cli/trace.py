@@ -21,17 +21,15 @@ OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.ti
 def trace(
     dem: Annotated[
         list[Path],
-        typer.Option(help="Elevation raster that GDAL reads, projected, in metres; again for coarser ones around it."),
+        typer.Option(help="Elevation raster (GDAL, projected, in metres); repeat for coarser surrounding rasters."),
     ],
     pose: Annotated[Path, typer.Option(help="Pose file: pose and calibration (see docs/poses.md).")],
-    out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results, created if missing.")],
     image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
-    crs: Annotated[
-        str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
-    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of a raster that states none, such as EPSG:32611.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Trace one picture to the terrain: depth and alignment rasters, depth over the photo, a map of the seen cells."""
+    """Trace a photo to the terrain: depth and alignment rasters, depth over the photo, map of the seen cells."""
     import numpy as np
     from rich.console import Console
 
@@ -79,7 +77,7 @@ def trace(
         rows.append((name, f"{share:.1%} of the pixels"))
     if known.size:
         near, median, far = np.percentile(known, [0, 50, 100])
-        rows.append(("range: least, median, greatest", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
+        rows.append(("range: minimum, median, maximum", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
     seen = int((counts > 0).sum())
     rows.append(("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)"))
     print_table(console, title, ("", ""), rows)
@@ -90,9 +88,9 @@ def trace(
         x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
         covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds
         console.print(
-            f"[yellow]No pixel sees the terrain. The camera stands at ({x:.0f}, {y:.0f}) in {setup.frame.crs}, where "
-            f"the DEM covers x {covered[0]:.0f} to {covered[2]:.0f}, y {covered[1]:.0f} to {covered[3]:.0f}. "
-            "Check position, its crs, azimuth and pitch."
+            f"[yellow]No pixel sees the terrain. The camera is at ({x:.0f}, {y:.0f}) in {setup.frame.crs}; the "
+            f"DEM covers x {covered[0]:.0f} to {covered[2]:.0f}, y {covered[1]:.0f} to {covered[3]:.0f}. Check "
+            "position, its crs, azimuth and pitch."
         )
     for path in written:
         console.print(f"  {path}", highlight=False)
@@ -100,31 +98,27 @@ def trace(
 
 def viewshed(
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="GeoTIFF: cameras that see a cell, best footprint, visible height.")
+        Path, typer.Option("--out", "-o", help="GeoTIFF: number of cameras per cell, best footprint, visible height.")
     ],
-    site: Annotated[Path | None, typer.Option(help="Site file: all its cameras with calibration and pose.")] = None,
-    pose: Annotated[
-        Path | None, typer.Option(help="Instead of a site: the pose file of one camera; needs --dem.")
-    ] = None,
+    site: Annotated[Path | None, typer.Option(help="Site file; uses all cameras with calibration and pose.")] = None,
+    pose: Annotated[Path | None, typer.Option(help="Pose file of one camera instead of a site; needs --dem.")] = None,
     dem: Annotated[
-        list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
+        list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
     ] = None,
     resolution: Annotated[
         float | None,
-        typer.Option(help="Cell size of the result, metres; default the DEM's, coarser beyond 16 million cells."),
+        typer.Option(help="Cell size in metres. Default: the DEM's, coarser beyond 16 million cells."),
     ] = None,
-    target_height: Annotated[float, typer.Option(help="Metres above the ground that are to be seen.")] = 0.0,
-    max_range: Annotated[float | None, typer.Option(help="Metres beyond which a camera counts as blind.")] = None,
+    target_height: Annotated[float, typer.Option(help="Height of the target above the ground in metres.")] = 0.0,
+    max_range: Annotated[float | None, typer.Option(help="Maximum viewing distance in metres.")] = None,
     all_round: Annotated[
-        bool, typer.Option("--all-round", help="Cameras turn: their directions do not matter.")
+        bool, typer.Option("--all-round", help="Cameras can turn: ignore their viewing directions.")
     ] = False,
-    picture: Annotated[Path | None, typer.Option(help="PNG to draw; default beside the GeoTIFF.")] = None,
-    crs: Annotated[
-        str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
-    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw. Default: beside the GeoTIFF.")] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of a raster that states none, such as EPSG:32611.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Map what cameras cover: seen by how many, how finely, and how high smoke must rise to be seen."""
+    """Map what cameras cover: number of cameras, pixel footprint, and height at which smoke becomes visible."""
     import math
 
     import numpy as np
@@ -140,16 +134,16 @@ def viewshed(
     picture = out.with_suffix(".png") if picture is None else picture
     require_files((out, picture), overwrite)
     if (site is None) == (pose is None):
-        raise ConfigError("give either --site S.yaml, or --pose P.yaml with --dem")
+        raise ConfigError("give --site S.yaml, or --pose P.yaml with --dem")
     if site is not None:
         sight, frame, views, skipped = _from_site(site)
     elif pose is not None and dem:
         sight, frame, views = _from_pose(pose, dem, crs)
         skipped = []
     else:
-        raise ConfigError("--pose needs the terrain too: --dem D.tif")
+        raise ConfigError("--pose needs the terrain, too: give --dem D.tif")
     if skipped:
-        console.print(f"[yellow]without calibration or pose, left out[/]: {', '.join(skipped)}", highlight=False)
+        console.print(f"[yellow]skipped, no calibration or pose[/]: {', '.join(skipped)}", highlight=False)
     with console.status("lines of sight"):
         reach = math.inf if max_range is None else max_range
         coverage = covered(sight, views, resolution, target_height, reach, all_round)
@@ -197,7 +191,7 @@ def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera
         else:
             views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
     if not views:
-        raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)} come as topics)")
+        raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)}: from topics)")
     rays = site.curvature, site.refraction, site.possible_ground
     return PointVisibility(terrain, *rays), site.frame, views, skipped
 

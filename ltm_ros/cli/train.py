@@ -1,4 +1,4 @@
-"""`ltm train head`: teach a label network what grows at a site, from a few labelled photos."""
+"""`ltm train head`: train a label head for a site from a few labelled photos."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: 
     among = ", ".join(names[k] for k in each[0].macro if first.true[k] > 0)
     for label, values in (
         (f"macro F1 ({among})", [s.macro_f1 for s in each]),
-        ("share of pixels right", [s.labels.accuracy for s in each]),
-        ("share of pixels unlabelled", [s.labels.unlabelled for s in each]),
+        ("correct share of pixels", [s.labels.accuracy for s in each]),
+        ("unlabelled share of pixels", [s.labels.unlabelled for s in each]),
         ("calibration error (ECE)", [s.calibration.ece for s in each]),
         ("calibration error on land", [s.land_calibration.ece for s in each]),
         ("risk on land", [s.land_calibration.risk() for s in each]),
@@ -46,7 +46,7 @@ def score_table(names: tuple[str, ...], scores: Mapping[str, HeadScore], title: 
 
 def confusion_table(names: tuple[str, ...], score: SegmentationScore, title: str) -> Table:
     """Return the shares of each true class by label; the last column holds unlabelled pixels."""
-    table = Table(title=f"{title}: rows are true, columns given")
+    table = Table(title=f"{title}: rows are true classes, columns predicted ones")
     table.add_column("")
     for name in (*names, "unlabelled"):
         table.add_column(name, justify="right")
@@ -68,46 +68,42 @@ def head(
             help="Folder of photos with NAME_labels.png or polygons.json; sites.csv or NAME up to _ is the site."
         ),
     ],
-    out: Annotated[str, typer.Option("--out", "-o", help="Name of the head, or the path of its file (.yaml).")],
-    model: Annotated[str, typer.Option(help="The network, or one that takes its heads.")] = DEFAULT_MODEL,
+    out: Annotated[str, typer.Option("--out", "-o", help="Name of the label head, or path of its file (.yaml).")],
+    model: Annotated[str, typer.Option(help="Network, or a network with a label head.")] = DEFAULT_MODEL,
     also: Annotated[
         list[Path] | None,
-        typer.Option(help="Labelled frames of other places: what the head forgets there; again for more."),
+        typer.Option(help="Labelled frames of other places, to measure the loss there. Repeatable."),
     ] = None,
     one_view: Annotated[
-        bool, typer.Option("--one-view", help="PHOTOS are of one view, and the head is for that alone.")
+        bool, typer.Option("--one-view", help="All PHOTOS show one view; the head is used only for it.")
     ] = False,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
-    licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
+    limit: Annotated[int, typer.Option(min=1, help="Maximum frames of each --also, evenly chosen.")] = 24,
+    licence: Annotated[str, typer.Option(help="License of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
-    ignore: Annotated[
-        str, typer.Option(help="True classes that neither teach nor count, with commas.", metavar="CLASSES")
-    ] = "",
+    ignore: Annotated[str, typer.Option(help="True classes to ignore, separated by commas.", metavar="CLASSES")] = "",
     confidence: Annotated[
-        float, typer.Option(min=0, max=0.99, help="The head leaves pixels of lower probability unlabelled.")
+        float, typer.Option(min=0, max=0.99, help="Pixels of lower probability stay unlabelled.")
     ] = 0.4,
     tree_contrast: Annotated[
-        float, typer.Option(min=0, help="The head withdraws tree of lower contrast, 8-bit steps, among more shrub.")
+        float, typer.Option(min=0, help="Minimum contrast (8-bit steps) of tree among more shrub.")
     ] = 0.0,
     ridge: Annotated[
         float,
-        typer.Option(
-            min=1e-6, help="Penalty on what coarse maps say of the classes: less for photos of dozens of places."
-        ),
+        typer.Option(min=1e-6, help="Penalty on coarse features; use less with photos of dozens of places."),
     ] = 1.0,
     rarity: Annotated[
-        float, typer.Option(min=0, max=1, help="A class counts in a photo as its area's share to this power.")
+        float, typer.Option(min=0, max=1, help="Exponent of a class's area share that weights it in a photo.")
     ] = 0.8,
     overlays: Annotated[
         Path | None,
-        typer.Option(help="Draw the answer to each photo held out beside its truth, PNG.", callback=writable_folder),
+        typer.Option(help="Draw the labels of held-out photos beside the truth (PNG).", callback=writable_folder),
     ] = None,
     json_path: JsonFile = None,
 ) -> None:
-    """Teach a head to PHOTOS, judge it by sites that did not teach it, and install it where it is better.
+    """Train a label head on PHOTOS, evaluate it on held-out sites, and install it if it is better.
 
-    How sure its labels are and how they err is measured on the photos held out, and written with it. Without --out as a
-    path it is kept among the user's own models, where a camera's `label_head: NAME` finds it.
+    The calibration and the confusion of its labels are measured on the held-out photos and written with it. Unless
+    --out is a path, the head goes to the user's models, and `label_head: NAME` of a camera selects it.
     """
     import platform
     import time
@@ -151,7 +147,7 @@ def head(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
     )
     scores = {"the network": trial.before, f"head {path.stem}, held out": trial.after}
-    console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
+    console.print(score_table(names, scores, f"{photos}: heads trained on the other sites"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
     part = path.with_name(f".{path.name}.part")
@@ -163,33 +159,34 @@ def head(
             others = evenly(read_frames(folder, len(names), sampled=True), limit)
             both = {"the network": segmenter, f"head {path.stem}": taught}
             elsewhere = {name: score_photos([one] * len(others), others) for name, one in both.items()}
-            console.print(score_table(names, elsewhere, f"{folder}, {len(others)} frames: what the head forgets"))
+            console.print(score_table(names, elsewhere, f"{folder}, {len(others)} frames: loss at other places"))
             figures[folder.resolve().name] = {name: score.summary(names) for name, score in elsewhere.items()}
         if json_path is not None:
             write_figures(json_path, figures)
         seconds = time.perf_counter() - start
         if not trial.better:
             raise ModelError(
-                f"head {path.stem!r} is not installed: on photos that did not teach it its macro F1 is "
-                f"{trial.after.macro_f1:.3f}, the network's own {trial.before.macro_f1:.3f}; name areas in photos of "
-                "more sites, and of every class"
+                f"head {path.stem!r} is not installed: its macro F1 on held-out photos is "
+                f"{trial.after.macro_f1:.3f}, that of the network alone {trial.before.macro_f1:.3f}; label photos "
+                "of more sites, with every class"
             )
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
     console.print(
         f"macro F1 {trial.before.macro_f1:.3f} -> {trial.after.macro_f1:.3f} in {seconds:.0f} s; written: {path}, "
-        f"{path.stat().st_size / 1000:.1f} kB. A camera takes it by `label_head: {path.stem}` in the site file",
+        f"{path.stat().st_size / 1000:.1f} kB. To use it, set `label_head: {path.stem}` of a camera in the site "
+        "file",
         highlight=False,
     )
 
 
-train = typer.Typer(no_args_is_help=True, help="Teach a label network a place from a few labelled photos.")
+train = typer.Typer(no_args_is_help=True, help="Train a label head for your site from a few labelled photos.")
 
 
 @train.callback()
 def _commands() -> None:
-    """Keep `head` a command of its own while it is the only one."""
+    """Keep `head` a subcommand while it is the only one."""
 
 
 train.command()(head)

@@ -1,4 +1,4 @@
-"""`ltm view`: shows a running graph in Rerun, or opens a recorded .rrd file."""
+"""`ltm view`: show a running graph in Rerun, or open a recorded .rrd file."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ if TYPE_CHECKING:
 
 
 def view(
-    site: Annotated[Path | None, typer.Option("--site", help="Site file: watch the graph that runs for it.")] = None,
-    rrd: Annotated[Path | None, typer.Option("--rrd", help="Recording to open instead.")] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="Site file of the running graph to show.")] = None,
+    rrd: Annotated[Path | None, typer.Option("--rrd", help="Rerun recording to open instead.")] = None,
     web: Annotated[
         bool | None,
-        typer.Option("--web/--native", help="Browser or window. Default: a window where there is a screen."),
+        typer.Option("--web/--native", help="Browser or window. Default: window, if there is a screen."),
     ] = None,
-    save: Annotated[Path | None, typer.Option("--save", help="Also write what is shown to this .rrd file.")] = None,
+    save: Annotated[Path | None, typer.Option("--save", help="Also write the view to this .rrd file.")] = None,
     screenshot: Annotated[
-        Path | None, typer.Option("--screenshot", help="With --rrd: write a PNG of the view, show nothing.")
+        Path | None, typer.Option("--screenshot", help="With --rrd: write a PNG of the view, open nothing.")
     ] = None,
     tab: Annotated[
-        str | None, typer.Option("--tab", help="With --screenshot: the tab to draw, by its name. Default: the first.")
+        str | None, typer.Option("--tab", help="With --screenshot: name of the tab to draw. Default: the first.")
     ] = None,
     overwrite: Overwrite = False,
     open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
-    """Show a site in Rerun: its graph while it runs, or a recording. Listens on loopback only; Ctrl-C ends it."""
+    """Show a running graph or a recording in Rerun. Listens on loopback only; Ctrl-C ends it."""
     from ltm_core.base.errors import ConfigError, RecordingError
     from ltm_core.storage.disk_io import require_files, require_folder
 
     if (site is None) == (rrd is None):
-        raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
+        raise ConfigError("give either --site (a running graph) or --rrd (a recording)")
     if tab is not None and screenshot is None:
-        raise ConfigError("--tab says what --screenshot draws: give --screenshot too")
+        raise ConfigError("--tab selects what --screenshot draws: give --screenshot, too")
     if screenshot is not None:
         require_files([screenshot], overwrite)
     if save is not None:
@@ -48,7 +48,7 @@ def view(
     in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():
-            raise RecordingError(f"{rrd}: no such recording; `ltm run --view` and `ltm view --save` write them")
+            raise RecordingError(f"{rrd}: no such recording; write one with `ltm run --view` or `ltm view --save`")
         if screenshot is not None:
             from ltm_ros.viewer.screenshot import screenshot as draw
 
@@ -58,7 +58,7 @@ def view(
         _show_file(rrd, in_browser, open_browser, web_port, grpc_port)
         return
     if screenshot is not None:
-        raise ConfigError("--screenshot takes a recording: give --rrd, not --site")
+        raise ConfigError("--screenshot needs a recording: give --rrd, not --site")
     assert site is not None  # nosec B101 # tells the type checker what holds
     _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
 
@@ -90,11 +90,11 @@ def _show_graph(
     wanted: dict[str, ParameterValue] = {"serve": True, "web_port": web_port, "grpc_port": grpc_port}
     if save is not None:
         wanted["save"] = str(save.resolve())
-    # A name of its own: the graph may run a viewer that writes a file.
+    # A separate name, because the graph may run a viewer that writes a file.
     node = replace(describe(site, path, view=wanted).node("viewer"), name="live_view", required=True)
     with Runner(Graph(site.name, (node,)), log_folder=new_log_folder(site.name)) as runner:
         if not _comes_up(runner, web_port):
-            raise ConfigError("the viewer node could not start; what it said stands above")
+            raise ConfigError("the viewer node could not start; its messages are above")
         if in_browser:
             _announce(web_url(web_port, grpc_port), open_browser)
             _until_ended(None, runner)
@@ -117,7 +117,7 @@ def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
 
 
 def _until_ended(process: RerunProcess | None, runner: Runner | None = None) -> None:
-    """Until the viewer is closed, its node is given up, or SIGINT, SIGTERM or SIGHUP comes; then end the viewer."""
+    """Wait until the viewer closes, its node fails, or SIGINT, SIGTERM or SIGHUP comes; then end the viewer."""
     import signal
     import threading
 

@@ -1,1 +1,1 @@
-"""`make demo` and `make demo-real`: run the live graph on a recording, score it and write a report."""
+"""Run `make demo` and `make demo-real`: replay a recording live, score it and write a report."""

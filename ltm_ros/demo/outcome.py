@@ -1,4 +1,4 @@
-"""Results of a demonstration run: pictures, the report, and the conditions under which it ran."""
+"""Write the results of a demo: images, the report, and the conditions of the run."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ltm_ros.fuel_map.pictures import canvas_of, seen_window
 from ltm_ros.recordings.recorded_run import RecordedFrame
 
 HEADING_STEP_DEG = 20.0
-"""Frames of a camera that look into directions at least so far apart are shown, the first of each."""
+"""Degrees by which viewing directions must differ for a further frame of a camera to be shown."""
 
 
 def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
-    """The first frame of every heading of every camera: a patrol returns to the same view again and again."""
+    """Return the first frame of each viewing direction of each camera, because a patrol repeats its views."""
     shown: list[RecordedFrame] = []
     for frame in frames:
         azimuth = frame.pose.angles_deg[0]
@@ -42,12 +42,12 @@ def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
 
 
 def range_scale(frames: Sequence[RecordedFrame]) -> RangeScale:
-    """One colour scale for all frames of a run, fitted to what they see."""
+    """Return one colour scale for all frames of a run, fitted to their ranges."""
     return RangeScale.of(np.concatenate([frame.depth[::8, ::8].ravel() for frame in frames]))
 
 
 def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: RangeScale) -> list[CameraPictures]:
-    """Photo, depth and labels of each frame, for the report."""
+    """Return photo, depth and labels of each frame, for the report."""
     return [
         CameraPictures.of(
             frame.camera_name,
@@ -71,7 +71,7 @@ def map_picture(
     labels: LabelSet,
     changed: BoolArray | None = None,
 ) -> RgbImage:
-    """The fuel map over relief with the cameras and the sectors that they looked into, changed cells outlined."""
+    """Draw the fuel map over relief with the cameras and their sectors, changed cells outlined."""
     named: set[str] = set()
     cameras = []
     for frame in frames:
@@ -91,7 +91,7 @@ def fuel_sheets(
     frames: Sequence[RecordedFrame],
     palette: LabelSet,
 ) -> dict[str, Sheet]:
-    """What the fuel map says and how surely, what has changed in it, and who saw what of it, by file name."""
+    """Draw images of the fuel map, its confidence, its changes and its coverage, by file name."""
     spots = {
         f.camera_name: CameraMark(f.camera_name, float(f.pose.position[0]), float(f.pose.position[1])) for f in frames
     }
@@ -101,19 +101,19 @@ def fuel_sheets(
     changed = int((before.code != after.code).sum())
     return {
         "fuel_layers": Sheet(
-            "How sure the map is",
+            "Confidence of the map",
             fuel_sheet(whole, after, palette),
-            "Life forms and fuel models of all cells, the doubt that is left, and how many cameras see each.",
+            "Life forms and fuel models of all cells, remaining uncertainty, and number of cameras that see each cell.",
         ),
         "fuel_change": Sheet(
             "Before and after",
-            change_sheet(part, before, after, palette, ("prior map", "with what the cameras saw")),
-            f"The map that the run started from, and the one it ended with; {changed:,} cells have changed.",
+            change_sheet(part, before, after, palette, ("prior map", "with evidence from cameras")),
+            f"Fuel map at the start and at the end of the run; {changed:,} cells have changed.",
         ),
         "fuel_coverage": Sheet(
             "Coverage",
             coverage_sheet(part, coverage),
-            "In how many frames each camera saw a cell, and how much ground lay under one of its pixels at best.",
+            "Number of frames in which each camera saw a cell, and the smallest ground footprint of one pixel.",
         ),
     }
 
@@ -124,9 +124,9 @@ def write_pictures(
     fuel_map: RgbImage,
     labels: LabelSet,
     scale: RangeScale,
-    title: str = "fuel map of all frames and cameras",
+    title: str = "fuel map from all cameras",
 ) -> None:
-    """PNG files: an overview of the frame that looks deepest into the land, the map, and every frame's sheet."""
+    """Write PNG files: an overview of the frame with the largest span of depths, the map, and each frame's images."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
     deepest = max(frames, key=_depth_span)
@@ -144,14 +144,14 @@ def write_pictures(
 
 
 def _depth_span(frame: RecordedFrame) -> float:
-    """How many octaves the middle nine tenths of the depths span."""
+    """Return how many octaves the middle 90 % of the depths span."""
     known = frame.depth[np.isfinite(frame.depth)]
     low, high = np.percentile(known, (5, 95)) if known.size else (1.0, 1.0)
     return float(np.log2(high / low))
 
 
 def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str, width: int = 640) -> RgbImage:
-    """The sheet's pictures in a column, and beside them the map at the same height."""
+    """Return the images of a frame in a column, beside the map at the same height."""
     left = panel(sheet, columns=1, width=width)
     titled = panel([(title, fuel_map)], columns=1, width=width)
     margin = titled.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
@@ -166,16 +166,16 @@ def _padded(picture: RgbImage, height: int) -> RgbImage:
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
 
 
-LAYOUTS = {"node": "one process a node", "site": "one process for the nodes of all cameras"}
+LAYOUTS = {"node": "one process per node", "site": "one process for the nodes of all cameras"}
 
 
 def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
-    """What a reader must know to judge the figures."""
+    """Return the conditions of the run, for the report."""
     return [
         ("site", f"{site.name}: {len(site.cameras)} camera{'s' * (len(site.cameras) != 1)}, {site.crs}"),
         ("frames", str(frames)),
         ("network", site.model),
         ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
-        ("wall time", f"{seconds:.0f} s, start of the graph included"),
+        ("wall time", f"{seconds:.0f} s, including the start of the graph"),
         ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
     ]

@@ -1,6 +1,7 @@
-"""`make demo-real`: runs a real photo with surveyed control points through the live graph.
+"""Run `make demo-real`: a real photo with surveyed control points through the live graph.
 
-For each control point: how far the point that the graph traced for its pixel lies from where it was surveyed.
+For each control point, it measures the distance between the surveyed point and the point that the graph traced for its
+pixel.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from ltm_ros.runtime.diagnostics import NodeRow, node_rows
 PHOTO = "IMG_8902.jpg"
 CONTROL_POINTS = "gcp8902.csv"
 OCCLUDED_BEYOND = 5.0
-"""Metres by which the terrain on the line of sight may miss a surveyed point before the DEM counts as hiding it."""
+"""Metres by which the terrain on the line of sight may miss a surveyed point before it counts as hidden by the DEM."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def run_real_demo(
     site = load_site(site_path)
     folder = site.dem.path.parent
     if not (folder / PHOTO).is_file():
-        raise RecordingError(f"{folder / PHOTO}: the real photo is not here; it is not part of the repository")
+        raise RecordingError(f"{folder / PHOTO}: the real photo is missing; it is not part of the repository")
     labels = LabelSet.load(config_path(site.labels))
     out.mkdir(parents=True, exist_ok=True)
     import_photos([folder / PHOTO], out / "imported", poses, site)
@@ -79,7 +80,7 @@ def run_real_demo(
     seconds = time.monotonic() - started
     frames = list(recorded_frames(out / "recording", site))
     if not frames:
-        raise RecordingError(f"the graph sent no depth and labels for {PHOTO}; see {out / 'log'}")
+        raise RecordingError(f"the graph published no depth and labels for {PHOTO}; see {out / 'log'}")
     dem = site.open_dem()
     points = control_points(folder / CONTROL_POINTS, frames[0], dem, site)
     nodes = node_rows(summaries)
@@ -110,7 +111,7 @@ def run_real_demo(
 
 
 def control_points(path: Path, frame: RecordedFrame, dem: Dem, site: Site) -> list[ControlPoint]:
-    """Each control point of the file against the point traced for its pixel. The file counts pixels from 1."""
+    """Compare each control point of the file with the point traced for its pixel. The file counts pixels from 1."""
     traced = RangeImage.from_depth(frame.depth, frame.camera, frame.pose, site.bend).points()
     tracer = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground)
     x0, y0 = site.origin
@@ -130,7 +131,7 @@ def control_points(path: Path, frame: RecordedFrame, dem: Dem, site: Site) -> li
 
 
 def medians(points: list[ControlPoint]) -> tuple[float, float]:
-    """Median distance in metres over all points, and over those that the DEM does not hide."""
+    """Return the median distance in metres over all points, and over those that the DEM does not hide."""
     everything = [p.distance for p in points]
     clear = [p.distance for p in points if not p.hidden]
     return float(np.median(everything)), float(np.median(clear)) if clear else float("nan")
@@ -143,8 +144,8 @@ def _table(points: list[ControlPoint]) -> Table:
     ]
     over_all, over_clear = medians(points)
     note = (
-        f"Median distance {over_all:.2f} m over all {len(points)} points, {over_clear:.2f} m over those that the DEM "
-        f"does not hide. Hidden: on the line of sight from the camera the DEM's surface misses the surveyed point by "
-        f"more than {OCCLUDED_BEYOND:g} m."
+        f"Median distance {over_all:.2f} m over all {len(points)} points, {over_clear:.2f} m over points that the "
+        f"DEM does not hide. Hidden: on the line of sight, the DEM's surface is more than {OCCLUDED_BEYOND:g} m "
+        "from the surveyed point."
     )
     return Table("Control points", ("point", "u, px", "v, px", "range, m", "distance, m", "hidden"), rows, note)

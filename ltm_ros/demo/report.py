@@ -1,4 +1,4 @@
-"""Write the report of the demo: pictures, tables of errors against truth, and conditions."""
+"""Write the report of the demo: images, tables of errors against truth, and conditions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ltm_ros.pages.render import render_page
 from ltm_ros.runtime.diagnostics import NodeRow
 
 MAX_WIDTH = 1280
-"""Pixels; wider pictures are embedded smaller."""
+"""Maximum width of embedded images in pixels."""
 NOTHING = "\N{EN DASH}"
 
 
@@ -54,7 +54,7 @@ class CameraPictures:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of its own section, such as control points: numbers are set to the right."""
+    """A table in a section of its own, such as control points; numbers are aligned to the right."""
 
     title: str
     columns: Sequence[str]
@@ -64,7 +64,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A picture under a heading of its own."""
+    """An image under a heading of its own."""
 
     title: str
     picture: RgbImage
@@ -73,11 +73,11 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything the report shows; sections without data are left out.
+    """Contents of the report; sections without data are omitted.
 
-    `conditions`: what ran, as (name, value). `depth`: as `DepthTally.scores` gives it, the last over all ranges.
-    `label_set`, `scale`: what the pictures were drawn with, for their legends; the confusions are of these classes.
-    `recording`: the .rrd file's name, `files`: (name, what it is).
+    `conditions`: of the run, as (name, value). `depth`: as `DepthTally.scores` returns it, the last over all ranges.
+    `label_set`, `scale`: of the images, for their legends; the confusions are of these classes. `recording`: the .rrd
+    file's name, `files`: (name, description).
     """
 
     title: str
@@ -106,7 +106,7 @@ def write_report(path: Path | str, data: ReportData) -> Path:
 
 
 def render_report(data: ReportData) -> str:
-    """The report's HTML."""
+    """Return the report's HTML."""
     names = [str(name) for name in data.label_set.names] if data.label_set is not None else []
     colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
     return render_page(
@@ -124,7 +124,7 @@ def render_report(data: ReportData) -> str:
 
 
 def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
-    """The figures that stand first: (name, value, remark)."""
+    """Return the main figures: (name, value, remark)."""
     dropped = sum(node.dropped for node in data.nodes)
     lost = "nothing lost" if dropped == 0 else "see the table"
     tiles = [("Messages dropped", _count(dropped), lost)] if data.nodes else []
@@ -137,17 +137,19 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
         overall = data.depth[-1]
         tiles.append(("Depth error", f"{_number(overall.median)} m", f"median of {_count(overall.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
-        tiles.append(("Labels right", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
+        tiles.append(("Correct labels", _percent(data.labels.accuracy), f"mean IoU {_percent(data.labels.mean_iou)}"))
     if data.fuel is not None:
         share = data.fuel.right / data.fuel.seen if data.fuel.seen else math.nan
         tiles.append(
-            ("Fuel cells right", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
+            ("Correct fuel cells", _percent(share), f"{_count(data.fuel.right)} of {_count(data.fuel.seen)} seen")
         )
     return tiles
 
 
 def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
-    """The classes that occur, as rows of (count, share of its row, is right); more columns than rows: unlabelled."""
+    """Return the confusion of the occurring classes, as rows of (count, share of its row, is correct); an additional
+    column holds unlabelled pixels.
+    """
     classes, predicted = counts.shape
     names = [*names, *map(str, range(len(names), classes))]
     heads = [*names[:classes], *["unlabelled"] * (predicted - classes)]
@@ -228,9 +230,9 @@ def depth_table(score: RunScore) -> Table | None:
     )
     sources = {row.source for row in score.depth}
     if any(row.against == SHARED for row in score.depth):
-        note += " Shared: against the surface, on pixels where every source has a depth, so that sources compare."
+        note += "Shared: against the surface, on pixels where every source has a depth, to compare the sources."
     if "network" in sources:
-        note += " Network: its own depth at the scale that the terrain gave it; published where that fit was sound."
+        note += "Network: its own depth, scaled by the terrain; published where the fit was sound."
     return Table(
         "depth", ("source, against", "true depth", "pixels", "RMSE m", "MAE m", "median m", "bias m"), rows, note
     )
@@ -242,11 +244,11 @@ def fuel_maps_table(score: RunScore) -> Table | None:
     rows = [(name, one.seen, one.right, percent(one.right / max(1, one.seen))) for name, one in maps if one is not None]
     if len(rows) < 2:
         return None
-    note = "Cells that a recorded frame voted in; life form against the true one."
+    note = "Cells with votes from recorded frames; estimated life form against the true one."
     if (changes := score.fuel_changes) is not None:
         found, false = changes.found, changes.false_flips
         note += (
-            f" Of {found.of:,} cells that are no more what the prior says the map has found {found.count:,}, of "
-            f"{false.of:,} that are it has changed {false.count:,}."
+            f"Of {found.of:,} cells that differ from the prior, the map detected {found.count:,}; of {false.of:,} "
+            f"unchanged cells it changed {false.count:,}."
         )
     return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)

@@ -32,9 +32,9 @@ PARTS = ("east, m", "north, m", "up, m", "azimuth, deg", "pitch, deg", "roll, de
 
 @dataclass(frozen=True, eq=False)
 class RecordedPoseErrors:
-    """`errors`: (N, 6) told minus true, metres and degrees in the order of PARTS. `sigmas`: (N, 6) that the recording
-    states, NaN where it states none; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a
-    true pose of their stamp."""
+    """`errors`: (N, 6) stated minus true, metres and degrees in the order of PARTS. `sigmas`: (N, 6) as stated, NaN if
+    not; of azimuth, pitch and roll about their own axes. `unmatched`: frames without a true pose of their stamp.
+    """
 
     errors: Float64Array
     sigmas: Float64Array
@@ -42,13 +42,15 @@ class RecordedPoseErrors:
 
     @property
     def azimuth_deg(self) -> tuple[float, float]:
-        """Median and largest of the absolute errors."""
+        """Return median and maximum of the absolute errors."""
         off = np.abs(self.errors[:, 3])
         return float(np.median(off)), float(off.max())
 
 
 def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseErrors:
-    """Of all cameras, joined by camera and stamp. Raises RecordingError where no frame has a true pose."""
+    """Return the errors of all cameras, joined by camera and stamp. Raises RecordingError if no frame has a
+    true pose.
+    """
     told, truth = recorded_poses(bag, site), recorded_poses(true, site)
     errors, sigmas = [], []
     for key in sorted(told.keys() & truth.keys()):
@@ -66,7 +68,7 @@ def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseError
 
 
 def recorded_poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
-    """Of all cameras by camera and stamp: the pose in the map frame, and the covariance (6, 6) that it states."""
+    """Return the poses of all cameras by camera and stamp: in the map frame, with the stated covariance (6, 6)."""
     stream = FrameStream.open(bag, site, {"pose": ((POSE, _stated),)})
     return {(frame.camera_name, frame.stamp_ns): frame.take("pose") for frame in stream.frames()}
 
@@ -78,12 +80,12 @@ def _stated(message: Any) -> tuple[Pose, Float64Array | None]:
 DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
 SHARED = "visible surface, shared pixels"
-"""The pixels of frames for which every source has a depth: sources are compared on them."""
+"""Pixels for which every source has a depth; used to compare the sources."""
 
 
 @dataclass(frozen=True)
 class DepthRow:
-    """One source of depth against one truth; `scores`: by range, then over all. `coverage`: see DepthTally."""
+    """One source of depth compared with one truth; `scores`: by range, then over all. `coverage`: see DepthTally."""
 
     source: str
     against: str
@@ -104,11 +106,11 @@ class RunScore:
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
     fuel_vote: FuelScore | None = None
-    """The paper's majority vote of the same frames' votes, on the same cells."""
+    """Scores of a majority vote over the same votes and cells."""
     fuel_prior: FuelScore | None = None
-    """The map that the system started from, on the same cells."""
+    """Scores of the prior map on the same cells."""
     fuel_changes: MapScore | None = None
-    """What has changed of that map, on the same cells."""
+    """Detected and false changes on the same cells."""
     lacking: list[str] = field(default_factory=list)
 
 
@@ -167,9 +169,7 @@ class RunTally:
         have = {part for _, part in self._stream.counts}
         lacking = []
         if score.frames == 0:
-            lacking.append(
-                "all that is scored on frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)"
-            )
+            lacking.append("all scores of frames: the bag has no truth/depth (`ltm-lab simulate --bag` writes it)")
         for name, topic in DEPTH_SOURCES.items():
             if name not in have:
                 lacking.append(f"depth, {name}: the bag has no {topic.name}")
@@ -185,10 +185,10 @@ class RunTally:
 
 @dataclass(frozen=True)
 class FuelScores:
-    """Scores over the cells that a recorded frame voted in; None if the bag or the site lacks the data.
+    """Scores over the cells with votes in a recorded run; None if the bag or the site lacks the data.
 
-    `vote`: the majority vote of the same votes. `prior`: the map that the system started from. `changes`: what the map
-    has changed of it."""
+    `vote`: the majority vote of the same votes. `prior`: the map at the start. `changes`: changes of that map.
+    """
 
     fuel: FuelScore | None = None
     vote: FuelScore | None = None

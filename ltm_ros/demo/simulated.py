@@ -1,4 +1,4 @@
-"""`make demo`: runs the recording of two simulated towers through the live graph and scores it against its truth."""
+"""Run `make demo`: replay the recording of two simulated towers live and compare it with its truth."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class DemoResult:
 
     @property
     def depth(self) -> DepthRow:
-        """Of the best source of depth that the run has, against the visible surface."""
+        """Return the scores of the best available depth, against the visible surface."""
         rows = {row.source: row for row in self.score.depth if row.against == "visible surface"}
         if not rows:
-            raise RecordingError(f"{self.score.bag}: no depth came out of the graph")
+            raise RecordingError(f"{self.score.bag}: the graph published no depth")
         return rows.get("fused") or rows["traced"]
 
 
@@ -93,7 +93,7 @@ def run_demo(
     after = evidence.layers()
     fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels), after.changed)
     scale = range_scale(shown)
-    outlined = "fuel map of all frames and cameras; outlined: no longer the prior map's"
+    outlined = "Fuel map from all cameras. Outlined: cells that differ from the prior map."
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
     coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
@@ -103,9 +103,10 @@ def run_demo(
     data = ReportData(
         title="LTM demonstration",
         summary=(
-            "Two simulated fire-watch towers, replayed through the live ROS 2 graph. Depth is traced to an outdated "
-            "DEM, fused with a network's depth, and scored against the visible surface, vegetation included; labels "
-            "come from the default network; the fuel map weighs the evidence of all frames and cameras."
+            "Two simulated fire-watch towers, replayed through the live ROS 2 graph. Depth is traced to an "
+            "outdated DEM, fused with a network's depth, and compared with the visible surface (including "
+            "vegetation). Labels come from the default network. The fuel map combines the evidence of all frames "
+            "and cameras."
         ),
         conditions=conditions(site, seconds, score.frames),
         nodes=result.nodes,
@@ -120,14 +121,14 @@ def run_demo(
         recording="demo.rrd",
         tables=[table for table in (depth_table(score), fuel_maps_table(score)) if table is not None],
         files=(
-            ("fuel_map.tif", "class indices per 30 m cell, 255 unseen"),
+            ("fuel_map.tif", "class indices per 30 m cell, 255 not seen"),
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),
-            ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, in fuel models of Scott and Burgan"),
+            ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, with Scott and Burgan fuel models"),
             ("landscape.tif", "the same as a GeoTIFF of eight bands, for FlamMap 6.2 and IFTDSS"),
-            ("walk/", "bags of a walk with a phone: as its sensors say, as its pictures do, and their maps"),
+            ("walk/", "bags of a walk with a phone, with poses from sensors and from photos, and their maps"),
             ("state/", "the fuel map's store: evidence, counted frames, history"),
             ("demo.rrd", "the run in Rerun"),
-            ("pictures/", "the pictures of this page"),
+            ("pictures/", "the images of this page"),
             ("log/", "each node's output"),
         ),
     )

@@ -1,4 +1,4 @@
-"""The part of `make demo` that is a person: photos of a walk with a phone, whose poses are found in the pictures."""
+"""Run the walk of `make demo`: photos taken with a phone, whose poses are found in the photos."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 
 PHONE = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
-"""What the recording does not tell: its lens, and how high it was held."""
+"""Lens of the phone and height above ground, which the recording lacks."""
 _WIDTH = 1000
 _COLORS = ((205, 40, 40), (0, 130, 220), (25, 25, 25), (240, 150, 0))
 _SHARE = 0.11
-"""Of the map's width: how long an arrow is."""
+"""Length of an arrow as a share of the map's width."""
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 
 @dataclass(frozen=True, eq=False)
 class WalkMap:
-    """What the graph makes of the walk with poses of one kind.
+    """Result of the walk with poses of one kind.
 
-    `errors`: of these against the true ones. `cells`: that labels were placed in. `known`: of those, where there is a
-    truth; `right`: where the most frequent label is the truth's.
+    `errors`: of these poses. `cells`: cells with labels. `known`: of those, with truth; `right`: with the correct most
+    frequent label.
     """
 
     poses: str
@@ -58,8 +58,9 @@ class WalkMap:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """`maps`: of the phone's poses, of those found in the pictures, of the true ones. `accepted`: poses that were
-    found."""
+    """`maps`: for the phone's poses, those found in the photos, and the true ones. `accepted`: poses that
+    were found.
+    """
 
     photos: int
     accepted: int
@@ -79,7 +80,7 @@ def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Wal
     )
     import_photos(log, out / "phone", site=site, assumed=PHONE)
     import_photos([walk / "photos"], out / "true", walk / "true_poses.csv", site)
-    kinds = (("phone", "of the phone's sensors"), ("found", "found in the pictures"), ("true", "true"))
+    kinds = (("phone", "of the phone's sensors"), ("found", "found in the photos"), ("true", "true"))
     maps, directions = [], {}
     for name, title in kinds:
         options = ReplayOptions(record=out / f"{name}_map")
@@ -92,22 +93,22 @@ def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Wal
 
 
 def walk_sheet(walk: Walk) -> Sheet:
-    """The walk's part of the report."""
+    """Return the walk's section of the report."""
     phone, found, _ = walk.maps
     (told, _), (refined, _) = phone.errors.azimuth_deg, found.errors.azimuth_deg
     share = [row.right_percent for row in walk.maps]
     return Sheet(
         "A walk with a phone",
         walk.picture,
-        f"{walk.photos} simulated photos. The phone's compass is off by {told:.1f}° in the median. {walk.accepted} "
-        f"poses were found in the pictures; they say how far off the compass is in the others, too: then it is "
-        f"{refined:.1f}°. Labels are right in {share[0]:.0f} % of the cells by the phone's poses, in {share[1]:.0f} % "
-        f"by those that were found, and in {share[2]:.0f} % by the true ones.",
+        f"{walk.photos} simulated photos. The median compass error of the phone is {told:.1f}°. {walk.accepted} "
+        f"poses were found in the photos; their compass errors correct the others, to a median of {refined:.1f}°. "
+        f"Correct labels: {share[0]:.0f} % of the cells with the phone's poses, {share[1]:.0f} % with the found "
+        f"poses, {share[2]:.0f} % with the true poses.",
     )
 
 
 def _directions(bag: Path, site: Site) -> Float64Array:
-    """(N, 3): x, y in the map frame and azimuth in degrees."""
+    """Return (N, 3): x, y in the map frame and azimuth in degrees."""
     poses = [pose for pose, _ in recorded_poses(bag, site).values()]
     return np.array([[*pose.position[:2], pose.angles_deg[0]] for pose in poses])
 
@@ -131,7 +132,7 @@ class _Kinds:
 
 
 def walk_map(dem: Dem, directions: Mapping[str, Float64Array]) -> RgbImage:
-    """Arrows over relief, (H, W, 3).
+    """Draw arrows over relief, (H, W, 3).
 
     `directions`: by the name of their kind, (N, 3): x, y in the map frame (m) and azimuth (degrees), at most four
     kinds; later ones are drawn over earlier ones.

@@ -1,1 +1,1 @@
-"""`ltm fire`: a fire on the previous and on the current fuel map, and the page that compares them."""
+"""`ltm fire`: simulate a fire on the previous and on the current fuel map, and write a page that compares them."""

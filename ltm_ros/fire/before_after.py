@@ -39,8 +39,8 @@ from ltm_ros.pages.render import render_page, write_figures
 
 @dataclass(frozen=True, eq=False)
 class MapPair:
-    """A map as it was and as it is. `draw`: makes the landscape of a draw; None: nothing is known of the doubt. `made`:
-    what the map says of itself; None: a file of which nothing is known.
+    """The previous and the updated map. `draw`: makes a random landscape; None: no probabilities are known. `made`: the
+    map's provenance; None: a file without any.
     """
 
     name: str
@@ -53,7 +53,7 @@ class MapPair:
 
 @dataclass(frozen=True, eq=False)
 class FireResult:
-    """`model`: that spread the fires. `seconds`: wall time of each, the two and then the draws."""
+    """`model`: name of the fire model. `seconds`: wall time of each fire, the two and then the draws."""
 
     effect: FireEffect
     model: str
@@ -61,23 +61,23 @@ class FireResult:
 
 
 def open_pair(source: Path, site: Path | None, before: Path | None, since: str | None) -> MapPair:
-    """Of a store (.ltm) with its site, as of `since` and now; or of two landscape files.
+    """Open a store (.ltm) with its site, as of `since` and now; or two landscape files.
 
     Raises LtmError: a store without site, a landscape without `before`, two of different grids.
     """
     if source.suffix == ".ltm":
         if site is None:
             raise ConfigError(
-                f"{source} needs the terrain and the prior fuel map of its site: name its file with --site"
+                f"{source} needs the terrain and the prior fuel map of its site: give the site file with --site"
             )
         if before is not None:
-            raise ConfigError(f"{source} knows what the map was: leave --before away, or give --since DATE")
+            raise ConfigError(f"{source} contains the earlier map: remove --before, or give --since DATE")
         return _of_store(source, site, since)
     if since is not None:
-        raise ConfigError("--since is for a store (.ltm), which keeps its history; of files, give --before")
+        raise ConfigError("--since needs a store (.ltm), which keeps its history; for files, give --before")
     if before is None:
         raise ConfigError(
-            f"{source} is one landscape: name the one as it was with --before, or give the store (.ltm) and --site"
+            f"{source} is a single landscape: give the earlier one with --before, or the store (.ltm) with --site"
         )
     now, was = read_landscape(source), read_landscape(before)
     require_same_grid(was, now, (before.name, source.name))
@@ -99,7 +99,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         made = map_.provenance(layers, terrain.version, None, system, now)
     assert evidence is not None
 
-    @cache  # for the first draw: without an ensemble nobody asks
+    @cache  # for the first draw: not needed without an ensemble
     def doubt() -> CellDoubt:
         return CellDoubt.of(layers, evidence.alpha(), evidence.rules.mask)
 
@@ -108,22 +108,24 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         codes = drawn_codes(doubt(), climate, system, rng, width, stand)
         return with_fuel(now, with_codes(layers, codes), prior, climate, seen)
 
-    earlier = "before any camera looked" if since is None else since
+    earlier = "prior map" if since is None else since
     return MapPair(site.name, earlier, was, now, draw, made)
 
 
 def run_fires(
     pair: MapPair, scenario: FireScenario, ensemble: int, seed: int, progress: Callable[[str], None]
 ) -> FireResult:
-    """Raises ConfigError for an ensemble of maps whose doubt is not known, and where there is no fire model."""
+    """Run the fires. Raises ConfigError for an ensemble of maps without probabilities, and if no fire model is
+    installed.
+    """
     if ensemble and pair.draw is None:
         raise ConfigError(
-            "an ensemble is drawn from what cameras have seen of each cell, which a landscape file does not hold: give "
-            "the store (.ltm) and --site, or leave --ensemble away"
+            "an ensemble needs the cell probabilities of a store (.ltm), which a landscape file lacks: give the "
+            "store and --site, or remove --ensemble"
         )
     cell, seconds, runs = pair.after.geometry.resolution, [], []
     with Pyretechnics() as model:
-        for name, landscape in (("as it was", pair.before), ("as it is", pair.after)):
+        for name, landscape in (("before the update", pair.before), ("after the update", pair.after)):
             progress(f"the fire on the map {name}")
             started = time.monotonic()
             runs.append(model.spread(landscape, scenario))
@@ -132,7 +134,7 @@ def run_fires(
         members, drawn = [], []
         for k in range(ensemble):
             assert pair.draw is not None
-            progress(f"drawn landscape {k + 1} of {ensemble}")
+            progress(f"random landscape {k + 1} of {ensemble}")
             landscape = pair.draw(np.random.default_rng([seed, k]))
             started = time.monotonic()
             run = model.spread(landscape, scenario)
@@ -150,13 +152,13 @@ def run_fires(
 
 FILES = ("index.html", "fire.png", "fire.tif", "fire.kmz", "fire.json")
 NO_FORECAST = (
-    "This is no forecast. One wind blows the whole time, nobody fights the fire, embers start no new ones, and the "
-    "moisture is what was assumed. It shows what the update of the map means for a fire model, and nothing else."
+    "This is no forecast. Wind and fuel moisture are constant and assumed, there is no suppression and no "
+    "spotting. It shows only how the update of the map changes the result of a fire model."
 )
 
 
 def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: FireResult) -> None:
-    """Everything of `FILES` into a folder. Raises ConfigError where it cannot be written."""
+    """Write all `FILES` into a folder. Raises ConfigError if it cannot be written."""
     out.mkdir(parents=True, exist_ok=True)
     effect, geometry = result.effect, pair.after.geometry
     start = scenario.row, scenario.col
@@ -166,13 +168,13 @@ def write_results(out: Path, pair: MapPair, scenario: FireScenario, result: Fire
     tags |= {name.replace(" ", "_"): value for name, value in told.items()} | {"note": NO_FORECAST}
     write_fire(out / "fire.tif", effect, geometry, tags)
     picture, legend = arrival_overlay(effect, pair.after)
-    title = f"a fire on the map of {pair.name} as it is, no forecast"
+    title = f"a simulated fire on the updated map of {pair.name}, no forecast"
     write_kmz(out / "fire.kmz", picture, geometry, title, legend, pair.made, "arrival of the fire")
     write_figures(out / "fire.json", figures(pair, scenario, result))
     page = render_page(
         "fire.html",
         {},
-        title=f"A fire on the map of {pair.name}, before and after",
+        title=f"A simulated fire on the map of {pair.name}, before and after its update",
         warning=NO_FORECAST,
         said=sentences(pair, result),
         areas=effect.areas(),
@@ -194,7 +196,7 @@ def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str
         "fire model": f"{result.model}, surface and crown fire (Rothermel; Cruz, Alexander and Wakimoto), no spotting",
         "fuel models": pair.after.system.value.upper(),
         "cells that changed": f"{int(result.effect.changed.sum()):,}".replace(",", " "),
-        "map as it was": pair.was,
+        "previous map": pair.was,
     }
     if result.effect.members:
         told["drawn landscapes"] = str(len(result.effect.members))
@@ -215,28 +217,30 @@ def figures(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[s
 
 
 def sentences(pair: MapPair, result: FireResult) -> list[str]:
-    """What the update changes, in plain words."""
+    """Return sentences about the effect of the update."""
     effect = result.effect
     last = effect.areas()[-1]
     contact, edge = effect.first_contact(), effect.after.reaches_edge()
     said = []
     if not effect.changed.any():
-        said.append("Nothing has changed on the map: both fires are the same.")
+        said.append("The map has not changed: both fires are the same.")
     elif contact is None:
-        said.append("The fire does not come to any cell that has changed: what was updated does not matter to it.")
+        said.append("The fire does not reach any changed cell, so the update has no effect on it.")
     else:
         more = last.after - last.before
-        word, now = "more" if more > 0 else "less", f"{last.after:.0f} ha on the map as it is"
+        word, now = "more" if more > 0 else "less", f"{last.after:.0f} ha on the updated map"
         said.append(
-            f"The fire comes to changed fuel after {contact:.1f} h. After {last.hours:g} h it has burned {now}, "
-            f"{abs(more):.0f} ha {word} than on the map as it was ({last.before:.0f} ha)."
+            f"The fire reaches changed fuel after {contact:.1f} h. After {last.hours:g} h it has burned {now}, "
+            f"{abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
         )
     if edge is not None:
-        said.append(f"It reaches the edge of the landscape after {edge:.1f} h; from then on hectares are too few.")
+        said.append(
+            f"It reaches the edge of the landscape after {edge:.1f} h; after that, the burned area is too small."
+        )
     if last.ensemble is not None:
         low, middle, high = last.ensemble
         said.append(
-            f"Of {len(effect.members)} landscapes drawn from what is known of the fuel, eight in ten burn {low:.0f} to "
-            f"{high:.0f} ha ({middle:.0f} in the middle): that is what the doubt about fuel means for this fire."
+            f"Of {len(effect.members)} landscapes drawn from the fuel probabilities, 80 % burn {low:.0f} to "
+            f"{high:.0f} ha (median {middle:.0f}): this is the effect of the uncertain fuel on this fire."
         )
     return said

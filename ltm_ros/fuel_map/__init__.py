@@ -1,1 +1,1 @@
-"""Parts of the node `fuel_map` (persistence, publisher, services, changes of the terrain), and pictures of the map."""
+"""Parts of the node `fuel_map` (persistence, publisher, services, terrain changes), and images of the map."""

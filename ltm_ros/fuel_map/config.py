@@ -18,22 +18,25 @@ from ltm_ros.runtime.stamp_join import MAX_AHEAD_S, MAX_BEHIND_S
 
 class FuelMapConfig(NodeConfig):
     folder: str = ""
-    """Where the map is kept from run to run, and written on request; relative to the site file. Empty: the map ends
-    with the node. Never taken from the wire."""
+    """Folder in which the map is kept between runs and written on request, relative to the site file. Empty: not kept.
+    Never set by a message.
+    """
     export_path: str = ""
     """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
     accept_unknown_cameras: bool = False
-    """Count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
+    """Whether to count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
     allow_clear_and_burn: bool = False
-    """Serve `fuel_map/clear` and `fuel_map/burn`, with which anybody in the graph forgets or burns what it knows."""
+    """Whether to serve `fuel_map/clear` and `fuel_map/burn`, with which any node in the graph can delete or burn the
+    map's evidence.
+    """
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
+    """Maximum seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Seconds by which a frame may be late."""
+    """Maximum seconds by which a frame may be late."""
 
 
 def compile_kernels(site: Site, labels: LabelSet) -> None:
-    """Also those that only the looks of a network's cells need."""
+    """Compile the kernels, including those for a network's two-scale inference."""
     one = np.ones(1, np.float32)
     cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
     tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)

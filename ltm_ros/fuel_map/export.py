@@ -1,4 +1,4 @@
-"""Writes a site's fuel map in a format of fire models, GIS, globes or pictures, and says of itself what it is."""
+"""Write a site's fuel map in a format of fire models, GIS, globes or images, with its provenance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PICTURES = ("png", "change", "coverage")
 
 
 def sidecars(out: Path, kind: str) -> list[Path]:
-    """The files that come to stand beside `out`; QGIS styles are only written over where they are ours."""
+    """Write the files beside `out`; existing QGIS styles are replaced only if we wrote them."""
     beside = {"landscape": [item_path(out)], "kmz": [item_path(out)]}
     beside["lcp"] = [item_path(out), out.with_suffix(".prj")]
     return beside.get(kind, [])
@@ -34,7 +34,7 @@ def sidecars(out: Path, kind: str) -> list[Path]:
 def export_site(
     map_: FuelSource, out: Path, crs: str | None, kind: str, system: str, as_of: str | None, since: str | None
 ) -> tuple[GridGeometry, list[str]]:
-    """Everything that needs more than the label map; the grid of what was written, and what is to be told of it.
+    """Export everything that needs more than the label map; return the written grid and notes for the user.
 
     `kind`: of `ltm export --format`. Raises LtmError.
     """
@@ -105,14 +105,14 @@ def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str 
     dem, grid, bounds = map_.site.open_dem(), map_.site.in_map(map_.geometry), None
     places = places_of(map_.site, dem)
     if kind == "change":
-        # What cameras have seen: of a large prior, changed cells would be dots.
+        # Show the cells with evidence: on a large prior, changed cells would be dots.
         touched = (map_.layers.last_seen > 0) | map_.layers.changed
         bounds = seen_window(grid, touched, places) if touched.any() else None
     canvas = canvas_of(map_.site, dem, grid, places, bounds)
     if kind == "png":
         sheet = fuel_sheet(canvas, layers, palette)
     elif kind == "change":
-        names = (since or "before any evidence", as_of or "now")
+        names = (since or "prior map", as_of or "now")
         sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
     else:
         coverage = map_.coverage()

@@ -1,4 +1,4 @@
-"""Life form and fuel code of the fuel map as of the last refresh: what is shown, and what the journal keeps."""
+"""Hold the life form and fuel code of each cell as of the last refresh, for display and for the journal."""
 
 from __future__ import annotations
 
@@ -27,32 +27,35 @@ class ShownLayers:
 
     @property
     def seen_cells(self) -> int:
-        """On which there is evidence."""
+        """Return the number of cells with evidence."""
         return int(self._seen.sum())
 
     @property
     def changed_cells(self) -> int:
-        """Whose code is not the prior's."""
+        """Return the number of cells whose code differs from the prior."""
         return int(self._changed.sum())
 
     def tells(self, window: Window) -> bool:
-        """Whether anything is known of a part of the map beyond the prior, or was at the last refresh."""
+        """Return whether a part of the map has evidence, or had some at the last refresh."""
         row, col, height, width = window
         part = slice(row, row + height), slice(col, col + width)
         return bool(self._seen[part].any() or self._changed[part].any())
 
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
-        """Decide these parts of the map anew; what has changed there."""
+        """Recompute these parts of the map; return what has changed."""
         return [change for window in _merged(windows) for change in self._refresh(window)]
 
     def refresh_all(self) -> list[CellChanges]:
-        """Time alone changes cells too: evidence decays, burns grow over."""
+        """Recompute everything, because time alone changes cells: evidence decays, and vegetation grows
+        back on burns.
+        """
         return self.refresh([(0, 0, *self._evidence.geometry.shape)])
 
     def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
-        """How the layers differ from what the journal makes of the `initial` ones, those without any evidence.
+        """Return how the layers differ from the `initial` ones (without evidence) with the journal applied.
 
-        It is found now, by a nanosecond after the latest frame: as of that frame, the map is what was shown then.
+        The differences are stamped one nanosecond after the latest frame, so that the map as of that frame stays as it
+        was shown.
         """
         found = []
         for name in JOURNALED:
@@ -85,7 +88,7 @@ class ShownLayers:
 
 
 def _merged(windows: Sequence[Window]) -> list[Window]:
-    """One window over all, unless they lie so far apart that it would be more than they are together."""
+    """Return one window over all, unless they are so far apart that it would be larger than their sum."""
     if len(windows) < 2:
         return list(windows)
     row, col = min(w[0] for w in windows), min(w[1] for w in windows)

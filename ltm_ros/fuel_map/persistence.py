@@ -1,4 +1,6 @@
-"""Keeps a fuel map and its store in step: frames count in memory at once and are acknowledged once they are on disk."""
+"""Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they
+are on disk.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,18 @@ from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, Backoff
 
 LOGGED_FRAMES = 1000
-"""Frames that wait in the store before its tiles are written: what opening it must count again at most."""
+"""Maximum number of frames in the store before its tiles are written; opening it counts them again."""
 LOGGED_BYTES = 64 << 20
 UNSAVED_FRAMES = 500_000
-"""Frames counted in memory alone, while the disk is away, before more are refused: three hours of 40 a second."""
+"""Maximum number of frames counted only in memory, while the disk fails, before more are rejected: three hours of 40
+per second.
+"""
 UNSAVED_BYTES = 256 << 20
-"""Of the same, where the store has not been opened yet, so that they must be counted again once it is."""
+"""The same in bytes, if the store has not been opened yet, so that the frames must be counted again."""
 SLOW_S = 1.0
-"""For one transaction; a disk that takes longer is about to fail, or is somebody else's too."""
+"""Seconds for one transaction above which a warning is given: the disk may be failing, or overloaded."""
 AGE_NS = 3600 * 10**9
-"""Of the map's own time, after which cells that no frame has touched are looked at again."""
+"""Map time in ns after which cells without new frames are recomputed."""
 
 
 class Counting(Enum):
@@ -36,14 +40,14 @@ class Counting(Enum):
 
     COUNTED = "counted"
     EMPTY = "empty"
-    """It says nothing of any cell, so there is nothing to keep: of these, any number push out no frame."""
+    """It has votes for no cell, so nothing is stored, and such frames displace no others."""
     DUPLICATE = "duplicate"
     TOO_OLD = "too_old"
 
 
 @dataclass(frozen=True)
 class CountedFrame:
-    """A frame that the map holds; `window`: what it may have changed, None for nothing."""
+    """A counted frame; `window`: cells that it may have changed, None for none."""
 
     record: FrameRecord
     window: Window | None
@@ -52,15 +56,13 @@ class CountedFrame:
 class FuelMapPersistence:
     """Counts frames into a map and keeps it in a store.
 
-    `settle` writes what was counted since the last time, in one transaction, and returns it: acknowledged is what
-    `settle` has returned. While the disk is away the map lives on in memory and nothing is acknowledged; once it is
-    back all of it is written.
+    `settle` writes what was counted since the last call, in one transaction, and returns the frames to acknowledge.
+    While the disk fails, the map continues in memory and nothing is acknowledged; afterwards everything is written.
 
-    Args:
-        make_map: the site's map without any evidence.
-        open_store: the store. A StoreError of it (disk full, folder not writable) lets it begin in memory; it
-            tries again, and counts what came meanwhile into what the store holds. A ConfigError ends it.
-        durable: whether the store outlives the process; if not, frames and tiles need not be in it.
+    Args: make_map: returns the site's map without evidence. open_store: returns the store. After a StoreError (disk
+    full, folder not writable) it starts in memory, tries again, and adds the frames counted meanwhile to the stored
+    map. A ConfigError ends it. durable: whether the store outlives the process; if not, frames and tiles need not be in
+    it.
     """
 
     def __init__(
@@ -75,34 +77,35 @@ class FuelMapPersistence:
         self.shown = ShownLayers(self.map)
         self.store: TileStore | None = None
         self.saved_frames = 0
-        """Frames acknowledged, since the store was made."""
+        """Frames acknowledged since the store was created."""
         self._initial = self.shown.copies()
         self._batch: list[CountedFrame] = []
         self._in_batch: set[tuple[str, int]] = set()
         self._unseen: tuple[str, int] | None = None
-        """What `seen` has last found in neither batch nor store: who asks before votes are decoded is not asked again
-        of the disk by `count`."""
+        """The last frame that `seen` found neither in the batch nor in the store, so that `count` need not query the
+        disk again.
+        """
         self._batch_bytes = 0
         self._unshown: list[Window] = []
         self._aged_ns = 0
         self._changes: list[CellChanges] = []
         self._dirty: set[Key] = set()
         self._keys: dict[Key, Key] = {}
-        """Tiles are named by the same objects in all frames: a long outage shall not fill the memory."""
+        """Shared names of tiles, so that a long outage does not fill the memory."""
         self._logged = self._logged_bytes = 0
         self.failure = ""
-        """What was wrong with the store at the last failure, in words."""
+        """The store's last error, in words."""
         self._failed = False
         self._pace = Backoff()
         self._open()
 
     @property
     def unsaved_frames(self) -> int:
-        """Frames counted in memory alone so far."""
+        """Return the number of frames counted only in memory."""
         return len(self._batch)
 
     def seen(self, source: str, stamp_ns: int) -> Counting | None:
-        """Why a frame must not be counted; None where it may be."""
+        """Return why a frame must not be counted; None if it may be."""
         if (source, stamp_ns) in self._in_batch:
             return Counting.DUPLICATE
         if self.store is not None and self.store.counted(source, stamp_ns):
@@ -111,18 +114,18 @@ class FuelMapPersistence:
         return None
 
     def stored(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame that must not be counted is on disk, so that it may be acknowledged once more."""
+        """Return whether an already counted frame is on disk, so that it may be acknowledged again."""
         in_memory = (source, stamp_ns) in self._in_batch
         return not in_memory and self.store is not None and self.store.counted(source, stamp_ns)
 
     def count(self, votes: CellVotes, model: str = "") -> Counting:
-        """Count a frame, once. Raises LtmError where it cannot be taken; nothing of it is counted then."""
+        """Count a frame, once. Raises LtmError if it is rejected; then nothing of it is counted."""
         asked = self._unseen == (votes.source, votes.stamp_ns)
         if not asked and (before := self.seen(votes.source, votes.stamp_ns)) is not None:
             return before
         if len(self._batch) >= UNSAVED_FRAMES or self._batch_bytes > UNSAVED_BYTES:
             raise StoreError(
-                f"the store has been away for {len(self._batch)} frames; no more are taken until it is back"
+                f"the store has not been writable for {len(self._batch)} frames; no more are accepted until it is"
             )
         payload = votes_to_bytes(votes) if self._durable and not self._failed else b""
         window = self.map.add(votes)
@@ -141,16 +144,16 @@ class FuelMapPersistence:
         window: Window | None = None,
         changes: Sequence[CellChanges] = (),
     ) -> None:
-        """Put other state in place of the map's, as when a region is cleared; the next `settle` writes it.
+        """Replace the state of tiles, such as when a region is cleared; the next `settle` writes it.
 
-        `source`, `stamp_ns`: on whose word, for the record of who touched what. `window`: what it changes. `changes`:
-        what else belongs into the journal.
+        `source`, `stamp_ns`: origin of the change, for the record. `window`: the changed cells. `changes`: further
+        entries of the journal.
         """
         for key, tile in tiles.items():
             self.map.load_tile(key, tile)
         self._dirty.update(tiles)
         self._changes += [*changes, *self.shown.refresh_all()]
-        self._logged = LOGGED_FRAMES + 1  # no payload could bring this state back
+        self._logged = LOGGED_FRAMES + 1  # no payload could restore this state
         if not source:
             return
         while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
@@ -160,26 +163,26 @@ class FuelMapPersistence:
             self._take(CountedFrame(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
 
     def wait(self, seconds: float) -> None:
-        """Time has passed: where the store was away, try it again now and then."""
+        """Advance time: retry a failed store periodically."""
         self._pace.passed(seconds)
         if self.store is None and self._pace.due:
             self._open()
 
     def show(self) -> list[Window]:
-        """Decide anew what `shown` tells where frames were counted; the parts of the map that this was of."""
+        """Recompute `shown` where frames were counted; return those parts of the map."""
         windows, self._unshown = self._unshown, []
         if self.map.newest_ns - self._aged_ns >= AGE_NS:
-            # Evidence fades and burns end where nobody looks, too.
+            # Evidence also decays, and burns end, where no camera sees them.
             self._aged_ns = self.map.newest_ns
             windows = [(0, 0, *self.map.geometry.shape)]
         self._changes += self.shown.refresh(windows)
         return windows
 
     def settle(self, write_tiles: bool = False, last: bool = False, show: bool = True) -> list[CountedFrame]:
-        """Show and write what was counted; what is acknowledged with it.
+        """Recompute `shown` and write what was counted; return the frames to acknowledge.
 
-        `write_tiles`: all that the map holds, at once also where the store was away. `last`: nothing comes after.
-        `show`: False where the caller calls `show` itself, less often; what is counted does not depend on it.
+        `write_tiles`: write the whole map, at once even after an outage. `last`: nothing follows. `show`: False if the
+        caller calls `show` itself, less often; this does not affect counting.
         """
         if show:
             self.show()
@@ -204,15 +207,15 @@ class FuelMapPersistence:
         if (took := time.monotonic() - begun) > SLOW_S:
             self._health.trouble(
                 "store_slow",
-                f"the disk took {took:.1f} s to keep {len(self._batch)} frames: look whether it fails (smartctl), or "
-                "who else writes to it",
+                f"the disk took {took:.1f} s to store {len(self._batch)} frames: check its health (smartctl), and "
+                "what else writes to it",
             )
         return self._succeed(bool(tiles))
 
     def close(self) -> list[CountedFrame]:
-        """Write all, trying for `LAST_TRIES_S`, and let go of the store; what is acknowledged with it.
+        """Write everything, trying for `LAST_TRIES_S`, and close the store; return the frames to acknowledge.
 
-        `unsaved_frames` are lost then: nobody was told of them, so they may be sent again.
+        `unsaved_frames` are lost then; they were not acknowledged, so they may be sent again.
         """
         self._changes += self.shown.refresh_all()
         until = time.monotonic() + LAST_TRIES_S
@@ -247,7 +250,7 @@ class FuelMapPersistence:
         return saved
 
     def _fail(self, error: LtmError) -> None:
-        """The next attempt writes tiles, so payloads need not be held."""
+        """Record a failure; the next attempt writes tiles, so payloads need not be kept."""
         self._failed, self.failure = True, str(error)
         self._pace.failed()
         self._batch = [CountedFrame(replace(c.record, payload=b""), c.window) for c in self._batch]
@@ -265,7 +268,7 @@ class FuelMapPersistence:
             self._unshown.append(counted.window)
 
     def _open(self) -> None:
-        """Begin with what the store holds; frames that have been counted without it are counted into that."""
+        """Load the store; frames that were counted without it are counted into its map."""
         store, self._unseen = None, None
         try:
             store = self._open_store()
@@ -277,7 +280,7 @@ class FuelMapPersistence:
             self.failure = str(error)
             self._pace.failed()
             self._health.trouble(
-                cause_of(error), f"{error}; the map begins empty, {len(self._batch)} frames are in memory only"
+                cause_of(error), f"{error}; the map starts empty, {len(self._batch)} frames are in memory only"
             )
             return
         self._pace.succeeded()

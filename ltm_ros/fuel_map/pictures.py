@@ -1,4 +1,4 @@
-"""Pictures of a site's fuel map, for exports and reports alike: its layers, cameras, window and past states."""
+"""Draw images of a site's fuel map, for exports and reports: layers, cameras, window and past states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ltm_core.storage.tile_store import TileStore
 
 
 def places_of(site: Site, dem: Dem) -> list[CameraMark]:
-    """The cameras whose place the site file gives, in the map frame."""
+    """Return the cameras with positions in the site file, in the map frame."""
     found = []
     for name, camera in site.cameras.items():
         if camera.pose is not None:
@@ -42,24 +42,26 @@ def canvas_of(
     bounds: tuple[float, float, float, float] | None = None,
     width: int = 760,
 ) -> FuelCanvas:
-    """For layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's CRS."""
+    """Return a canvas for layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's
+    CRS.
+    """
     shown = places_of(site, dem) if places is None else places
     return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin, width)
 
 
 def when(text: str) -> int:
-    """Nanoseconds of a date (its end) or a moment in ISO 8601, UTC unless it says otherwise. Raises ConfigError."""
+    """Parse a date (its end) or an ISO 8601 time, UTC by default, to nanoseconds. Raises ConfigError."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise ConfigError(f"{text!r} is no date; write 2026-05-31 or 2026-05-31T12:00:00Z") from error
+        raise ConfigError(f"{text!r} is not a date; give 2026-05-31 or 2026-05-31T12:00:00Z") from error
     moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
     end = 86400 if len(text) == len("2026-05-31") else 1
     return (int(moment.timestamp()) + end) * 10**9 - 1
 
 
 def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLayers:
-    """The map as the frames of up to a time had made it: codes and life forms; how sure it was then, is not kept.
+    """Return codes and life forms of the map as of a past time; confidences of past times are not stored.
 
     `empty`: the layers without any evidence.
     """
@@ -71,9 +73,10 @@ def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLaye
 def seen_window(
     geometry: GridGeometry, cells: BoolArray, places: Sequence[CameraMark]
 ) -> tuple[float, float, float, float]:
-    """Bounds of the marked cells (H, W) and the cameras with a margin of five cells; of all where there are none.
+    """Return the bounds of the marked cells (H, W) and the cameras, with a margin of five cells; of all cells if none
+    is marked.
 
-    Raises RasterError where shapes disagree.
+    Raises RasterError if shapes differ.
     """
     if cells.shape != geometry.shape:
         raise RasterError(f"cells of {cells.shape} do not fit a fuel grid of {geometry.shape}")
@@ -89,7 +92,7 @@ def seen_window(
 
 
 def coverage_of(votes: Iterable[CellVotes], geometry: GridGeometry) -> CoverageMap:
-    """How often and how finely each camera has seen each cell of a fuel grid, in the map frame."""
+    """Return how often and how finely each camera has seen each cell of a fuel grid, in the map frame."""
     coverage = CoverageMap(geometry)
     for one in votes:
         coverage.add(one)

@@ -1,4 +1,4 @@
-"""Publishes the fuel map: changed tiles, the whole map, and all its layers, each at a bounded rate."""
+"""Publish the fuel map: changed tiles, the whole map, and all its layers, each at a limited rate."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
 
 MAP_CELLS_PER_S = 1_000_000
-"""Of the latched map: a large one goes out less often than twice a second."""
+"""Cells per second of the latched map: a large map is published less often than twice a second."""
 CELLS_EVERY_S = 2.0
-"""Between messages of all layers, at least: they take ten times the map's time."""
+"""Minimum seconds between messages of all layers, which cost ten times as much as the map."""
 
 
 class FuelPublisher:
-    """Sends only what the persistence has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map frame."""
+    """Publishes only what the persistence has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map
+    frame.
+    """
 
     publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
 
@@ -33,7 +35,7 @@ class FuelPublisher:
         self._map_due = self._cells_due = True
 
     def announce(self, saved: list[CountedFrame]) -> None:
-        """Tell of frames that are in the store now."""
+        """Publish frames that are now in the store."""
         for counted in saved:
             if counted.window is not None:
                 self._map_due = self._cells_due = True
@@ -48,7 +50,7 @@ class FuelPublisher:
         self._health.gauge("unsaved_frames", unsaved)
 
     def tick(self, waited: float) -> None:
-        """Send the map and the layers where they are due."""
+        """Publish the map and the layers when they are due."""
         self._since_map += waited
         self._since_cells += waited
         pace = self._geometry.width * self._geometry.height / MAP_CELLS_PER_S
@@ -65,7 +67,7 @@ class FuelPublisher:
         self._outlet.publish(FUEL_MAP, classes_to_msg(shown.life_form, self._geometry, self._persistence.map.newest_ns))
 
     def send_cells(self) -> None:
-        """All layers of the cells that evidence has touched, while somebody listens."""
+        """Publish all layers of the cells with evidence, if the topic has subscribers."""
         if not self._outlet.wanted(FUEL_MAP_CELLS):
             return
         self._cells_due, self._since_cells = False, 0.0

@@ -1,4 +1,4 @@
-"""Services of the node `fuel_map`: query a point, mark a region burned, forget a region, write landscapes."""
+"""Serve requests of the node `fuel_map`: query a point, mark a region burned, clear a region, write landscapes."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ MOST_CORNERS = 1000
 
 
 def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x: float, y: float) -> dict[str, Any]:
-    """All that is known of the cell at map coordinates (x, y), and who has touched its tile, ready for JSON.
+    """Return everything known of the cell at map coordinates (x, y), and the sources of its tile, ready for JSON.
 
     Raises MessageError for a point outside the map.
     """
     geometry = evidence.geometry
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise MessageError(f"query at ({x}, {y}): a point has finite coordinates")
+        raise MessageError(f"query at ({x}, {y}): give finite coordinates")
     fractional = geometry.to_grid(x, y)
     row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in fractional)
     if not geometry.contains(row, col):
@@ -75,8 +75,8 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRegion:
-    """A part of the map that somebody has drawn: `cells` (H, W) whose centres lie inside, one or more; the stamp that
-    it came with, 0 none.
+    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp,
+    0 for none.
     """
 
     cells: BoolArray
@@ -84,27 +84,31 @@ class DrawnRegion:
 
     @property
     def window(self) -> Window:
-        """Row, col, height, width of its bounds."""
+        """Return row, col, height, width of its bounds."""
         rows, cols = np.nonzero(self.cells)
         top, left = int(rows.min()), int(cols.min())
         return top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1
 
 
 def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
-    """The cells in a PolygonStamped. Raises MessageError on another frame, no polygon, or one that holds no cell."""
+    """Return the cells in a PolygonStamped. Raises MessageError for another frame, an invalid polygon, or one without
+    cells.
+    """
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
-        raise MessageError(f"region is given in frame {message.header.frame_id!r}, wanted 'map'")
+        raise MessageError(f"region is in frame {message.header.frame_id!r}, expected 'map'")
     if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
         raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
     cells = _cells_in(corners, geometry)
     if not cells.any():
-        raise MessageError(f"region from {corners[0]} on holds no cell of the map, {geometry.bounds} in the map frame")
+        raise MessageError(
+            f"region from {corners[0]} on contains no cell of the map, {geometry.bounds} in the map frame"
+        )
     return DrawnRegion(cells, stamp_of(message))
 
 
 def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> BoolArray:
-    """(H, W): cells whose centres lie inside."""
+    """Return (H, W): cells whose centres lie inside."""
     from rasterio.features import geometry_mask
 
     shape = {"type": "Polygon", "coordinates": [[*polygon, polygon[0]]]}
@@ -113,7 +117,7 @@ def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) ->
 
 
 def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, Tile]:
-    """The state of the tiles that hold these cells, burned at that time. Raises MessageError for no such time."""
+    """Return the state of the tiles of these cells, burned at that time. Raises MessageError for an invalid time."""
     try:
         evidence.burn(cells, stamp_ns)
     except ImageError as error:
@@ -126,7 +130,7 @@ def _tiles_of(cells: BoolArray) -> list[Key]:
 
 
 def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
-    """The state of the tiles that hold these cells, with nothing known of them."""
+    """Return the state of the tiles of these cells without evidence."""
     tiles = {}
     for row, col in _tiles_of(cells):
         state = evidence.tile_state((row, col))
@@ -140,10 +144,10 @@ def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
 
 
 def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
-    """The map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items beside them. Raises
-    ConfigError, RasterError, StoreError.
+    """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. Raises ConfigError,
+    RasterError, StoreError.
 
-    `state`: where its store lies, and the confirmed surface where the site follows that.
+    `state`: folder of its store, and of the confirmed surface if the site uses it.
     """
     system = system_of(evidence.prior)
     layers, terrain = evidence.layers(), exported_terrain(site, state)

@@ -1,4 +1,4 @@
-"""Opens a fuel map for export: from a store, a bag, or a GeoTIFF of classes."""
+"""Open a fuel map for export: from a store, a bag, or a GeoTIFF of classes."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from ltm_core.vision.labels import LabelSet
 
 @dataclass(frozen=True, eq=False)
 class FuelSource:
-    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`,
-    `folder`: of a store alone, the last where it lies; `bag`: of a bag alone.
+    """A context manager. `geometry`: in the site's CRS. `empty`: the layers without evidence. `evidence`, `store`,
+    `folder`: only for a store; `folder` contains it. `bag`: only for a bag.
     """
 
     site: Site
@@ -50,7 +50,7 @@ class FuelSource:
 
     @classmethod
     def open(cls, path: Path, site: Site) -> FuelSource:
-        """Raises LtmError for a file that holds no fuel map of this site."""
+        """Open a source. Raises LtmError for a file without a fuel map of this site."""
         labels = LabelSet.load(config_path(site.labels))
         if path.suffix == ".ltm":
             geometry = site.fuel_geometry(site.open_dem())
@@ -80,25 +80,25 @@ class FuelSource:
         return FuelClimate.named(self.site.fuel.climate)
 
     def at(self, moment: str | None) -> FuelLayers:
-        """The map now, or as of a moment. Raises ConfigError for no moment, or where there is no history."""
+        """Return the map now, or as of a time. Raises ConfigError for an invalid time, or without a history."""
         if moment is None:
             return self.layers
         if self.store is None:
-            raise ConfigError(f"the map as of {moment} is known to a store (.ltm) only, which keeps its history")
+            raise ConfigError(f"the map as of {moment} needs a store (.ltm), which keeps its history")
         from ltm_ros.fuel_map.pictures import layers_as_of, when
 
         return layers_as_of(self.store, self.empty, when(moment))
 
     def terrain(self, moment: str | None = None) -> ConfirmedTerrain:
-        """What heights come from: the surface that counted at the moment, where the site follows the confirmed one and
-        its terrain keeps it beside the store. Raises ConfigError as `at` does, StoreError.
+        """Return the terrain: the surface in use at that time, if the site uses the confirmed one and keeps it beside
+        the store. Raises ConfigError as `at`, StoreError.
         """
         from ltm_ros.fuel_map.pictures import when
 
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
 
     def canopy(self, moment: str | None, terrain: ConfirmedTerrain) -> SiteCanopy:
-        """What is measured of the canopy; of an earlier moment, by the confirmed surface alone. Raises as `at`."""
+        """Return the measured canopy; for an earlier time, only from the confirmed surface. Raises as `at`."""
         now = moment is None
         return site_canopy(
             self.site,
@@ -119,8 +119,8 @@ class FuelSource:
         system: FuelSystem | None = None,
         landscape: Landscape | None = None,
     ) -> Provenance:
-        """What an export of the map says of itself; `layers`: of it now or as of a moment, as `at` gives them;
-        `surface`: the version that its heights were taken from, where it has any.
+        """Return the provenance of an export; `layers`: as `at` returns them; `surface`: version of the heights, if
+        any.
         """
         from ltm_ros.fuel_map.pictures import when
 
@@ -129,14 +129,14 @@ class FuelSource:
         return provenance_of(self.site, layers, system, as_of, landscape, surface, self.prior)
 
     def seen_by(self) -> dict[str, BoolArray]:
-        """The cells that each camera has seen, as far as the store's cells remember."""
+        """Return the cells that each camera has seen, as far as the store's cells record it."""
         if self.evidence is None or self.store is None:
-            raise ConfigError("who has seen a cell is known to a store (.ltm), or a bag with votes")
+            raise ConfigError("coverage needs a store (.ltm), or a bag with votes")
         seen = {name: self.evidence.seen_by(name) for name in self.store.sources()}
         return {name: cells for name, cells in seen.items() if cells.any()}
 
     def coverage(self) -> CoverageMap | None:
-        """How often and how finely the cameras of a bag have seen each cell; None of anything but a bag."""
+        """Return how often and how finely the cameras of a bag have seen each cell; None for other sources."""
         if self.bag is None:
             return None
         from ltm_ros.fuel_map.pictures import coverage_of

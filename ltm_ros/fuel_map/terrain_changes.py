@@ -1,4 +1,4 @@
-"""Receives the terrain's changes for the fuel map: checks them, matches them to fuel cells, applies each once."""
+"""Apply the terrain's changes to the fuel map: check them, match them to fuel cells, apply each once."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from ltm_ros.fuel_map.persistence import FuelMapPersistence
 from ltm_ros.runtime.health import Health
 
 _POINT_BYTES = 64
-"""Bound of what a changed cell takes on the wire."""
+"""Maximum bytes of a changed cell in a message."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Heard:
-    """A message that was found good. `window`: row, col, height, width in the terrain's grid."""
+    """A valid message. `window`: row, col, height, width in the terrain's grid."""
 
     stamp_ns: int
     kinds: UInt8Array
@@ -37,12 +37,11 @@ class _Heard:
 class SurfaceListener:
     """Applies `terrain/update` (how far cells moved) and `terrain/change` (the state of all) to the fuel map.
 
-    `terrain/change` is state and latched: what it says is compared with what is recorded of the fuel cells, as the
-    store's journal knows it, so that a message that comes twice, or again after a kill, changes nothing.
+    `terrain/change` is a latched state: it is compared with the recorded state of the fuel cells in the store's
+    journal, so that a repeated message changes nothing.
 
-    Args:
-        grid: of the terrain node, in the map frame.
-        refuse_future: raises or counts where a stamp is ahead; True where the message must not be taken.
+    Args: grid: of the terrain node, in the map frame. refuse_future: raises or counts a stamp that is ahead; True if
+    the message must be rejected.
     """
 
     def __init__(
@@ -59,11 +58,11 @@ class SurfaceListener:
         self._last: _Heard | None = None
 
     def on_update(self, message: Any) -> None:
-        """How far the surface has moved, of cells whose change is new. Raises MessageError and takes nothing of it."""
+        """Record how far cells have moved whose change is new. Raises MessageError and takes nothing of it."""
         cells = self._grid.width * self._grid.height
         count = int(message.height) * int(message.width)
         if count > cells or len(message.data) > cells * _POINT_BYTES:
-            raise MessageError(f"terrain update names {count} cells in {len(message.data)} bytes; there are {cells}")
+            raise MessageError(f"terrain update has {count} cells in {len(message.data)} bytes; there are {cells}")
         self._check_frame(message, "terrain update")
         if self._refuse_future("the terrain's update", stamp_of(message)):
             return
@@ -90,7 +89,9 @@ class SurfaceListener:
         self._moves.take(changed)
 
     def on_change(self, message: Any) -> int:
-        """The kinds of change of a window; how many fuel cells they are news to. Raises MessageError, StoreError."""
+        """Apply the kinds of change of a window; return the number of changed fuel cells. Raises MessageError,
+        StoreError.
+        """
         cells = self._grid.width * self._grid.height
         if int(message.info.width) * int(message.info.height) > cells or len(message.data) > cells:
             raise MessageError(
@@ -109,13 +110,15 @@ class SurfaceListener:
         strange = (kinds > max(ChangeKind)) & (kinds != UNSEEN)
         if strange.any():
             row, col = np.argwhere(strange)[0]
-            raise MessageError(f"terrain change: kind {kinds[row, col]} at row {row}, col {col}; there are 0 to 3")
+            raise MessageError(
+                f"terrain change: invalid kind {kinds[row, col]} at row {row}, col {col}; valid are 0 to 3"
+            )
         self._newest = stamp
         self._waiting = self._last = _Heard(stamp, kinds, place)
         return self.retry()
 
     def retry(self) -> int:
-        """Tell what waits for the store; 0 where nothing does, or the store is still away."""
+        """Apply what waits for the store; return 0 if nothing does, or the store still fails."""
         change, evidence = self._waiting, self._persistence.map
         if change is None or self._persistence.store is None:
             return 0
@@ -126,9 +129,9 @@ class SurfaceListener:
         return len(news)
 
     def forget(self, cells: BoolArray) -> None:
-        """The evidence of these fuel cells, (H, W), is gone. A change that it had shown before the terrain told of it
-        is recorded again: now, or with the terrain's next message. Any other stands in the code that its cell starts
-        from.
+        """Handle the deletion of these fuel cells' evidence, (H, W). A change that the evidence had shown before the
+        terrain is recorded again: now, or with the terrain's next message. Any other is in the code that the cell
+        starts from.
         """
         evidence = self._persistence.map
         again = cells & evidence.already_shown
@@ -152,4 +155,4 @@ class SurfaceListener:
 
     def _check_frame(self, message: Any, what: str) -> None:
         if message.header.frame_id != "map":
-            raise MessageError(f"{what} is given in frame {message.header.frame_id!r}, wanted 'map'")
+            raise MessageError(f"{what} is in frame {message.header.frame_id!r}, expected 'map'")

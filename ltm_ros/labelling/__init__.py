@@ -1,1 +1,1 @@
-"""Naming areas in photos: a web page on this machine alone, for `ltm label`."""
+"""Label areas in photos: a local web page for `ltm label`."""

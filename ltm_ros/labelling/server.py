@@ -1,4 +1,4 @@
-"""Serve the labelling page to this machine; hold the photos of a folder and their named areas."""
+"""Serve the labelling page on this machine; hold the photos of a folder and their labelled areas."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ class _Shapes(StrictModel):
 
 
 class LabelSession:
-    """Of one folder. Photos are named by their number alone, so that no name from a page becomes a path.
+    """The labels of one folder. Photos are identified only by number, so that no name from a page becomes a path.
 
-    Safe to use from several threads. Raises RecordingError where there are no photos, ConfigError for photos whose
-    label images would have one name, and for a polygons.json that cannot be read.
+    Thread-safe. Raises RecordingError if there are no photos, ConfigError for photos whose label images would have the
+    same name, and for an invalid polygons.json.
     """
 
     def __init__(self, folder: Path, segmenter: Segmenter | None = None) -> None:
@@ -73,7 +73,7 @@ class LabelSession:
         stems = [path.stem for path in self._paths]
         twice = sorted({stem for stem in stems if stems.count(stem) > 1})
         if twice:
-            raise ConfigError(f"{folder}: several photos are called {twice[0]}, and would share {twice[0]}_labels.png")
+            raise ConfigError(f"{folder}: several photos are named {twice[0]}, and would share {twice[0]}_labels.png")
         self.labels = LabelSet.load() if segmenter is None else segmenter.labels
         self._segmenter = segmenter
         self._lock = threading.Lock()
@@ -84,7 +84,7 @@ class LabelSession:
         return len(self._paths)
 
     def overview(self) -> dict[str, Any]:
-        """JSON-ready: photos with the number of their areas, classes with colours, whether there is a network."""
+        """Return JSON-ready: photos with their number of areas, classes with colours, whether there is a network."""
         with self._lock:
             counts = [sum(area.image == path.name for area in self._areas) for path in self._paths]
         classes = [
@@ -101,17 +101,17 @@ class LabelSession:
         }
 
     def photo(self, number: int) -> bytes:
-        """As JPEG, upright. Raises ConfigError for a number that is none, ImageError."""
+        """Return a photo as JPEG, upright. Raises ConfigError for an invalid number, ImageError."""
         return to_jpeg(read_rgb(self._path(number)), quality=92)
 
     def areas(self, number: int) -> list[dict[str, Any]]:
-        """As the page takes them, in their order."""
+        """Return the areas in the page's format and order."""
         name = self._path(number).name
         with self._lock:
             return _shapes([area for area in self._areas if area.image == name])
 
     def suggested(self, number: int) -> list[dict[str, Any]]:
-        """What the network says. Raises ConfigError without one."""
+        """Return the network's areas. Raises ConfigError without a network."""
         path = self._path(number)
         if self._segmenter is None:
             raise ConfigError("no network: start `ltm label` without --model none")
@@ -120,16 +120,16 @@ class LabelSession:
         return _shapes(areas_of(path.name, found.labels, self.labels.names))
 
     def save(self, number: int, content: object) -> list[dict[str, Any]]:
-        """Write polygons.json and NAME_labels.png; gives the areas as they are kept, strokes as outlines.
+        """Write polygons.json and NAME_labels.png; return the stored areas, strokes as outlines.
 
-        Raises ConfigError for another form, and for classes that are none.
+        Raises ConfigError for another format, and for unknown classes.
         """
         path = self._path(number)
         shapes = checked(_Shapes, content, "areas").shapes
         known = {*self.labels.names, MASKED, ERASED}
         unknown = sorted({shape.name for shape in shapes} - known)
         if unknown:
-            raise ConfigError(f"no class is called {unknown[0]!r}; classes: {', '.join(sorted(known))}")
+            raise ConfigError(f"unknown class {unknown[0]!r}; classes: {', '.join(sorted(known))}")
         width, height = _size(path)
         areas: list[NamedArea] = []
         for shape in shapes:
@@ -156,7 +156,7 @@ def _shapes(areas: Sequence[NamedArea]) -> list[dict[str, Any]]:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    """Width and height of a photo, upright as its EXIF says."""
+    """Return width and height of a photo, upright by its EXIF."""
     with open_picture(path) as (source, _):
         turned = source.getexif().get(0x0112) in (5, 6, 7, 8)
         return (source.height, source.width) if turned else source.size

@@ -1,1 +1,1 @@
-"""Describes a site's graph and runs it as processes: start, supervision, shutdown and cleanup."""
+"""Describe a site's graph and run it as processes: start, supervision, shutdown and cleanup."""

@@ -1,4 +1,4 @@
-"""The runner's side of `orphan_cleanup`: keeps that process running, and tells it what would be left behind."""
+"""Run the cleanup process (`orphan_cleanup`) beside the runner, and list for it what a killed runner would leave."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import threading
 from collections.abc import Callable, Mapping
 
 AGAIN_S = 0.5
-"""Before a cleanup process that has died is started again."""
+"""Delay in seconds before a dead cleanup process is restarted."""
 PATIENCE_S = 10.0
 
 
 class CleanupProcess:
-    """One that dies is started again and told of all that exists. `tell` takes what the runner's user should know."""
+    """Keeps a cleanup process running; a new one gets the full list. `tell` takes messages for the runner's user."""
 
     def __init__(self, environment: Callable[[], Mapping[str, str]], tell: Callable[[str], None]) -> None:
         self._environment, self._tell = environment, tell
@@ -23,24 +23,24 @@ class CleanupProcess:
         self._listed: dict[str, None] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._orders: int | None = None
-        """The end of its pipe that is written to, while there is one."""
+        """The write end of its pipe, if it runs."""
         self._stopping = threading.Event()
-        # One thread for all its life: Linux tells a process of the end of the thread that started it.
+        # One thread for its whole life: Linux signals a process when the thread that started it ends.
         self._thread = threading.Thread(target=self._keep, name="orphan cleanup", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def group(self, group: int, alive: bool) -> None:
-        """A process group has come, or is gone."""
+        """Report that a process group was created or has ended."""
         self._list(f"group {group}", alive, f"forget {group}")
 
     def folder(self, path: os.PathLike[str], exists: bool) -> None:
-        """A temporary folder has come, or is gone."""
+        """Report that a temporary folder was created or removed."""
         self._list(f"folder {path}", exists, f"forget-folder {path}")
 
     def stop(self) -> None:
-        """End it; what is still listed it ends and removes first. Idempotent."""
+        """End the process; it first ends and removes everything that is still listed. Idempotent."""
         self._stopping.set()
         with self._lock:
             process = self._process
@@ -68,7 +68,7 @@ class CleanupProcess:
             os.write(self._orders, order.encode() + b"\n")
         except BlockingIOError:
             if self._process is not None:
-                self._process.kill()  # it does not read; the next will be told of all
+                self._process.kill()  # it does not read; its successor gets the full list
         except BrokenPipeError:
             return
 
@@ -85,18 +85,18 @@ class CleanupProcess:
                 self._tell(f"-- the cleanup process cannot be started: {error}")
             else:
                 if not self._stopping.is_set():
-                    self._tell(f"-- the cleanup process has died (status {status}); another is started")
+                    self._tell(f"-- the cleanup process died (status {status}); restarting it")
             self._stopping.wait(AGAIN_S)
 
     def _run_once(self) -> int:
-        """Start one, tell it of all, wait for its end: its exit status."""
+        """Start the process, send it the list, and wait for its end; return its exit status."""
         with self._lock:
             if self._stopping.is_set():
                 return 0
             read, self._orders = os.pipe()
             os.set_blocking(self._orders, False)
-            # Before it is there to read them, so that no runner can be killed with the process there and not told. The
-            # pipe takes 64 kB, which is more than all processes of a graph and all folders are.
+            # Sent before it can read, so that a killed runner leaves no uninformed cleanup process. The pipe takes 64
+            # kB, more than the list of all processes and folders of a graph.
             for order in self._listed:
                 self._send(order)
             try:

@@ -1,4 +1,4 @@
-"""The node graph of a site as plain data: `ltm run` and `ros2 launch` render the same description. Knows no ROS."""
+"""Describe the node graph of a site as plain data, which `ltm run` and `ros2 launch` both use. Imports no ROS."""
 
 from __future__ import annotations
 
@@ -23,24 +23,23 @@ NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
 SOURCE_NODES = ("source",)
-"""Node types that a camera has besides where its site file has a section `source` for it, outside a replay."""
+"""Additional node types of a camera with a section `source` in the site file, outside a replay."""
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
-"""Node types that every camera has one of, in `/<site>/<camera>`."""
+"""Node types that every camera has, in `/<site>/<camera>`."""
 FUSION_NODES = ("topodepth",)
-"""Node types that every camera has besides where the site names a depth network."""
+"""Additional node types of every camera if the site has a depth network."""
 POSE_NODES = ("pose",)
-"""Node types that every camera has besides where the site's file has a section `refine_poses`."""
+"""Additional node types of every camera if the site file has a section `refine_poses`."""
 SITE_NODES = ("fuel_map",)
-"""Node types that a site has one of, in `/<site>`."""
+"""Node types that every site has, in `/<site>`."""
 SURFACE_NODES = ("terrain", "depth", "topodepth")
-"""Node types that make or follow the confirmed surface, where the site asks for it."""
+"""Node types that make or follow the confirmed surface, if the site uses it."""
 TERRAIN_NODES = ("terrain",)
-"""Node types that a site has one of where its file has a section `terrain`."""
+"""Additional node types of a site with a section `terrain`."""
 LOCATING_NODES = ("locate",)
-"""Node types that a site has one of where its file has a section `locating`."""
+"""Additional node types of a site with a section `locating`."""
 REGION_NODES = ("uplink",)
-"""Node types that a site has one of where its file has a section `region`, outside a replay; the graph works without
-them."""
+"""Additional node types of a site with a section `region`, outside a replay; the graph works without them."""
 OPTIONAL_NODES = ("viewer", "recorder", "health")
 """Site-level node types that run on request; the graph works without them."""
 NODE_TYPES = (
@@ -56,16 +55,17 @@ NODE_TYPES = (
 )
 
 CAMERAS_PROCESS = "cameras"
-"""Label of the process in which the nodes of all cameras live, where a site has one for them."""
+"""Label of the process that runs the nodes of all cameras, if the site has one."""
 SOURCES_PROCESS = "sources"
-"""Label of the process in which all cameras are asked for their pictures, where a site has one for its cameras: what a
-camera sends, and the libraries that read it, shall not touch the work on frames."""
+"""Label of the process that receives the images of all cameras, if the site has one. It is separate, so that what a
+camera sends, and the libraries that read it, cannot affect the processing of frames.
+"""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
-"""Node types that compute on several threads; the others get one."""
+"""Node types that compute on several threads; others get one thread."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
-"""Parameters that the graph itself gives; a site file cannot."""
+"""Parameters that the graph sets; a site file cannot set them."""
 
-# What ROS allows for a name and a namespace.
+# Valid ROS names and namespaces.
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
@@ -76,17 +76,17 @@ class NodeSpec:
 
     name: str
     namespace: str
-    """Absolute, such as `/ridge/north`."""
+    """Absolute namespace, such as `/ridge/north`."""
     module: str
     """Python module that runs the node: `python -m ltm_ros.nodes.depth`."""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     remappings: Sequence[tuple[str, str]] = ()
     required: bool = True
-    """Whether the graph is of use without it."""
+    """Whether the graph is useless without it."""
     busy: bool = False
     """Whether it computes on several threads."""
     process: str = ""
-    """Label of the process that it shares with other nodes; empty: it has one of its own."""
+    """Label of the process that it shares with other nodes; empty: a process of its own."""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -96,23 +96,23 @@ class NodeSpec:
 
     @property
     def executable(self) -> str:
-        """Its name in `ros2 run ltm ...`."""
+        """Return its name in `ros2 run ltm ...`."""
         return self.module.rpartition(".")[2]
 
     @property
     def full_name(self) -> str:
-        """Fully qualified, as ROS and `/diagnostics` name it: `/ridge/north/depth`."""
+        """Return the full name that ROS and `/diagnostics` use: `/ridge/north/depth`."""
         return f"{self.namespace}/{self.name}"
 
     @property
     def label(self) -> str:
-        """Short and unique within a site, for logs and `kill`: `north/depth`, `fuel_map`."""
+        """Return the short name for logs and `kill`, unique in a site: `north/depth`, `fuel_map`."""
         return "/".join([*self.namespace.split("/")[2:], self.name])
 
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """One process of the graph: a node alone, or several that hand messages to each other (`shared`)."""
+    """One process of the graph: a single node, or several that pass messages directly (`shared`)."""
 
     label: str
     nodes: tuple[NodeSpec, ...]
@@ -123,12 +123,14 @@ class ProcessSpec:
 
     @property
     def required(self) -> bool:
-        """Whether the graph is of use without it."""
+        """Return whether the graph is useless without it."""
         return any(node.required for node in self.nodes)
 
     @property
     def busy(self) -> bool:
-        """Whether numerical libraries may use several threads in it; a shared one has a thread a core for frames."""
+        """Return whether numerical libraries may use several threads; a shared process has one thread per core for
+        frames.
+        """
         return not self.shared and self.nodes[0].busy
 
 
@@ -144,18 +146,18 @@ class Graph:
         labels = [node.label for node in self.nodes]
         twice = sorted({label for label in labels if labels.count(label) > 1})
         if twice:
-            raise ConfigError(f"graph of {self.site}: more than one node {', '.join(twice)}")
+            raise ConfigError(f"graph of {self.site}: duplicate nodes {', '.join(twice)}")
 
     @property
     def processes(self) -> tuple[ProcessSpec, ...]:
-        """In the order of their first nodes."""
+        """Return the processes in the order of their first nodes."""
         members: dict[str, list[NodeSpec]] = {}
         for node in self.nodes:
             members.setdefault(node.process or node.label, []).append(node)
         return tuple(ProcessSpec(label, tuple(nodes)) for label, nodes in members.items())
 
     def process(self, label: str) -> ProcessSpec:
-        """Raises ConfigError naming the processes there are."""
+        """Return a process by label. Raises ConfigError that lists the processes."""
         for process in self.processes:
             if process.label == label:
                 return process
@@ -169,7 +171,7 @@ class Graph:
         return len(self.nodes)
 
     def node(self, label: str) -> NodeSpec:
-        """Raises ConfigError naming the nodes there are."""
+        """Return a node by label. Raises ConfigError that lists the nodes."""
         for node in self.nodes:
             if node.label == label:
                 return node
@@ -188,18 +190,17 @@ def describe(
     parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None,
     sources: bool | None = None,
 ) -> Graph:
-    """The graph of `site`, which was read from `path`.
+    """Return the graph of `site`, which was read from `path`.
 
-    `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters;
-    `health`: the node that answers monitoring systems, too, where the site's file has a section for it.
-    `parameters`: by node type, over those of the site file. Raises ConfigError for an unknown camera or node type, a
-    parameter that the graph itself gives, and a value that ROS has no parameter type for.
+    `cameras`: use only these (empty: all). `view`, `record`: also run the viewer or the recorder, with these
+    parameters. `health`: also run the health node, if the site file has a section for it. `parameters`: by node type,
+    override those of the site file. Raises ConfigError for an unknown camera or node type, a parameter that the graph
+    sets itself, and a value without a ROS parameter type.
 
-    `sources`: whether cameras are asked for their pictures; None: unless there is `sim_time`, for a recording brings
-    its own.
+    `sources`: whether images are requested from cameras; None: only without `sim_time`, because a recording has its
+    own.
 
-    With `sim_time` no camera's frames are shed unless a parameter says so: a recording waits, and shall come through
-    whole.
+    With `sim_time` no frames are shed unless a parameter enables it: a replay waits and processes every frame.
     """
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
@@ -256,18 +257,20 @@ def describe(
 
 
 def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
-    """Where the confirmed surfaces are kept: beside the terrain's store. Raises ConfigError where it has no place."""
+    """Return the folder of the confirmed surfaces, beside the terrain's store. Raises ConfigError if there is none."""
     folder = str(terrain.get("folder", ""))
     if not folder:
         raise ConfigError(
-            f"{site}: terrain.trace_confirmed needs a place for the confirmed surfaces: give the terrain a folder "
-            "(`nodes: {terrain: {folder: kept}}`), or the command a --state"
+            f"{site}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
+            f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
         )
     return str(site.parent / Path(folder).expanduser() / FOLDER)
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
-    """A ROS parameters file for one node of any name. Strings are quoted: bare `y` or `on` would become booleans."""
+    """Return a ROS parameters file for a node of any name. Strings are quoted, or bare `y` and `on` would become
+    booleans.
+    """
     lines = ["/**:", "  ros__parameters:"]
     for name, value in parameters.items():
         lines.append(f"    {name}: {_scalar_or_list(value)}")
@@ -275,7 +278,7 @@ def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
 
 
 def nodes_json(nodes: Sequence[NodeSpec]) -> str:
-    """What a process that several nodes share is told of them; `nodes_of_json` reads it."""
+    """Return the description of the nodes in a shared process, for `nodes_of_json`."""
     return json.dumps([asdict(node) for node in nodes], indent=1)
 
 
@@ -306,16 +309,16 @@ def _overrides(
     for where, source in ((f"{place}: nodes", site.nodes), ("parameters", parameters)):
         for kind, values in source.items():
             if kind not in NODE_TYPES:
-                raise ConfigError(f"{where}: unknown node {kind!r}; known are {', '.join(NODE_TYPES)}")
+                raise ConfigError(f"{where}: unknown node {kind!r}; known nodes: {', '.join(NODE_TYPES)}")
             for name, value in _flat(values).items():
                 if name in OWN_PARAMETERS:
-                    raise ConfigError(f"{where}.{kind}.{name}: the graph gives this parameter itself; remove it")
+                    raise ConfigError(f"{where}.{kind}.{name}: the graph sets this parameter itself; remove it")
                 merged.setdefault(kind, {})[name] = _ros_value(value, f"{where}.{kind}.{name}")
     return merged
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as ROS has them: `{a: {b: 1}}` is parameter `a.b`."""
+    """Flatten nested mappings as ROS does: `{a: {b: 1}}` is parameter `a.b`."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
@@ -326,7 +329,9 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _ros_value(value: object, place: str) -> ParameterValue:
-    """Raises ConfigError: ROS knows booleans, integers, floats, strings and non-empty lists of one of them."""
+    """Return a ROS parameter value: boolean, integer, float, string or non-empty list of one type. Raises
+    ConfigError.
+    """
     if isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list | tuple) and value:

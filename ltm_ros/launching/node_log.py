@@ -13,13 +13,13 @@ from datetime import datetime
 from pathlib import Path
 
 KEPT_RUNS = 10
-"""Log folders of former runs that `new_log_folder` leaves."""
+"""Number of earlier log folders that `new_log_folder` keeps."""
 
 
 def new_log_folder(site: str) -> Path:
-    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones.
+    """Create a folder for a run's logs under `$XDG_STATE_HOME/ltm`, and remove all but the newest earlier ones.
 
-    On a full disk one that is not there yet: logs are made when there is room.
+    On a full disk, return a folder that does not exist yet: logs start once there is space.
     """
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
     begun = time.strftime("%Y%m%d-%H%M%S-")
@@ -38,11 +38,11 @@ LOG_FILES = 3
 
 
 class NodeLog:
-    """Appends lines, with the time, to `path`, which is turned over at `LOG_BYTES`; `LOG_FILES` of them are kept.
+    """Appends time-stamped lines to `path`, which is rotated at `LOG_BYTES`; `LOG_FILES` files are kept.
 
-    `tell` is told once when lines cannot be written, and how many were not once they can again. Nothing is raised.
-    Not `logging`'s handler: that one prints a traceback for every line that a full disk refuses, keeps the line, and
-    raises when it is closed.
+    Calls `tell` once when lines cannot be written, and again with the number of lost lines when they can. Raises
+    nothing. `logging`'s handler prints a traceback for every line that a full disk rejects, keeps the line, and raises
+    when it is closed.
     """
 
     def __init__(self, path: Path, tell: Callable[[str], None]) -> None:
@@ -51,7 +51,7 @@ class NodeLog:
         self._missed = 0
 
     def write(self, line: str) -> None:
-        """From one thread at a time."""
+        """Write a line; call it from one thread at a time."""
         now = datetime.now().isoformat(" ", "milliseconds")
         try:
             self._append(f"{now} {line}\n".encode(errors="replace"))
@@ -59,14 +59,14 @@ class NodeLog:
             self.close()
             self._missed += 1
             if self._missed == 1:
-                self._tell(f"{self._path} cannot be written ({error.strerror}); make room on the disk")
+                self._tell(f"{self._path} cannot be written ({error.strerror}); free some disk space")
             return
         if self._missed:
             missed, self._missed = self._missed, 0
-            self._tell(f"{self._path} is written again; {missed} lines are missing in it")
+            self._tell(f"{self._path} can be written again; {missed} lines were lost")
 
     def close(self) -> None:
-        """The next line opens the file again."""
+        """Close the file; the next line opens it again."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()

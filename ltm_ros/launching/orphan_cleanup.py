@@ -1,12 +1,12 @@
-"""Cleans up after a graph whose runner was killed: ends its processes, removes its folders and shared memory.
+"""Clean up after a runner that was killed: end its processes, remove its folders and shared memory.
 
-`python -m ltm_ros.launching.orphan_cleanup` runs beside the runner, which is at its stdin.
+`python -m ltm_ros.launching.orphan_cleanup` runs beside the runner, which is connected to its stdin.
 
-The runner tells it the process groups and temporary folders that exist. When the pipe closes (the runner is gone,
-however it went), whatever is still listed is ended and removed, and so is the shared memory that it leaves. A runner
-that stops in order has emptied the list by then. Where it lies still itself, it goes on when the runner ends, for
-that. Nodes end without it too (`supervised`); shared memory and folders are removed by it alone. Standard library only,
-so that it costs little to have around.
+The runner sends it the existing process groups and temporary folders. When the pipe closes because the runner has
+ended, it ends and removes everything that is still listed, and the shared memory left behind. A runner that stops in
+order has emptied the list by then. If this process was stopped (SIGSTOP), it is continued when the runner ends. Nodes
+also end without it (`supervised`), but only it removes shared memory and folders. It uses only the standard library, to
+stay small.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GRACE_S = 5.0
 
 
 def group_alive(group: int) -> bool:
-    """Whether any process of the group is left (zombies count, the dead and reaped do not)."""
+    """Return whether any process of the group exists (including zombies)."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:
@@ -37,7 +37,7 @@ def group_alive(group: int) -> bool:
 
 
 def end_groups(groups: Iterable[int], grace_s: float = GRACE_S) -> None:
-    """SIGTERM, after `grace_s` SIGKILL to each group; returns when all are gone, or 1 s after that."""
+    """Send SIGTERM to each group, and SIGKILL after `grace_s`; return when all have ended, at most 1 s later."""
     left = set(groups)
     for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 1.0)):
         for group in left:
@@ -54,7 +54,7 @@ def end_groups(groups: Iterable[int], grace_s: float = GRACE_S) -> None:
 
 
 def clean_up_at_end(orders: TextIO) -> None:
-    """Follow orders (`group N`, `forget N`, `folder PATH`, `forget-folder PATH`, one a line) until the pipe closes."""
+    """Read orders (`group N`, `forget N`, `folder PATH`, `forget-folder PATH`, one per line) until the pipe closes."""
     groups: set[int] = set()
     folders: set[str] = set()
     for line in orders:

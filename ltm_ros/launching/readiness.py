@@ -1,8 +1,8 @@
-"""Waits until nodes of a graph are up: `python -m ltm_ros.launching.readiness --timeout 30 /ridge/fuel_map ...`.
+"""Wait until nodes of a graph are ready: `python -m ltm_ros.launching.readiness --timeout 30 /ridge/fuel_map ...`.
 
-A node is up when it has sent a diagnostic (it does so once it has loaded what it needs), or, with `--discovered`, when
-it is merely seen. A process of its own, so that the runner needs no DDS participant. Prints each node as it comes up;
-exits with 1 when some did not in time.
+A node is ready when it has sent a diagnostic, which it does after loading, or with `--discovered` when DDS has
+discovered it. This is a separate process, so that the runner needs no DDS participant. Prints each node that becomes
+ready; exits with 1 if some are not ready in time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NOT_READY = 1
 
 
 class ReadinessWatch:
-    """A node that ticks off the nodes it waits for, in a context of its own."""
+    """A node with its own context that records which nodes are ready."""
 
     def __init__(self, nodes: Iterable[str], discovered_suffices: bool = False) -> None:
         self.missing = dict.fromkeys(nodes)
@@ -37,7 +37,7 @@ class ReadinessWatch:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether every node came up within `timeout_s`; `missing` then holds those that did not."""
+        """Return whether every node became ready within `timeout_s`; `missing` holds those that did not."""
         deadline = time.monotonic() + timeout_s
         while self.missing and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)

@@ -1,4 +1,4 @@
-"""Runs a graph without `launch`: its processes, restarted when they die, with a clean end of all."""
+"""Run a graph without `launch`: start its processes, restart those that die, and stop all cleanly."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
 ASKED_AGAIN_S = 1.0
-"""Before it is asked anew which nodes are up, where that could not be said."""
+"""Delay in seconds before readiness is queried again after a failed query."""
 
 
 class GraphError(LtmError):
-    """A graph that does not come up."""
+    """The graph did not start."""
 
 
 def print_line(line: str) -> None:
-    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix.
+    """Print a line to the terminal in one write, so that lines of several nodes do not mix.
 
-    A console that takes nothing (a file on a full disk, a terminal that is gone) loses lines; the graph goes on.
+    If the console cannot be written (full disk, closed terminal), the line is lost and the graph goes on.
     """
     with contextlib.suppress(OSError):
-        # Not through the stream's buffer: what it cannot get rid of makes the process end with an error.
+        # Unbuffered: a buffer that cannot be flushed makes the process exit with an error.
         sys.stdout.flush()
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
 
@@ -49,11 +49,11 @@ def print_line(line: str) -> None:
 class Runner:
     """Starts, watches and stops the processes of `graph`.
 
-    `domain_id`: ROS domain (None: as the environment says). `log_folder`: where each process's output goes, as
-    `<camera>.<node>.log`. `console` gets every line of output with the process's label in front. `stop_s`: how long one
-    may take to finish after SIGTERM before it is made to. `environment`: more variables for all of them.
+    `domain_id`: ROS domain (None: from the environment). `log_folder`: receives each process's output as
+    `<camera>.<node>.log`. `console` gets every line of output, prefixed with the process's label. `stop_s`: time to
+    finish after SIGTERM, before SIGKILL. `environment`: additional variables.
 
-    Used as a context manager it stops on leaving. `start` and `stop` may be called from any thread.
+    As a context manager it stops the graph at the end. `start` and `stop` may be called from any thread.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Runner:
         self.graph = graph
         self.log_folder = Path(log_folder)
         self.processes: dict[str, NodeProcess] = {}
-        """By label (`north/depth`, `fuel_map`, `cameras`), in the graph's order, from `start` on."""
+        """Processes by label (`north/depth`, `fuel_map`, `cameras`), in the graph's order, after `start`."""
         self._domain_id = domain_id
         self._console_lock = threading.Lock()
         self._console = console
@@ -95,19 +95,19 @@ class Runner:
 
     @property
     def given_up(self) -> list[str]:
-        """Labels of the processes that are not started any more because their configuration cannot work."""
+        """Return the labels of the processes that are no longer started because their configuration is invalid."""
         return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
 
     @property
     def _lost_for_good(self) -> list[str]:
-        """Of the processes given up, those without which the graph is of no use."""
+        """Return the abandoned processes without which the graph is useless."""
         return [label for label in self.given_up if self.graph.process(label).required]
 
     def start(self) -> None:
-        """Start every process and return at once. Raises GraphError when the runner has been started before."""
+        """Start every process and return at once. Raises GraphError if the runner was started before."""
         with self._lock:
             if self.processes:
-                raise GraphError(f"the graph of {self.graph.site} has been started already; make a new Runner")
+                raise GraphError(f"the graph of {self.graph.site} was started already; create a new Runner")
             shared_memory.remove_stale()
             self._warn_of_small_shm()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
@@ -119,10 +119,10 @@ class Runner:
                 process.start()
 
     def wait_until_ready(self, timeout_s: float = 60.0, *, discovered_suffices: bool = False) -> None:
-        """Wait until each node has sent a diagnostic (or is merely seen by DDS, with `discovered_suffices`).
+        """Wait until each node has sent a diagnostic (or was discovered by DDS, with `discovered_suffices`).
 
-        An optional node that was given up is not waited for. Raises GraphError naming the nodes that are missing after
-        `timeout_s`, with the last words of each, or at once when a required node was given up.
+        Ignores optional nodes that were given up. Raises GraphError with the missing nodes and their last output after
+        `timeout_s`, or at once if a required node was given up.
         """
         names = {node.full_name: node.label for node in self.graph}
         process_of = {node.label: process.label for process in self.graph.processes for node in process.nodes}
@@ -146,7 +146,7 @@ class Runner:
         reader.start()
         try:
             deadline = time.monotonic() + timeout_s + 5.0
-            # Until it has gone by itself: told to hurry it would leave its peers' shared memory marked as in use.
+            # Wait for its normal end: after a signal, its peers' shared memory would stay marked as in use.
             while watch.poll() is None and time.monotonic() < deadline:
                 if self._lost_for_good or not awaited() or self._stopping.is_set():
                     break
@@ -169,14 +169,14 @@ class Runner:
             raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, processes)]))
 
     def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
-        """Send a signal to one process, for tests and drills. False when it does not run now. Raises ConfigError."""
+        """Send a signal to one process, for tests. Returns False if it is not running. Raises ConfigError."""
         self.graph.process(label)
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
-        """End every process (SIGTERM, after `stop_s` SIGKILL) and remove what is left. Idempotent.
+        """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent.
 
-        Not SIGINT: a Python process that is still importing turns that into an exception, which may get lost there.
+        SIGINT is not used: Python turns it into an exception, which can get lost during imports.
         """
         self._stopping.set()
         with self._lock:
@@ -200,10 +200,10 @@ class Runner:
             self._cleanup.stop()
 
     def run(self, manager: ServiceManager | None = None) -> int:
-        """Body of `ltm run`: start, wait for SIGINT, SIGTERM or SIGHUP, stop. Call it from the main thread.
+        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`). Call it from the main thread.
 
-        `manager` is told when every node is ready, once a second that the processes are watched over, and of the end.
-        Exit status: 0, or 1 when a required node was given up. Ends by itself when no required node is left to run.
+        `manager` is notified when every node is ready, once a second while all processes are supervised, and at the
+        end. Returns 0, or 1 if a required node was given up. Ends by itself if no required node is left.
         """
         manager = manager or ServiceManager()
         stopping = threading.Event()
@@ -220,7 +220,7 @@ class Runner:
                 self._report(manager)
                 trimming.look(time.monotonic())
                 if all(label in self.given_up for label in required):
-                    self._say("-- no node is left to run")
+                    self._say("-- all required nodes have failed")
                     break
         finally:
             manager.stopping()
@@ -233,12 +233,12 @@ class Runner:
         return 1 if any(label in self.given_up for label in required) else 0
 
     def _announce(self, manager: ServiceManager) -> None:
-        """Say when the graph is up, and after a while what is not yet: kernels may be compiled for minutes."""
+        """Report when the graph is ready, and after a while which nodes are not: compiling kernels can take minutes."""
         told = False
         while not self._stopping.is_set():
             try:
                 self.wait_until_ready(120.0)
-            except (GraphError, OSError) as error:  # of a machine that has no room for another process just now
+            except (GraphError, OSError) as error:  # the machine cannot start another process now
                 if not told and not self._stopping.is_set():
                     for line in str(error).splitlines():
                         self._say(f"-- {line}")
@@ -248,7 +248,7 @@ class Runner:
                 self._stopping.wait(ASKED_AGAIN_S)
             else:
                 without = f" but {', '.join(self.given_up)}, given up" if self.given_up else ""
-                self._say(f"-- all {len(self.graph)} nodes are up{without}")
+                self._say(f"-- all {len(self.graph)} nodes are ready{without}")
                 manager.ready(in_words(self.processes.values()))
                 return
 
@@ -256,7 +256,7 @@ class Runner:
         processes = self.processes.values()
         status = in_words(processes)
         if not all_watched(processes):
-            manager.status(f"a supervisor does not answer; {status}")
+            manager.status(f"a supervisor does not respond; {status}")
         elif manager.is_ready:
             manager.alive(status)
         else:
@@ -280,7 +280,7 @@ class Runner:
     def _on_group(self, group: int, alive: bool) -> None:
         self._cleanup.group(group, alive)
         if not alive:
-            # Each crash leaves a segment of 70 MB: a node that keeps crashing would fill the memory.
+            # Each crash leaves a segment of 70 MB: a node that crashes repeatedly would fill the memory.
             shared_memory.remove_stale()
 
     def _environment(self, busy: bool) -> dict[str, str]:
@@ -288,7 +288,7 @@ class Runner:
         return ros_environment(base, domain_id=self._domain_id, busy=busy)
 
     def _signal_until_stopped(self, processes: list[NodeProcess], number: int, patience_s: float) -> None:
-        """Signals a node again when a new process of it appears: one may just have been starting."""
+        """Signal a node again when a new process of it appears, because one may have been starting."""
         deadline = time.monotonic() + patience_s
         signalled: set[int] = set()
         while time.monotonic() < deadline:
@@ -309,7 +309,7 @@ class Runner:
         return "\n".join([f"{label}: {process.state.value}, {process.starts} starts{how}", *words])
 
     def _remove_shared_memory(self) -> None:
-        """What killed nodes left; waits for the moment after which nothing young can be theirs."""
+        """Remove the shared memory of killed nodes, after waiting until young objects cannot be theirs."""
         if shared_memory.remove_stale().young:
             time.sleep(shared_memory.MIN_AGE_S)
             shared_memory.remove_stale()
@@ -320,11 +320,11 @@ class Runner:
         free = shared_memory.free_bytes()
         if free is not None and free < needed:
             self._say(
-                f"-- /dev/shm has {free >> 20} MB free, {count} processes take {needed >> 20} MB: images "
-                "will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm; docker run --shm-size=2g)"
+                f"-- /dev/shm has {free >> 20} MB free, {count} processes need {needed >> 20} MB: images will be "
+                "slow or lost; enlarge it (mount -o remount,size=2G /dev/shm; docker run --shm-size=2g)"
             )
 
     def _say(self, line: str) -> None:
-        # A console that is gone (`ltm run | head`) ends no graph; the log files have every line.
+        # A closed console (`ltm run | head`) does not end the graph; the log files have every line.
         with self._console_lock, contextlib.suppress(OSError):
             self._console(line)

@@ -1,8 +1,6 @@
-"""Report the state of a run to the service manager and to people (sd_notify(3)).
+"""Report the state of a run to the service manager (sd_notify(3)): ready, alive, problems, stopping.
 
-What `ltm run` tells the service manager that started it (sd_notify(3)): ready, alive, what is wrong, stopping.
-
-Datagrams of `NAME=value` lines on the Unix socket that `NOTIFY_SOCKET` names. Without that variable nothing is sent.
+Messages are datagrams of `NAME=value` lines to the Unix socket `NOTIFY_SOCKET`. Without that variable, nothing is sent.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ LONGEST = 200
 
 
 def in_words(processes: Iterable[NodeProcess]) -> str:
-    """Which processes do not run, and why; else how many do."""
+    """Return which processes do not run, and why; else how many run."""
     seen = list(processes)
     down = [process for process in seen if not process.running]
     if not down:
@@ -32,9 +30,9 @@ def in_words(processes: Iterable[NodeProcess]) -> str:
 
 
 def all_watched(processes: Iterable[NodeProcess]) -> bool:
-    """Whether each process is followed, on its way back, or given up: nothing that a restart of the runner would mend.
+    """Return whether each process is supervised, restarting, or given up, so that restarting the runner would not help.
 
-    What a camera sends does not matter: one that is offline must not restart the tower.
+    Camera data does not count: an offline camera must not restart the tower.
     """
     return all(process.watched for process in processes)
 
@@ -47,18 +45,18 @@ def _one(process: NodeProcess) -> str:
 
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 START_EXTENSION_S = 120.0
-"""While it starts, the runner asks for that much more time, again and again: kernels may be compiled for minutes, and a
-runner that hangs meanwhile asks no more."""
+"""Seconds by which the runner extends its start timeout, repeatedly: compiling kernels can take minutes, and a hung
+runner stops extending it.
+"""
 SIGNS_A_LIMIT = 3
-"""Signs of life within the time after which the manager takes the service for dead."""
+"""Number of watchdog messages within the manager's watchdog interval."""
 
 
 class ServiceManager:
-    """Whoever started this process and waits to hear of it; safe to use from several threads.
+    """The service manager that started this process; thread-safe.
 
-    Args:
-        address: of its socket; a leading `@` stands for Linux's abstract namespace. None: there is no manager.
-        watchdog_s: seconds without a sign of life after which it restarts the service; None: it does not.
+    Args: address: socket address; a leading `@` means Linux's abstract namespace. None: no manager. watchdog_s: seconds
+    without a message after which it restarts the service; None: never.
     """
 
     def __init__(self, address: str | None = None, watchdog_s: float | None = None) -> None:
@@ -74,16 +72,17 @@ class ServiceManager:
 
     @classmethod
     def of_environment(cls, environ: MutableMapping[str, str], *, required: bool = False) -> ServiceManager:
-        """The manager that `environ` names; takes its variables out, so that no child speaks for this process.
+        """Return the manager that `environ` names, and remove its variables, so that no child process sends for this
+        one.
 
-        Raises ConfigError where the variables make no sense or, when `required`, where there is no manager.
+        Raises ConfigError if the variables are invalid or, when `required`, if there is no manager.
         """
         given = {name: environ.pop(name, "") for name in VARIABLES}
         address, interval, pid = (given[name] for name in VARIABLES)
         if not address:
             if required:
                 raise ConfigError(
-                    "--notify: NOTIFY_SOCKET is not set: systemd sets it for a unit of Type=notify; leave --notify out"
+                    "--notify: NOTIFY_SOCKET is not set; systemd sets it for a unit of Type=notify. Remove --notify"
                 )
             return cls()
         if interval and not interval.isdecimal():
@@ -92,14 +91,14 @@ class ServiceManager:
         return cls(address, int(interval) / 1e6 if interval and int(interval) and meant else None)
 
     def starting(self, status: str) -> None:
-        """On the way to `ready`; call it about once a second."""
+        """Report that the start is in progress; call it about once a second until `ready`."""
         with self._lock:
             self._tell_status(status)
             if not self._ready and self._is_due(START_EXTENSION_S):
                 self._send(f"EXTEND_TIMEOUT_USEC={round(START_EXTENSION_S * 1e6)}")
 
     def ready(self, status: str) -> None:
-        """All is up; only the first time says so."""
+        """Report that everything is ready; only the first call sends."""
         with self._lock:
             if not self._ready and not self._stopping:
                 self._ready = True
@@ -112,14 +111,14 @@ class ServiceManager:
         return self._ready
 
     def alive(self, status: str) -> None:
-        """A sign of life, as often as the manager wants one; call it about once a second while all is watched over."""
+        """Send watchdog messages at the manager's rate; call it about once a second while everything is supervised."""
         with self._lock:
             self._tell_status(status)
             if self._watchdog_s is not None and self._is_due(self._watchdog_s):
                 self._send("WATCHDOG=1")
 
     def status(self, status: str) -> None:
-        """One line for a person; sent when it has changed."""
+        """Send one line of status for people if it has changed."""
         with self._lock:
             self._tell_status(status)
 
@@ -139,13 +138,15 @@ class ServiceManager:
         if address[:1] not in ("/", "@"):
             raise ConfigError(f"NOTIFY_SOCKET={address!r}: expected a path or @name of a Unix socket")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        # A manager that does not read must not hold up the graph.
+        # A manager that does not read must not delay the graph.
         self._socket.setblocking(False)
         try:
             self._socket.connect(f"\0{address[1:]}" if address[0] == "@" else address)
         except OSError as error:
             self._socket.close()
-            raise ConfigError(f"NOTIFY_SOCKET={address!r}: nobody listens there ({error.strerror})") from error
+            raise ConfigError(
+                f"NOTIFY_SOCKET={address!r}: no service manager listens there ({error.strerror})"
+            ) from error
 
     def _is_due(self, limit_s: float) -> bool:
         now = time.monotonic()
@@ -166,6 +167,6 @@ class ServiceManager:
             # A line break would begin another assignment.
             self._socket.send("\n".join(line.replace("\n", " ") for line in lines).encode(errors="replace"))
         except OSError:
-            # The manager is busy or restarts (daemon-reexec): the next sign comes soon, the same status once more.
+            # The manager is busy or restarts (daemon-reexec): the next message comes soon, with the status.
             self._status = ""
             self._sign_at = -float("inf")

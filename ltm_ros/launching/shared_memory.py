@@ -1,10 +1,10 @@
-"""Finds and removes the shared memory that Fast DDS leaves in /dev/shm when a process is killed.
+"""Find and remove the shared memory that Fast DDS leaves in /dev/shm when a process is killed.
 
-A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared) on which its owner
-holds a flock for as long as it lives; the kernel lets go of the lock however the owner dies. A port has a semaphore
-besides. Only what no living process owns is removed, so other graphs on the machine are safe.
+A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared), on which its owner
+holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only
+objects without a living owner are removed, so other graphs on the machine are safe.
 
-Standard library only: `orphan_cleanup` runs this after the graph's own process is gone.
+Uses only the standard library: `orphan_cleanup` runs this after the graph's own process has ended.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from pathlib import Path
 
 SHM_FOLDER = Path("/dev/shm")  # nosec B108 # not ours: the system's shared memory
 
-# A participant creates a file and locks it an instant later; what is younger than this may be in between.
+# A participant locks a file shortly after creating it; younger files may not be locked yet.
 MIN_AGE_S = 1.0
 
 BYTES_PER_PARTICIPANT = 72 << 20
-"""What a node takes of /dev/shm with config/fastdds.xml (Fast DDS reserves its segment in full at the start)."""
+"""Space in bytes that a node takes in /dev/shm with config/fastdds.xml (Fast DDS allocates its segment in full at the
+start).
+"""
 
 _OBJECT = re.compile(r"^(?:sem\.)?(?P<base>fastrtps_(?:port\d{1,5}|[0-9a-f]{16}))(?:_el|_sl|_mutex)?$")
 
@@ -32,12 +34,12 @@ _LOCKED_FILE = re.compile(r" ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 
 @dataclass(frozen=True)
 class SharedMemory:
-    """What Fast DDS has in /dev/shm: names of segments and ports, each with its files."""
+    """The objects of Fast DDS in /dev/shm: names of segments and ports, each with its files."""
 
     in_use: tuple[str, ...]
     stale: tuple[str, ...]
     young: tuple[str, ...]
-    """Not locked, but too new to be sure that nobody is about to."""
+    """Not locked, but so new that its owner may still lock it."""
     stale_bytes: int
 
     @property
@@ -46,19 +48,19 @@ class SharedMemory:
 
 
 def survey(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
-    """Look at every Fast DDS object in `folder`; changes nothing and takes no lock, so it is in nobody's way: a
-    participant that starts finds its port free, and who removes what is stale finds it so. What a process of another
-    PID namespace holds counts as stale, for its locks cannot be seen."""
+    """List every Fast DDS object in `folder`. Changes nothing and takes no locks, so it cannot disturb a starting
+    participant or a cleanup. Objects of another PID namespace count as stale, because their locks are invisible.
+    """
     return _walk(folder, min_age_s, remove=False)
 
 
 def remove_stale(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
-    """Remove the objects of dead processes. What belongs to another user and cannot be removed is left."""
+    """Remove the objects of dead processes. Objects of other users that cannot be removed stay."""
     return _walk(folder, min_age_s, remove=True)
 
 
 def free_bytes(folder: Path = SHM_FOLDER) -> int | None:
-    """Room left in /dev/shm; None where there is none."""
+    """Return the free space in /dev/shm in bytes; None if it does not exist."""
     try:
         return shutil.disk_usage(folder).free
     except OSError:
@@ -82,8 +84,8 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
     young: list[str] = []
     stale_bytes = 0
     for base, paths in objects.items():
-        # Peers keep a dead owner's segment mapped for a while; its lock alone tells. A port is a queue that senders map
-        # without a lock, and what has no lock file can only be judged by who maps it.
+        # Peers keep a dead owner's segment mapped for a while, so only its lock counts. A port is a queue that
+        # senders map without a lock; an object without a lock file can only be judged by its mappings.
         if base in mapped and ("port" in base or not any(map(_is_lock, paths))):
             in_use.append(base)
             continue
@@ -101,8 +103,8 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
             stale.append(base)
             stale_bytes += sum(_allocated_bytes(path) for path in paths)
             if remove:
-                # Lock files last, while we hold them: a new participant that opens one of this name then waits for
-                # a file that is gone and makes its own.
+                # Lock files are removed last, while we hold them: a new participant that opens one then waits for a
+                # deleted file and creates its own.
                 for path in sorted(paths, key=_is_lock):
                     _unlink(path)
         finally:
@@ -116,8 +118,9 @@ def _is_lock(path: Path) -> bool:
 
 
 def _held_locks() -> frozenset[tuple[int, int, int]] | None:
-    """Files that a process of this PID namespace has a lock on, by their device's two numbers and their inode; None
-    where the kernel does not say (proc(5), /proc/locks)."""
+    """Return the files locked by processes of this PID namespace, by device numbers and inode; None if the kernel does
+    not list them (proc(5), /proc/locks).
+    """
     try:
         content = Path("/proc/locks").read_text()
     except OSError:
@@ -135,7 +138,7 @@ def _file_key(path: Path) -> tuple[int, int, int] | None:
 
 
 def _take_locks(paths: list[Path]) -> list[int] | None:
-    """Descriptors that hold every lock file of one object, or None when somebody else holds one."""
+    """Return descriptors that hold every lock file of one object, or None if another process holds one."""
     descriptors: list[int] = []
     for path in filter(_is_lock, paths):
         try:
@@ -158,7 +161,9 @@ def _take_locks(paths: list[Path]) -> list[int] | None:
 
 
 def _mapped_names(folder: Path) -> set[str]:
-    """Bases of the objects that a process we may look at has mapped (a sender maps a port without locking it)."""
+    """Return the base names of the objects that visible processes have mapped (a sender maps a port without locking
+    it).
+    """
     names: set[str] = set()
     prefix = f"{folder}/fastrtps_"
     for maps in Path("/proc").glob("[0-9]*/maps"):
@@ -183,7 +188,7 @@ def _age_s(paths: list[Path]) -> float:
             newest = max(newest, path.stat().st_ctime)
         except OSError:
             continue
-    # Of the future: the clock has been set back since, and so they are not of this moment.
+    # A future time means that the clock was set back, so the file is not new.
     return abs(time.time() - newest)
 
 

@@ -1,4 +1,4 @@
-"""Checks before any process starts what a graph needs: its site, its nodes' parameters, places, ports and space."""
+"""Check before any process starts what a graph needs: site, node parameters, folders, ports and disk space."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from ltm_ros.runtime.handler import EX_CONFIG
 from ltm_ros.runtime.web_server import bind_error, refusal
 
 LEAST_SPACE = 200 << 20
-"""Bytes without which nothing can be kept."""
+"""Minimum free disk space in bytes."""
 SCARCE_SPACE = 2 << 30
 MACHINE = "machine"
-"""Area of findings that have nothing to do with the site file: they may be others tomorrow."""
+"""Area of findings about the machine, not the site file; they may change."""
 _LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What `ltm run` is asked for. `parameters`: by node type, beyond the site file's."""
+    """What `ltm run` was asked to start. `parameters`: by node type, override the site file's."""
 
     cameras: Sequence[str] = ()
     view: Mapping[str, ParameterValue] | None = None
@@ -46,11 +46,11 @@ class Wanted:
     health: Mapping[str, ParameterValue] | None = None
     parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None
     folders: Mapping[str, Path] | None = None
-    """Where something is kept, by what it is."""
+    """Folders for stored data, by purpose."""
 
 
 def examine(path: Path, wanted: Wanted) -> SiteCheck:
-    """Everything: what the site file names, and what this machine must have for its graph."""
+    """Check everything that the site file names, and what the machine must provide for its graph."""
     check = check_site(path, wanted.cameras)
     if check.site is not None:
         check.findings += _nodes(check.site, path, wanted)
@@ -60,7 +60,7 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
 
 
 class NotReadyError(ConfigError):
-    """A line a fault. `status`: see `exit_status`."""
+    """The graph cannot start; one line per error. `status`: see `exit_status`."""
 
     def __init__(self, findings: Sequence[SiteFinding]) -> None:
         wrong = (finding for finding in findings if finding.verdict is SiteVerdict.WRONG)
@@ -69,46 +69,46 @@ class NotReadyError(ConfigError):
 
 
 def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Site:
-    """The site that a graph can be started for. `tell` takes a line a doubt. Raises NotReadyError."""
+    """Return the site if its graph can start. `tell` takes one line per warning. Raises NotReadyError."""
     findings = examined_apart(path, wanted)
     if exit_status(findings):
         raise NotReadyError(findings)
     for finding in findings:
         if finding.verdict is SiteVerdict.DOUBTFUL and finding.name != str(
             shared_memory.SHM_FOLDER
-        ):  # the runner tells
-            tell(f"doubtful: {finding.area}, {finding.name}: {finding.said}")
+        ):  # the runner reports it
+            tell(f"warning: {finding.area}, {finding.name}: {finding.said}")
     return load_site(path)
 
 
 def examined_apart(path: Path, wanted: Wanted) -> list[SiteFinding]:
-    """The findings of `examine`, made in a process of its own: the one that watches a tower for months shall not keep
-    the memory of a DEM and of what reads it. Where that process is killed, that is what was found.
+    """Return the findings of `examine`, made in a separate process, so that the long-running parent does not keep the
+    memory of the DEM. If that process is killed, this is the finding.
     """
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(_findings, path, wanted).result()
     except BrokenProcessPool:
-        said = "the check was killed: is the DEM larger than the memory? Clip it, with coarser rasters around it"
+        said = "the check was killed; the DEM may be larger than the memory. Clip it and add coarser rasters around it"
         return [SiteFinding(MACHINE, "memory", SiteVerdict.WRONG, said)]
 
 
 def exit_status(findings: Sequence[SiteFinding]) -> int:
-    """0 where nothing is wrong, EX_CONFIG where the site file must be mended, so that systemd need not try again
-    (`RestartPreventExitStatus=78`); 1 where only this machine is not ready.
+    """Return 0 without errors, EX_CONFIG if the site file must be corrected, so that systemd does not retry
+    (`RestartPreventExitStatus=78`), or 1 if only this machine is not ready.
     """
     areas = {finding.area for finding in findings if finding.verdict is SiteVerdict.WRONG}
     return EX_CONFIG if areas - {MACHINE} else 1 if areas else 0
 
 
 def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
-    """Of a graph that is about to start: a large DEM is prepared before it is looked at."""
+    """Check a graph that is about to start; a large DEM is prepared first."""
     prepared = list(_prepare(path))
     return [*examine(path, wanted).findings, *prepared]
 
 
 def _prepare(path: Path) -> Iterator[SiteFinding]:
-    """So that the graph's processes share it. What is wrong with the site or the raster, the check says."""
+    """Prepare rasters so that the graph's processes share them. The check reports errors of the site or the raster."""
     with suppress(LtmError):
         raster = load_site(path).dem.path
         try:
@@ -116,7 +116,7 @@ def _prepare(path: Path) -> Iterator[SiteFinding]:
         except OSError as error:
             why = error.strerror or error
             yield SiteFinding(
-                MACHINE, "dem", SiteVerdict.OK, f"no file beside {raster} ({why}): each process holds its own"
+                MACHINE, "dem", SiteVerdict.OK, f"no file beside {raster} ({why}): each process loads its own copy"
             )
         else:
             if prepared is not None:
@@ -124,13 +124,13 @@ def _prepare(path: Path) -> Iterator[SiteFinding]:
 
 
 def _config_of(module: ModuleType) -> type[BaseModel]:
-    """What a node takes as parameters; the recorder, which decodes nothing, is no handler's node."""
+    """Return the parameter class of a node; the recorder has no handler."""
     model: type[BaseModel] = module.NODE.config if hasattr(module, "NODE") else module.CONFIG
     return model
 
 
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
-    """The parameters of each node type, which it would refuse itself."""
+    """Check the parameters of each node type as the node does."""
     try:
         graph = describe(
             site,
@@ -157,11 +157,11 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
             "site",
             "nodes",
             SiteVerdict.OK,
-            f"{len(graph)} nodes in {len(graph.processes)} processes, parameters as they take them",
+            f"{len(graph)} nodes in {len(graph.processes)} processes, parameters are valid",
         )
     needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
     if free is not None:
-        said = f"{free >> 20} MB free, {len(graph.processes)} processes take {needed >> 20} MB"
+        said = f"{free >> 20} MB free, {len(graph.processes)} processes need {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
             SiteFinding(MACHINE, str(shared_memory.SHM_FOLDER), SiteVerdict.OK, said)
@@ -175,7 +175,7 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
         if isinstance(folder, str):
-            folders.setdefault(f"what {kind} keeps", Path(folder))
+            folders.setdefault(f"data of {kind}", Path(folder))
     for what, place in folders.items():
         yield _folder(what, place)
     if wanted.view is not None:
@@ -189,7 +189,7 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
 
 
 def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
-    """Cameras are asked without an end, so nothing that they lack now keeps a graph from starting."""
+    """Check cameras; nothing that they lack keeps a graph from starting, because requests are repeated."""
     for name in wanted.cameras or site.cameras:
         source = site.cameras[name].source
         if source is None:
@@ -211,23 +211,23 @@ def _folder(what: str, folder: Path) -> SiteFinding:
     if free >= SCARCE_SPACE:
         return SiteFinding(MACHINE, what, SiteVerdict.OK, said)
     verdict = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
-    return SiteFinding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
+    return SiteFinding(MACHINE, what, verdict, f"{said}: free some space, or give a folder on another disk")
 
 
 def _port(name: str, port: int) -> SiteFinding:
     error = bind_error(_LOOPBACK, port)
     if error is None:
         return SiteFinding(MACHINE, name, SiteVerdict.OK, f"{port} on {_LOOPBACK} is free")
-    said = f"port {port} on {_LOOPBACK} is taken ({error.strerror}): name another under `"
+    said = f"port {port} on {_LOOPBACK} is in use ({error.strerror}): set another with `"
     return SiteFinding(
-        MACHINE, name, SiteVerdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end what uses it"
+        MACHINE, name, SiteVerdict.WRONG, f"{said}nodes: {{viewer: {{{name}: ...}}}}`, or end the program that uses it"
     )
 
 
 def _health_port(config: HealthConfig) -> SiteFinding:
-    """No more than a doubt: the tower runs without answering monitoring systems, and tries again."""
+    """Check the health port; only a warning, because the tower runs without it and retries."""
     error = bind_error(config.address, config.port)
     if error is None:
         return SiteFinding(MACHINE, "health", SiteVerdict.OK, f"{config.port} on {config.address} is free")
     said = refusal(config.address, config.port, error)
-    return SiteFinding(MACHINE, "health", SiteVerdict.DOUBTFUL, f"{said}; the tower runs, and tries again")
+    return SiteFinding(MACHINE, "health", SiteVerdict.DOUBTFUL, f"{said}; the tower runs, and retries")

@@ -1,4 +1,4 @@
-"""The process in which the nodes of all cameras of a site live: each job a node, each camera a pipeline."""
+"""Run the nodes of all cameras of a site in one process: each camera is a pipeline, each node a job."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ from ltm_ros.runtime.pipeline import Job, absolute
 from ltm_ros.runtime.ros_environment import available_cores
 
 CLOSE_S = 5.0
-"""For which frames that are at work may come to their end when the process is told to stop."""
+"""Time in seconds for frames in flight to finish after a stop request."""
 
 
 class JobNode(OutletNode):
-    """A node whose handler is a job of its camera's pipeline: what the pipeline's other jobs listen to is handed over,
-    DDS takes what others listen to."""
+    """A node whose handler is a job of its camera's pipeline. Messages for other jobs of the pipeline are passed
+    directly, others go over DDS.
+    """
 
     def __init__(self, spec: NodeSpec, camera: CameraPipeline) -> None:
         node_type: NodeType[Any] = importlib.import_module(spec.module).NODE
@@ -51,7 +52,8 @@ class JobNode(OutletNode):
         self.spec = spec
         self._camera, self._pipeline = camera, camera.pipeline
         self._heard_here: Set[Topic] = frozenset()
-        """Acknowledgements that a job of this pipeline also listens to on DDS, for nodes elsewhere send them too."""
+        """Acknowledgements that a job of this pipeline also receives over DDS, because nodes elsewhere send them, too.
+        """
         make: Callable[[], Any] = partial(node_type.handler, self.config, self, self.health)
         self.job = Job(spec.full_name, spec.namespace, self.health, make)
         handler = self.job.handler
@@ -62,22 +64,22 @@ class JobNode(OutletNode):
         self._pipeline.add(self.job)
 
     def subscribe(self, wake: Callable[[], None]) -> None:
-        """Listen on DDS to what none of the pipeline's jobs makes; call it when all are there."""
+        """Subscribe over DDS to topics that no job of the pipeline publishes; call it after all jobs are added."""
         for topic in self.job.callbacks:
             if not self._pipeline.made_here(self.job.topic(topic)):
                 self.listen(topic, topic.name, partial(self._offer, wake, topic))
-        # Last: who is known to acknowledge frames also takes them.
+        # Last: a node that is known to acknowledge frames must also receive them.
         for topic in self.job.handler.acknowledgements:
             self.open(topic)
         self._heard_here = {t for t in self.job.handler.acknowledgements if self._pipeline.listened(self.job.topic(t))}
 
     def publish(self, topic: Topic, message: Any) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         self._hand_over(topic, message)
         super().publish(topic, message)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         if not self._pipeline.listened(self.job.topic(topic)):
             super().provide(topic, stamp_ns, make)
             return
@@ -86,22 +88,22 @@ class JobNode(OutletNode):
         super().provide(topic, stamp_ns, lambda: message)
 
     def more_waits(self) -> bool:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return self._camera.more_waits
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         message = self.acknowledgement(stamp_ns)
         self._hand_over(topic, message)
         if self._publishers_by_topic[topic].get_subscription_count() > (topic in self._heard_here):
             self.send(topic, message)
 
     def workers(self, topic: Topic) -> Set[str]:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return super().workers(topic) | self.prompt_workers(topic)
 
     def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Part of Outlet."""
+        """Implement Outlet."""
         name = self.job.topic(topic)
         return {
             job.name
@@ -120,7 +122,7 @@ class JobNode(OutletNode):
             self._camera.offer(self.job, topic, message)
         except queue.Full:
             self.health.drop(
-                "overload", f"{self._camera.waiting} messages wait already; slow the camera down or give it more cores"
+                "overload", f"{self._camera.waiting} messages are queued already; reduce the frame rate or add cores"
             )
         wake()
 
@@ -136,10 +138,10 @@ class _CameraNodes:
 
 
 class SiteProcess:
-    """All nodes of `specs`; those of one namespace are a camera's.
+    """All nodes of `specs`; the nodes of one namespace belong to one camera.
 
-    A camera whose nodes cannot be made is left out, and said, and tried again now and then (`LateStart`); raises the
-    LtmError of the first where none can be.
+    A camera whose nodes cannot be created is skipped, reported, and tried again later (`LateStart`). Raises the first
+    LtmError if no camera works.
     """
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
@@ -165,7 +167,7 @@ class SiteProcess:
             _say(cannot_start(namespace, why) if self._cameras else f"{namespace}: cannot start: {why}")
         self._late = LateStart(left_out, reasons, _say)
         if not self._cameras:
-            raise faults[0] if faults else RuntimeError("none of the cameras' nodes can be started; see above")
+            raise faults[0] if faults else RuntimeError("no camera's nodes can be started; see the messages above")
         self._ticked = time.monotonic()
         first = self._members[0]
         first.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
@@ -174,11 +176,11 @@ class SiteProcess:
 
     @property
     def members(self) -> Sequence[rclpy.node.Node]:
-        """Those of a camera that is late come to it."""
+        """Return the members; a late camera is added when it starts."""
         return self._members
 
     def close(self) -> int:
-        """Let frames that are at work come to their end and tell the handlers; the process's exit status."""
+        """Finish frames in flight and close the handlers; return the process's exit status."""
         for late in self._late.close(CLOSE_S):
             late.destroy()
         for camera in self._cameras:

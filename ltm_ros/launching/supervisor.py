@@ -1,4 +1,4 @@
-"""Supervises one process of a graph: starts it, labels its output, restarts it with back-off when it dies or hangs."""
+"""Supervise one process of a graph: start it, label its output, restart it with back-off when it dies or hangs."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from ltm_ros.runtime.retry import Backoff
 
 LOOK_S = 1.0
 UNWATCHED_S = 60.0
-"""After which a supervisor that has not looked at its process is taken to hang itself."""
+"""Seconds after which a supervisor that has not checked its process counts as hung."""
 STACKS_S = 1.0
-"""What a process that is killed because it hangs has to say where it hangs."""
+"""Seconds for a hung process to print its stacks before it is killed."""
 
 Console = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """How a dead node is restarted: after `initial_s`, then twice as long each time up to `maximum_s`."""
+    """Restart delays of a dead node: `initial_s`, then doubled each time up to `maximum_s`."""
 
     initial_s: float = 0.5
     maximum_s: float = 30.0
     healthy_s: float = 20.0
-    """A run this long starts the back-off anew."""
+    """Run time in seconds after which the back-off starts again."""
     config_tries: int = 3
-    """Starts in a row that may end with EX_CONFIG before the node is given up."""
+    """Number of consecutive exits with EX_CONFIG after which the node is given up."""
 
 
 class RestartDelay:
-    """The state of a RestartPolicy: `after` returns the pause before the next start, or None to give up."""
+    """State of a RestartPolicy: `after` returns the delay before the next start, or None to give up."""
 
     def __init__(self, policy: RestartPolicy) -> None:
         self._policy = policy
@@ -60,30 +60,30 @@ class RestartDelay:
 
 class ProcessState(Enum):
     WAITING = "waiting"
-    """Not started, or dead and waiting to start again."""
+    """Not started, or dead and waiting for its restart."""
     RUNNING = "running"
     STOPPED = "stopped"
     GIVEN_UP = "given up"
 
 
 def describe_exit(status: int) -> str:
-    """An exit status as a person reads it: a signal's name, or what the code means."""
+    """Return an exit status in words: the signal's name, or what the code means."""
     if status < 0:
         try:
             return f"killed by {signal.Signals(-status).name}"
         except ValueError:
             return f"killed by signal {-status}"
     if status == EX_CONFIG:
-        return f"exit code {status}: its configuration cannot work"
-    return "ended by itself (exit code 0)" if status == 0 else f"exit code {status}"
+        return f"exit code {status}: its configuration is invalid"
+    return "ended normally (exit code 0)" if status == 0 else f"exit code {status}"
 
 
 @dataclass
 class NodeProcess:
     """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
 
-    With a `watchdog`, a process that hangs is killed with all that it has started, and starts again. `command` is then
-    a `supervised_command`: what never tells of itself is taken for hung.
+    With a `watchdog`, a hung process is killed with all its children and restarted. `command` must then be a
+    `supervised_command`: a process without heartbeats counts as hung.
     """
 
     label: str
@@ -93,20 +93,20 @@ class NodeProcess:
     console: Console
     policy: RestartPolicy = field(default_factory=RestartPolicy)
     watchdog: WatchdogConfig | None = None
-    """When it hangs; None: only its death is noticed."""
+    """Limits after which it counts as hung; None: only its death is detected."""
     traffic: GraphTraffic = field(default_factory=GraphTraffic)
-    """Of all processes of the graph, by which one that hears nothing is noticed."""
+    """Traffic of all processes of the graph, to detect a process that receives nothing."""
     on_group: Callable[[int, bool], None] = lambda group, alive: None
-    """Told of every process group that comes (True) and is gone (False)."""
+    """Called for every process group that is created (True) or has ended (False)."""
     on_given_up: Callable[[], None] = lambda: None
 
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
     starts: int = field(default=0, init=False)
     hangs: int = field(default=0, init=False)
-    """How often it was killed because it hung."""
+    """Number of times it was killed because it hung."""
     last_exit: str = field(default="", init=False)
-    """How the last run ended, in words."""
+    """End of the last run, in words."""
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
@@ -115,10 +115,10 @@ class NodeProcess:
         self._restarts = RestartDelay(self.policy)
         self._slow_starts = 0
         self._deaf_runs = 0
-        """In a row, that heard nothing at all; each doubles the time that the next one has."""
+        """Number of consecutive runs that received nothing; each doubles the next run's limit."""
         self._look_due = time.monotonic()
         self._hang = ""
-        """Why the last run was killed, where it hung."""
+        """Reason why the last run was killed as hung, if it was."""
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
         self._log = NodeLog(self.log_file, lambda text: self.console(f"[{self.label}] -- {text}"))
         self._log_lock = threading.Lock()
@@ -133,8 +133,8 @@ class NodeProcess:
 
     @property
     def watched(self) -> bool:
-        """Whether its supervisor does its work, or has done it to the end: given up is given up. False where the
-        supervisor hangs (a console that nobody reads) or has died.
+        """Return whether its supervisor works or has given the process up. False if the supervisor hangs (blocked
+        console) or has died.
         """
         if self.state in (ProcessState.GIVEN_UP, ProcessState.STOPPED):
             return True
@@ -145,8 +145,8 @@ class NodeProcess:
         self._thread.start()
 
     def signal(self, number: int, *, whole_group: bool = False) -> bool:
-        """Send a signal to the node (or all that it started). False when it does not run."""
-        # Under the lock the process is not reaped yet, so its id is still its own.
+        """Send a signal to the node (or all its children). Returns False if it does not run."""
+        # Under the lock the process is not reaped yet, so its id is still valid.
         with self._lock:
             if self.pid is None:
                 return False
@@ -154,11 +154,13 @@ class NodeProcess:
             return True
 
     def request_stop(self) -> None:
-        """No more restarts; the process itself is not touched."""
+        """Disable restarts; the running process is not affected."""
         self._stopping.set()
 
     def wait_stopped(self, timeout_s: float) -> bool:
-        """Whether it has stopped for good within `timeout_s`; call after `request_stop` or when it was given up."""
+        """Return whether it has stopped for good within `timeout_s`; call it after `request_stop`, or if it was given
+        up.
+        """
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -168,7 +170,7 @@ class NodeProcess:
         self._log.close()
 
     def last_words(self) -> list[str]:
-        """The newest lines of its output."""
+        """Return the newest lines of its output."""
         return list(self._tail)
 
     def _supervise(self) -> None:
@@ -182,17 +184,17 @@ class NodeProcess:
             delay_s = self._restarts.after(status, uptime_s)
             if delay_s is None:
                 self.state = ProcessState.GIVEN_UP
-                reason = next((line for line in reversed(self._tail) if line.strip()), "it said nothing")
+                reason = next((line for line in reversed(self._tail) if line.strip()), "it printed nothing")
                 self._tell(f"given up after {self._restarts.config_errors} starts ({self.last_exit}): {reason}")
                 self.on_given_up()
                 return
-            self._tell(f"{self.last_exit} after {uptime_s:.1f} s; starts again in {delay_s:.1f} s")
+            self._tell(f"{self.last_exit} after {uptime_s:.1f} s; restarting in {delay_s:.1f} s")
             self._look_due = time.monotonic() + delay_s
             self._stopping.wait(delay_s)
         self.state = ProcessState.STOPPED
 
     def _run_once(self) -> int:
-        """Start the process and follow it to its end; its exit status as subprocess has it."""
+        """Start the process and wait for its end; return its exit status as subprocess does."""
         try:
             process, heartbeat = start_supervised(self.command, self.environment)
         except OSError as error:
@@ -204,7 +206,7 @@ class NodeProcess:
             self.pid = process.pid
             self.starts += 1
             self.state = ProcessState.RUNNING
-        with self._log_lock:  # so that a node that says nothing has a log too
+        with self._log_lock:  # so that a silent node has a log, too
             self._log.write(f"-- started as process {process.pid}")
         assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
@@ -221,9 +223,9 @@ class NodeProcess:
         return status
 
     def _follow(self, pid: int, heartbeat: int) -> str:
-        """Until the process has ended; why it was killed, where it hung.
+        """Wait until the process has ended; return why it was killed, if it hung.
 
-        It is not reaped here: while the zombie is there its process id belongs to nobody else.
+        It is not reaped here: while it is a zombie, its process id cannot be reused.
         """
         hearing, watch = None, None
         if self.watchdog:
@@ -261,11 +263,11 @@ class NodeProcess:
         self.hangs += 1
         ended = select.poll()
         ended.register(end, select.POLLIN)
-        # A process that is stopped says nothing, and one that is not yet at its `supervised` dies of this already.
+        # A stopped process sends nothing, and one that is still starting `supervised` dies of this signal.
         self.signal(SHOW_STACKS)
         ended.poll(STACKS_S * 1000)
         self.signal(signal.SIGKILL, whole_group=True)
-        self._tell(f"hangs: {hang}; killed, the {self.hangs}. time")
+        self._tell(f"hung: {hang}; killed, for the {self.hangs}. time")
 
     def _read(self, output: IO[str]) -> None:
         with output:

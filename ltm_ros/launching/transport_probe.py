@@ -1,6 +1,6 @@
-"""Prints the middleware and the shared-memory sizes that a ROS process of ours gets, as one line of JSON.
+"""Print the middleware and shared-memory sizes of a ROS process as one line of JSON.
 
-Asking a real participant is the only sure answer: Fast DDS passes over a profile that it cannot read.
+Only a real participant gives a reliable answer: Fast DDS ignores a profile that it cannot read.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ltm_ros.runtime.ros_environment import limit_shutdown
 
 
 def own_segment_bytes() -> list[int]:
-    """Sizes of the shared-memory segments that this process has made, largest first."""
+    """Return the sizes of the shared-memory segments that this process created, largest first."""
     sizes = set()
     for link in Path("/proc/self/fd").iterdir():
         try:

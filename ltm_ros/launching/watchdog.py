@@ -1,9 +1,7 @@
-"""Judge by heartbeats and reports whether the processes of a graph work.
+"""Decide from heartbeats and traffic counts whether the processes of a graph work.
 
-Judges by what the processes of a graph say that they have sent and heard whether one of them hears nothing on DDS.
-
-Such a process lives, reports and waits for work, so nothing else shows it. Only its runner knows of both sides, and not
-by DDS.
+A process that receives nothing over DDS still runs, reports and waits, so only a comparison of sent and received counts
+shows it. Only the runner has both, and not over DDS.
 """
 
 from __future__ import annotations
@@ -17,21 +15,21 @@ from dataclasses import dataclass
 from ltm_core.site.sections import WatchdogConfig
 
 LEAST_MISSED = 10
-"""Messages that a process must have missed: one or two may be lost."""
+"""Minimum number of missed messages: one or two may be lost."""
 
 
 class GraphTraffic:
-    """What each process has sent, by topic, however often it was started anew; for all supervisors, from any thread."""
+    """Messages sent by each process, by topic, over all its restarts; for all supervisors, thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._last: dict[str, dict[str, int]] = {}
-        """What each has said of its present run,"""
+        """Counts of each process in its current run,"""
         self._ever: dict[str, dict[str, int]] = {}
-        """and of all its runs together."""
+        """and in all its runs together."""
 
     def begin(self, process: str) -> None:
-        """A process has been started: it counts from 0."""
+        """Start counting a new run from 0."""
         with self._lock:
             self._last[process] = {}
 
@@ -39,45 +37,44 @@ class GraphTraffic:
         with self._lock:
             last, ever = self._last.setdefault(process, {}), self._ever.setdefault(process, {})
             for topic, count in said.items():
-                # Of a publisher that was made anew within the process, its first messages may be missing here.
+                # If a publisher was recreated within the process, its first messages may be missing here.
                 ever[topic] = ever.get(topic, 0) + max(0, count - last.get(topic, 0))
             self._last[process] = dict(said)
 
     def of_others(self, process: str, topics: Iterable[str]) -> dict[str, int]:
-        """Messages that other processes than this have sent on each of these topics."""
+        """Return the messages that other processes have sent on each of these topics."""
         with self._lock:
             others = [ever for name, ever in self._ever.items() if name != process]
             return {topic: sum(ever.get(topic, 0) for ever in others) for topic in topics}
 
 
 class HearingWatch:
-    """Of one run of a process: that it hears nothing of what the others send on any of its topics. One that hears
-    anything, whoever sent it, hears.
+    """Detects that one run of a process receives nothing from the others on any topic. A message from any sender counts
+    as received.
 
-    Args:
-        patience_s: for which it must have heard nothing, from the first message on that it missed.
+    Args: patience_s: seconds without any message, from the first missed message on.
     """
 
     def __init__(self, process: str, traffic: GraphTraffic, patience_s: float) -> None:
         self._process, self._traffic, self._patience_s = process, traffic, patience_s
         self.heard = 0
-        """Messages, on all topics."""
+        """Messages received on all topics."""
         self.deaf = False
-        """Whether `look` has found it so."""
+        """Whether `look` has found that it receives nothing."""
         self._before: dict[str, int] = {}
-        """What others had sent on each topic when it was last heard to hear, or began to listen."""
+        """Messages sent by others on each topic when this process last received one, or subscribed."""
         self._deaf_s = 0.0
 
     def begin_anew(self) -> None:
-        """What it has missed until now does not count: it starts, or the watch itself lay still."""
+        """Ignore earlier missed messages: the process starts, or the watchdog itself was paused."""
         self._before, self._deaf_s = {}, 0.0
 
     def take(self, said: Mapping[str, int]) -> None:
-        """What this process has sent: others must have heard it."""
+        """Record what this process has sent."""
         self._traffic.take(self._process, said)
 
     def look(self, elapsed_s: float, heard: Mapping[str, int]) -> str:
-        """What is wrong, in words, or nothing. `heard`: as the process has just said."""
+        """Return what is wrong, in words, or nothing. `heard`: counts that the process has just reported."""
         total = sum(heard.values())
         if total != self.heard:
             self.heard = total
@@ -90,32 +87,32 @@ class HearingWatch:
             return ""
         self.deaf = True
         most = max(missed, key=missed.__getitem__)
-        return f"it has heard none of {total_missed} messages in {self._deaf_s:.0f} s, most of them on {most}"
+        return f"received 0 of {total_missed} messages in {self._deaf_s:.0f} s, most of them on {most}"
 
 
 BUSY = 0.05
-"""Share of a core from which a process that says nothing is taken to compute, in code that holds Python's lock."""
+"""Share of a core above which a silent process counts as computing in code that holds Python's lock."""
 WAITING = ("R", "D")
-"""States in which a process would go on if it had a core, or its disk answered: no sign that it hangs."""
+"""Process states in which it waits for a core or a disk: no sign of a hang."""
 INTERRUPTED_S = 5.0
-"""Between two looks, which come once a second: then the watch itself lay still (the runner was stopped)."""
+"""Seconds between two checks (normally one) after which the watchdog itself was paused."""
 PARDON_S = 5.0
-"""For which nobody is judged after that: others may have waited for the runner."""
+"""Seconds after such a pause in which no process is judged: others may have waited for the runner."""
 
 
 @dataclass(frozen=True)
 class ProcessUse:
-    """State of a process as `ps` has it (`T`: stopped), and the processor time that it has used."""
+    """State of a process as in `ps` (`T`: stopped), and its processor time."""
 
     state: str
     cpu_s: float
 
 
 def process_use(pid: int) -> ProcessUse:
-    """Of /proc; a process that is gone has used nothing.
+    """Read it from /proc; a dead process has used nothing.
 
-    By name, and in bytes: pathlib keeps each part of a path among Python's interned strings, whose table takes fresh
-    memory for each that comes and goes. This is asked each second, of every process, for months.
+    Uses bytes for names: pathlib interns each part of a path, and the table of interned strings would grow, because
+    this runs every second for every process, for months.
     """
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123 # as above
@@ -126,19 +123,17 @@ def process_use(pid: int) -> ProcessUse:
 
 
 class HangWatch:
-    """Of one run of a process. Time is what the caller says has passed between looks, so no clock can mislead it.
+    """Detects that one run of a process hangs. Time is what passed between calls, so clock changes have no effect.
 
-    Args:
-        limits: of the site.
-        slow_starts: starts in a row that were ended as too slow; each doubles the time that this one has.
-        hearing: of this run; None: whether it hears anything on DDS is not looked at.
+    Args: limits: of the site. slow_starts: consecutive starts that were ended as too slow; each doubles this run's
+    limit. hearing: of this run; None: received messages are not checked.
     """
 
     def __init__(self, limits: WatchdogConfig, slow_starts: int = 0, hearing: HearingWatch | None = None) -> None:
         self._limits, self._hearing = limits, hearing
         self._start_s = limits.slow * 2.0 ** min(slow_starts, 10)
         self.started = False
-        """Whether the process has said that it is at work."""
+        """Whether the process has reported that it is running."""
         self._begun_s = 0.0
         self._silent_s = 0.0
         self._idle_s = 0.0
@@ -148,12 +143,12 @@ class HangWatch:
         self._rest = b""
         self._beat: list[tuple[float, bool, str]] = []
         self._topics_heard: dict[str, int] | None = None
-        """Messages by topic, where the process has just told of them."""
+        """Messages by topic, if the process has just reported them."""
         self._unlooked_s = 0.0
-        """Since `hearing` was looked at."""
+        """Seconds since `hearing` was checked."""
 
     def look(self, elapsed_s: float, heard: bytes, use: ProcessUse) -> str:
-        """What hangs, in words, or nothing. `heard`: what has come on the heartbeat's pipe since the last look."""
+        """Return what hangs, in words, or nothing. `heard`: heartbeats since the last call."""
         self._take(heard)
         cpu_s, self._cpu_s = use.cpu_s - self._cpu_s, use.cpu_s
         if elapsed_s > INTERRUPTED_S:
@@ -172,7 +167,7 @@ class HangWatch:
         return "" if self._pardon_s > 0 else self._verdict(use) or deaf
 
     def _listen(self, elapsed_s: float) -> str:
-        """Why it is taken to hear nothing, when it has just told what it has heard."""
+        """Return why it counts as receiving nothing, after it has reported its counts."""
         self._unlooked_s += elapsed_s
         heard, self._topics_heard = self._topics_heard, None
         if self._hearing is None or heard is None:
@@ -185,22 +180,22 @@ class HangWatch:
     def _verdict(self, use: ProcessUse) -> str:
         limits = self._limits
         if not self.started and self._begun_s > self._start_s:
-            return f"it has not started in {self._begun_s:.0f} s"
+            return f"not started within {self._begun_s:.0f} s"
         stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
         if self._heard and self._idle_s > limits.silent:
-            return f"no sign of life for {self._idle_s:.0f} s{stopped}"
+            return f"no heartbeat for {self._idle_s:.0f} s{stopped}"
         if self._silent_s > limits.stuck:
-            computes = ", though it is at work or waits for it" if self._idle_s < self._silent_s else ""
-            return f"no sign of life for {self._silent_s:.0f} s{stopped or computes}"
+            computes = ", although it is computing or waiting for a core" if self._idle_s < self._silent_s else ""
+            return f"no heartbeat for {self._silent_s:.0f} s{stopped or computes}"
         for age_s, slow, what in self._beat if self.started else ():
             if age_s > (limits.slow if slow else limits.stuck):
-                return f"{what} has not come to an end in {age_s:.0f} s"
+                return f"{what} has not finished in {age_s:.0f} s"
         return ""
 
     def _take(self, heard: bytes) -> None:
         *lines, self._rest = (self._rest + heard).split(b"\n")
         self._heard = self._heard or bool(lines)
-        for told in map(json.loads, lines[-2:]):  # the newest of either kind, where a process tells both
+        for told in map(json.loads, lines[-2:]):  # the newer of the two, if a process reports both
             if isinstance(told, dict):
                 if self._hearing is not None:
                     self._hearing.take(told["said"])

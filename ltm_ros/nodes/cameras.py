@@ -1,4 +1,4 @@
-"""cameras: the nodes of all cameras of a site in one process; `python -m ltm_ros.nodes.cameras NODES.json`."""
+"""cameras: run the nodes of all cameras of a site in one process; `python -m ltm_ros.nodes.cameras NODES.json`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltm_ros.runtime.node_process import run_until_stopped
 
 
 def main() -> None:
-    """The file says which nodes (`nodes_json`); what ROS adds to the command line concerns none of them."""
+    """Run the nodes that the file lists (`nodes_json`), ignoring ROS's own arguments."""
     specs = nodes_of_json(Path(sys.argv[1]).read_text(encoding="utf-8"))
     run_until_stopped(CAMERAS_PROCESS, lambda: SiteProcess(specs))
 

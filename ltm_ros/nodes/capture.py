@@ -1,5 +1,6 @@
-"""capture: joins a camera's images, calibration and poses, checks them, and lets them into the camera's chain of nodes
-under one stamp, as many as these can finish."""
+"""capture: join a camera's images, calibrations and poses, check them, and admit frames to the camera's nodes under one
+stamp, as many as these can process.
+"""
 
 from __future__ import annotations
 
@@ -35,21 +36,24 @@ from ltm_ros.runtime.topics import (
 )
 
 AHEAD_NS = 10**10
-"""By which a camera's clock may be ahead; the nodes that keep what frames tell refuse others."""
+"""Nanoseconds by which a camera's clock may be ahead; nodes that store frames reject others."""
 
 
 class CaptureConfig(NodeConfig, FrameJoinConfig):
     in_flight: int = Field(2, ge=1)
-    """Frames that the camera's nodes work on at most: one is labelled while another is fused."""
+    """Maximum number of frames in flight in the camera's nodes: one is labelled while another is fused."""
     finish_within: float = Field(10.0, gt=0)
-    """Seconds after which a node that has frames and finishes none is not waited for, until it finishes one."""
+    """Seconds without a finished frame after which a node with frames is no longer waited for, until it
+    finishes one.
+    """
     shed: bool = True
-    """While so many are in flight, the newest frame waits and those before it are turned away. False, as in a replay:
-    all wait in order, up to `waiting_bytes` of the site's limits."""
+    """Whether older queued frames are dropped while the maximum is in flight, so that only the newest waits. False, as
+    in a replay: all wait in order, up to `waiting_bytes` of the site's limits.
+    """
 
 
 def _view_of(frame: JoinedFrame) -> Hashable:
-    """The direction in which a frame was taken, in steps of a quarter of what it shows."""
+    """Return the viewing direction of a frame, in steps of a quarter of the field of view."""
     camera, axis = frame.camera, frame.pose.rotation[:, 2]
     step = math.atan2(camera.width, 2 * camera.fx) / 2
     azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
@@ -57,8 +61,9 @@ def _view_of(frame: JoinedFrame) -> Hashable:
 
 
 class CaptureHandler(Handler[CaptureConfig]):
-    """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
-    when the nodes that work on the camera's frames have room for it (`Admission`)."""
+    """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
+    room for it (`Admission`).
+    """
 
     publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
 
@@ -106,7 +111,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         known = self._join.known(stamp)
         if stamp < self._newest and not known:
             self.health.note("out_of_order")
-        # One from the future, of before the clock was set back, would pass for a camera that delivers, for as long.
+        # A frame from the future, before the clock was set back, would count as newest for as long.
         now = self.outlet.now_ns()
         ahead = now > 0 and self._newest > now + AHEAD_NS
         self._newest = stamp if ahead else max(stamp, self._newest)
@@ -117,7 +122,8 @@ class CaptureHandler(Handler[CaptureConfig]):
             and self._pictures.repeats(hashlib.blake2b(message.data).hexdigest())
         ):
             self.health.drop(
-                "repeated", f"an image of {self.config.camera} is the one before; restart a camera that stands still"
+                "repeated",
+                f"an image of {self.config.camera} repeats the previous one; restart the camera if it is frozen",
             )
             return
         self._join.add_image(stamp, message)
@@ -147,12 +153,12 @@ class CaptureHandler(Handler[CaptureConfig]):
         return stamp_of(image), (int(image.width), int(image.height)) if self._raw else compressed_size(image)
 
     def _offer(self, frame: JoinedFrame) -> None:
-        # A JPEG or PNG whose first bytes say that it is not this camera's takes no other's place at the door.
+        # A JPEG or PNG of the wrong size, by its first bytes, takes no place in the queue.
         if self._raw or self._fits(frame.image, frame.camera):
             self._admission.offer(stamp_of(frame.image), frame)
 
     def _send(self, frame: JoinedFrame) -> None:
-        """Only here is an image decoded: what is turned away costs next to nothing."""
+        """Publish a frame. Images are decoded only here, so rejected ones cost almost nothing."""
         stamp = stamp_of(frame.image)
         photo = msg_to_rgb(frame.image) if self._raw else compressed_to_rgb(frame.image)
         pose, covariance = frame.pose, frame.covariance
@@ -167,28 +173,29 @@ class CaptureHandler(Handler[CaptureConfig]):
         self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
-        """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""
+        """Return whether an image is too large to be queued; the size in its first bytes is checked later."""
         if self._raw and self._too_many_pixels("image", int(message.width), int(message.height)):
             return True
-        # Raw, the widest of the encodings that are taken has four bytes a pixel.
+        # The largest supported raw encoding has four bytes per pixel.
         size, most = len(message.data), 4 * self._limits.pixels if self._raw else self._limits.image_bytes
         if size > most:
             key = "pixels" if self._raw else "image_bytes"
-            self._drop_large(f"image of {size} bytes, at most {most} are taken", key)
+            self._drop_large(f"image of {size} bytes; the maximum is {most}", key)
         return size > most
 
     def _too_many_pixels(self, what: str, width: int, height: int) -> bool:
         if width * height <= self._limits.pixels:
             return False
-        self._drop_large(f"{what} of {width} x {height} pixels, at most {self._limits.pixels} are taken", "pixels")
+        self._drop_large(f"{what} of {width} x {height} pixels; the maximum is {self._limits.pixels}", "pixels")
         return True
 
     def _drop_large(self, what: str, key: str) -> None:
-        self.health.drop("too_large", f"{what}; send less, or raise {key} under `limits:` in the site file")
+        self.health.drop("too_large", f"{what}; reduce the size, or raise {key} under `limits:` in the site file")
 
     def _fits(self, image: Any, camera: Camera) -> bool:
-        """Before an image is decoded: whether it is of a size that can be taken. Raises ImageError where the
-        calibration is for another."""
+        """Return whether the image has a valid size, before it is decoded. Raises ImageError if the calibration has
+        another.
+        """
         width, height = compressed_size(image)
         if self._too_many_pixels("image", width, height):
             return False

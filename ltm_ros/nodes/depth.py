@@ -1,4 +1,4 @@
-"""depth: traces every pixel of a posed camera to the terrain and publishes the depth image."""
+"""depth: trace every pixel of a posed camera to the terrain and publish the depth image."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from ltm_ros.surface.follower import SurfaceFollower
 
 
 class DepthConfig(JoinConfig, TracingConfig):
-    """Parameters of the node: how it joins, and how it traces."""
+    """Parameters of the node: joining and tracing."""
 
     surfaces: str = ""
-    """Folder of the confirmed surfaces that are traced to; empty: the site's rasters are. The graph gives it."""
+    """Folder of the confirmed surfaces to trace to; empty: the site's rasters are used. The graph sets it."""
 
 
 class DepthHandler(Handler[DepthConfig]):
-    """Needs no image: calibration and pose decide what the terrain looks like."""
+    """Traces the terrain for each calibration and pose; uses no image."""
 
     publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
     acknowledgements = (FINISHED,)
@@ -90,7 +90,7 @@ class DepthHandler(Handler[DepthConfig]):
         if camera.width * camera.height > self._most_pixels:
             self.health.drop(
                 "too_large",
-                f"calibration of {camera.width} x {camera.height} pixels, at most {self._most_pixels} are traced; "
+                f"calibration of {camera.width} x {camera.height} pixels; the maximum is {self._most_pixels}; "
                 "raise pixels under `limits:` in the site file",
             )
             return
@@ -116,7 +116,7 @@ class DepthHandler(Handler[DepthConfig]):
 
 
 def _compile_kernels() -> None:
-    """Now, or load them from numba's cache: the first frame shall not wait for it."""
+    """Compile the kernels now, or load them from numba's cache, so that the first frame is not delayed."""
     plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
     pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)
     for way in ("profile", "pyramid"):

@@ -1,4 +1,4 @@
-"""fuel_map: fuses the votes of all cameras of a site into its fuel map, and stores it."""
+"""fuel_map: fuse the votes of all cameras of a site into its fuel map, and store it."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ from ltm_ros.runtime.topics import (
 )
 
 BURN_SOURCE = "fuel_map/burn"
-"""Under which the store keeps burns; no camera can have this name."""
+"""Source name of burns in the store; no camera can have this name."""
 
 
 class FuelMapHandler(Handler[FuelMapConfig]):
-    """Sends what frames have changed and the whole map, latched, after they are in the store.
+    """Publishes changes and the whole map (latched) after they are stored.
 
-    Live, that is at each `tick`, twice a second; in an offline replay, after each frame.
+    Live, at each `tick`, twice a second; in an offline replay, after each frame.
     """
 
     publications = (*FuelPublisher.publications, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
@@ -135,10 +135,11 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
             counting = self.persistence.count(votes, self._models.get(camera, ""))
         if counting is Counting.DUPLICATE:
-            self.health.drop("duplicate", f"votes of {camera} of stamp {stamp} ns came twice; counted once")
+            self.health.drop("duplicate", f"duplicate votes of {camera} of stamp {stamp} ns; counted once")
         elif counting is Counting.TOO_OLD:
             self.health.drop(
-                "too_old", f"votes of {camera} of stamp {stamp} ns are older than what is remembered; set its clock"
+                "too_old",
+                f"votes of {camera} of stamp {stamp} ns are older than the remembered stamps; check the camera's clock",
             )
         elif counting is Counting.EMPTY:
             self.health.note("empty_votes")
@@ -146,16 +147,16 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def on_unknown_votes(self, topic: str, message: Any) -> None:
         camera = topic.split("/")[2]
         if not re.fullmatch("[a-z][a-z0-9_]*", camera) or camera in SITE_NAMES:
-            raise MessageError(f"votes on {topic}: {camera!r} is no name of a camera")
+            raise MessageError(f"votes on {topic}: {camera!r} is not a camera name")
         self.on_votes(camera, message)
 
     def on_label_info(self, camera: str, message: Any) -> None:
-        """Which network labels a camera's images is kept beside its frames."""
+        """Store which network labels a camera's images, with its frames."""
         self._models[camera] = msg_to_model(message)
 
     def on_query(self, message: Any) -> None:
         if message.header.frame_id != "map":
-            raise MessageError(f"query is given in frame {message.header.frame_id!r}, wanted 'map'")
+            raise MessageError(f"the query is in frame {message.header.frame_id!r}, expected 'map'")
         point = message.point
         found = answer(self.persistence.map, self.persistence.store, self._classes, float(point.x), float(point.y))
         asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
@@ -165,7 +166,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._region = region_of(message, self._geometry)
 
     def on_surface_change(self, message: Any) -> None:
-        """What the terrain has found gone or grown is told to the map, in the store, and then to all."""
+        """Apply terrain changes (removed or grown) to the map and the store, then publish them."""
         assert self._surface is not None  # nosec B101 # tells the type checker what holds
         if self._surface.on_change(message):
             self._settle(write_tiles=True)
@@ -183,7 +184,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         self._publisher.tick(waited)
 
     def finish(self) -> None:
-        """Raises StoreError where frames could not be stored; they are lost."""
+        """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
         self._publisher.announce(self.persistence.close())
         self._publisher.send_map()
         self._publisher.send_cells()
@@ -193,25 +194,25 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         finally:
             if lost := self.persistence.unsaved_frames:
                 raise StoreError(
-                    f"{lost} frames are lost, which nobody was told are stored: {LAST_TRIES_S:.0f} s more did not "
-                    f"help ({self.persistence.failure}); send them again"
+                    f"{lost} unacknowledged frames are lost: they could not be stored within {LAST_TRIES_S:.0f} s "
+                    f"more ({self.persistence.failure}); send them again"
                 )
 
     def save(self) -> str:
-        """Write the map to the configured file. Raises ConfigError where none is configured."""
+        """Write the map to the configured file. Raises ConfigError without one."""
         self._settle(write_tiles=True)
         path = self._write()
         return f"fuel map of {self.persistence.saved_frames} frames written to {path.name}"
 
     def export(self) -> str:
-        """Write landscapes for fire models into the node's folder. Raises ConfigError where none is configured."""
+        """Write landscapes for fire models into the node's folder. Raises ConfigError without one."""
         if self._folder is None:
             raise ConfigError("no folder is configured for landscapes: set the parameter folder")
         paths = write_landscapes(self.persistence.map, self._site, self._folder, self._folder)
         return f"{' and '.join(path.name for path in paths)} written, as of stamp {self.persistence.map.newest_ns} ns"
 
     def clear(self) -> str:
-        """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
+        """Delete all evidence in the last region of `fuel_map/region`, which is used once."""
         self._check_allowed("clear")
         cells = self._take_region().cells
         self.persistence.replace_tiles(forgotten(self.persistence.map, cells))
@@ -219,15 +220,15 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             self._surface.forget(cells)
         self._settle(write_tiles=True)
         self._publisher.send_map()
-        return f"evidence of {int(cells.sum())} cells forgotten"
+        return f"deleted the evidence of {int(cells.sum())} cells"
 
     def burn(self) -> str:
-        """Mark the region that came last on `fuel_map/region` as burned at its stamp, or now; it serves once."""
+        """Mark the last region of `fuel_map/region` as burned at its stamp, or now; it is used once."""
         self._check_allowed("burn")
         region = self._take_region()
         stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.ahead("the burned region", stamp):
-            raise MessageError(f"the region burned at {stamp} ns, which has not come yet by this node's clock")
+            raise MessageError(f"the burn stamp {stamp} ns is in the future of this node's clock")
         tiles = burned(self.persistence.map, region.cells, stamp)
         self.persistence.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
         self._settle(write_tiles=True)
@@ -237,13 +238,13 @@ class FuelMapHandler(Handler[FuelMapConfig]):
     def _check_allowed(self, service: str) -> None:
         if not self.config.allow_clear_and_burn:
             raise ConfigError(
-                f"fuel_map/{service} is off: set `allow_clear_and_burn: true` under `nodes: fuel_map:` in the site "
-                "file, and start the node again"
+                f"fuel_map/{service} is disabled: set `allow_clear_and_burn: true` under `nodes: fuel_map:` in "
+                "the site file, and restart the node"
             )
 
     def _take_region(self) -> DrawnRegion:
         if self._region is None:
-            raise ConfigError("no region is chosen: publish its corners on fuel_map/region first, in the frame map")
+            raise ConfigError("no region is selected: first publish its corners on fuel_map/region, in the frame map")
         region, self._region = self._region, None
         return region
 
@@ -263,7 +264,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
 
 
 def _folder(config: FuelMapConfig) -> Path | None:
-    """Where the node keeps its files; made where only it is missing, so that a disk that is not there is noticed."""
+    """Return the node's folder; created only if its parent exists, so that a missing disk is noticed."""
     if not config.folder:
         return None
     folder = Path(config.site).parent / Path(config.folder).expanduser()

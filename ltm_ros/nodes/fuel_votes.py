@@ -1,4 +1,4 @@
-"""fuel_votes: turns a camera's depth and labels into votes for the fuel cells that it sees, with their geometry."""
+"""fuel_votes: convert a camera's depth and labels into votes for the fuel cells that it sees, with their geometry."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
         }
 
     def start(self) -> None:
-        """Compile the kernel before the first frame waits for it."""
+        """Compile the kernel, so that the first frame is not delayed."""
         nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
         camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
         self._step.cast(nothing, camera, pose, Segmentation(zeros, zeros), 0, None)

@@ -1,4 +1,4 @@
-"""health: answers monitoring systems and shows the status page, from what the other nodes say on /diagnostics."""
+"""health: answer monitoring systems and serve the status page, from the other nodes' /diagnostics."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from ltm_ros.tower.tower_status import TowerStatus, TowerWatch, camera_of
 
 class HealthNodeConfig(NodeConfig):
     expected: list[str] = Field(default_factory=list)
-    """Full names of the nodes that shall report."""
+    """Full names of the nodes that must report."""
     folders: list[str] = Field(default_factory=list)
-    """Where something is kept: their disks are looked at."""
+    """Storage folders whose disks are checked."""
 
 
 class HealthNode(Node):  # type: ignore[misc]
@@ -83,7 +83,7 @@ class HealthNode(Node):  # type: ignore[misc]
         return 0
 
     def _page_json(self) -> WebResponse:
-        """What the page asks for, again and again while somebody looks at it."""
+        """Return the data that an open status page requests repeatedly."""
         self._pictures.look()
         said = self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": None}
         if self._marks is not None:
@@ -91,7 +91,7 @@ class HealthNode(Node):  # type: ignore[misc]
         return WebResponse.json(said)
 
     def status(self) -> TowerStatus:
-        """Now; may be asked for from any thread."""
+        """Return the current status; thread-safe."""
         disks, used = machine.disks(self._folders), self._memory.used(time.monotonic())
         with self._lock:
             return self._watch.status(
@@ -126,7 +126,7 @@ def _picture(draw: Callable[[], bytes | None], kind: str, _: bytes) -> WebRespon
         drawn = draw()
     except LtmError as error:
         return WebResponse.error(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
-    return WebResponse.error(HTTPStatus.NOT_FOUND, "not yet") if drawn is None else WebResponse(drawn, kind)
+    return WebResponse.error(HTTPStatus.NOT_FOUND, "not available yet") if drawn is None else WebResponse(drawn, kind)
 
 
 CONFIG = HealthNodeConfig

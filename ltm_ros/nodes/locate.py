@@ -1,4 +1,4 @@
-"""locate: finds where on the map the things stand that a detector or a person marks in the cameras' pictures."""
+"""locate: find the places on the map of marks that a detector or a person sets in camera images."""
 
 from __future__ import annotations
 
@@ -53,31 +53,29 @@ from ltm_ros.runtime.topics import (
 
 class LocateConfig(NodeConfig):
     smoke: bool = True
-    """What is marked is smoke, whose foot may be hidden; else it stands on the ground that is marked."""
+    """Whether the marks are smoke, whose base may be hidden; otherwise the object stands on the marked ground."""
     pose_age: float = Field(120.0, gt=0)
-    """Seconds by which a camera's pose may be older than a region that has none of its own stamp."""
+    """Maximum age in seconds of a camera's pose for a region without a pose of equal stamp."""
     track_lifetime: float = Field(3600.0, gt=0)
     """Seconds without a new sighting after which a track ends."""
     max_tracks: int = Field(16, ge=1, le=100)
-    """The one seen longest ago goes first."""
+    """Maximum number of tracks; the one seen longest ago is dropped first."""
     turn_memory: float = Field(86_400.0, gt=0)
-    """Seconds after which what a fire says of a camera that is turned is forgotten: mounts are put right."""
+    """Seconds after which evidence about a misaligned camera is dropped, because mounts get repaired."""
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Seconds by which a region's stamp may be ahead."""
+    """Maximum seconds by which a region's stamp may be ahead."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Seconds by which it may be late."""
+    """Maximum seconds by which a region may be late."""
 
 
 class LocateHandler(Handler[LocateConfig]):
-    """Answers each region in its camera's namespace, and keeps the site's tracks."""
+    """Publishes the place of each region in its camera's namespace, and keeps the site's tracks."""
 
     def __init__(self, config: LocateConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = site = load_site(config.site)
         if site.locating is None:
-            raise ConfigError(
-                f"{config.site}: has no section `locating`; add one (`locating: {{}}` takes the defaults)"
-            )
+            raise ConfigError(f"{config.site}: has no section `locating`; add one (`locating: {{}}` uses the defaults)")
         ground = site.open_dem()
         dem = site.open_surface(ground)
         self._locator = Locator(dem, site.bend, site.locating)
@@ -95,9 +93,9 @@ class LocateHandler(Handler[LocateConfig]):
         self._scenes = {name: site_scene_filter(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._rotations: dict[str, Float64Array] = {name: np.zeros(3) for name in site.cameras}
-        """By which stated poses are corrected."""
+        """Corrections of stated poses."""
         self._told: tuple[str | None, tuple[str, ...]] = (None, ())
-        """The camera that was named last, and by what."""
+        """The camera that was reported last, with the evidence."""
         self._poses = {name: KnownPoses() for name in site.cameras}
         per_camera = (LOCATE_ESTIMATE, LOCATE_GEOJSON)
         self.publications = (
@@ -127,7 +125,7 @@ class LocateHandler(Handler[LocateConfig]):
         if camera.width * camera.height > most:
             self.health.drop(
                 "too_large",
-                f"calibration of {camera.width} x {camera.height} pixels of {name}, at most {most} are taken; raise "
+                f"calibration of {camera.width} x {camera.height} pixels of {name}; the maximum is {most}; raise "
                 "pixels under `limits:` in the site file",
             )
             return
@@ -139,7 +137,7 @@ class LocateHandler(Handler[LocateConfig]):
         self._poses[name].add(stamp_of(message), msg_to_pose(message, "map"), covariance)
 
     def on_correction(self, name: str, message: Any) -> None:
-        """Note whether a camera's pose is known. Evidence from before a new correction is forgotten."""
+        """Record whether a camera's pose is known. Evidence from before a new correction is dropped."""
         correction, lost = msg_to_correction(message), self._tracks.fires.lost
         before = self._rotations[name]
         if correction.known:
@@ -165,7 +163,7 @@ class LocateHandler(Handler[LocateConfig]):
             return
         camera = self._cameras.get(name)
         if camera is None:
-            raise MessageError(f"a region of {name}, of which no calibration has come yet: {POSED_CAMERA_INFO.name}")
+            raise MessageError(f"a region of {name}, whose calibration has not been received: {POSED_CAMERA_INFO.name}")
         config = self._locator.config
         hidden = self._scenes[name].hidden(camera.width, camera.height, Looking.of(camera, pose))
         if len(outline) == 1:
@@ -183,7 +181,7 @@ class LocateHandler(Handler[LocateConfig]):
         self._publish_tracks(stamp)
 
     def _named(self) -> tuple[str | None, tuple[str, ...]]:
-        """The camera that is named now, which tracks then say, and what names it."""
+        """Return the camera that is reported as misaligned, with the evidence."""
         verdict = self._tracks.rename()
         return verdict.wrong, verdict.by
 
@@ -191,17 +189,19 @@ class LocateHandler(Handler[LocateConfig]):
         return replace(topic, name=camera_topic(self._site.name, name, topic))
 
     def _pose_at(self, name: str, stamp: int) -> tuple[Pose, Float64Array, int]:
-        """The pose of a stamp, or the last before it; of stamp 0, the newest. Raises MessageError: there is none."""
+        """Return the pose of a stamp, or the last before it; for stamp 0, the newest. Raises MessageError
+        without one.
+        """
         poses = self._poses[name]
         if not poses:
-            raise MessageError(f"a region of {name}, of which no pose has come yet: {POSED_POSE.name}")
+            raise MessageError(f"a region of {name}, whose pose has not been received: {POSED_POSE.name}")
         if stamp == 0:
             return poses.newest
         known = poses.at(stamp, round(self.config.pose_age * 1e9))
         if known is None:
             raise MessageError(
-                f"a region of {name} of stamp {stamp} ns: no pose is known of then, or of {self.config.pose_age:g} s "
-                "before; send the stamp of the picture in which it was marked"
+                f"a region of {name} of stamp {stamp} ns: no pose at this time, or up to {self.config.pose_age:g} "
+                "s before; send the stamp of the marked image"
             )
         return *known, stamp
 
@@ -244,7 +244,7 @@ class LocateHandler(Handler[LocateConfig]):
 
 
 def _apart(one: Float64Array, other: Float64Array) -> float:
-    """Radians between two rotation vectors."""
+    """Return the angle between two rotation vectors in radians."""
     return float(np.linalg.norm(vector_of_matrix(matrix_of_vector(one) @ matrix_of_vector(other).T)))
 
 

@@ -1,4 +1,4 @@
-"""pose: keeps a mounted camera's pose by its pictures, and tells capture by how much what is stated of it is off."""
+"""pose: refine a mounted camera's pose from its images, and publish the correction for capture."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from ltm_ros.runtime.topics import (
 
 class PoseKeepingConfig(JoinConfig):
     folder: str = ""
-    """What is found of the mount is kept here over a restart; relative to the site file. Empty: nowhere."""
+    """Folder that keeps the mount's correction across restarts, relative to the site file. Empty: not kept."""
 
 
 class PoseHandler(Handler[PoseKeepingConfig]):
-    """Looks at a picture now and then: what it costs is that of a few frames a minute."""
+    """Checks an image from time to time, at the cost of a few frames per minute."""
 
     publications = (POSE_CORRECTION, POSE_INFO)
 
@@ -121,7 +121,7 @@ class PoseHandler(Handler[PoseKeepingConfig]):
         self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
 
     def _recall(self, seen: Camera | None) -> None:
-        """Begin with what is kept. `seen`: the calibration of the pictures, where the site does not state it."""
+        """Load the stored correction. `seen`: calibration of the images, if the site has none."""
         if self._file is None or self._terms:
             return
         try:

@@ -1,4 +1,4 @@
-"""recorder: writes the serialised messages of topics into MCAP bags, and leaves room on the disk."""
+"""recorder: write the serialised messages of topics into MCAP bags, within limits of disk space."""
 
 from __future__ import annotations
 
@@ -29,26 +29,29 @@ from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 class RecorderConfig(NodeConfig):
     bag: str
-    """Folder to write; where there is one already, `<bag>_1` and so on is written instead."""
+    """Folder to write; if it exists, `<bag>_1` and so on is used."""
     topics: list[str] = Field(default_factory=list)
-    """Absolute names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and diagnostics."""
+    """Absolute topic names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and
+    diagnostics.
+    """
     max_bytes: int = Field(-1, ge=-1)
-    """Of all that was recorded under the name of `bag`; the oldest files go. -1: 16 GB, or half of the disk where that
-    is less; 0: no bound."""
+    """Maximum bytes of all recordings named `bag`; the oldest files are deleted first. -1: 16 GB, or half of the disk
+    if that is less; 0: unlimited.
+    """
     min_free_bytes: int = Field(-1, ge=-1)
-    """Free space of the disk under which recording stops. -1: 2 GB, or a tenth of the disk where that is less."""
+    """Free bytes of the disk below which recording stops. -1: 2 GB, or a tenth of the disk if that is less."""
     file_bytes: int = Field(256 << 20, ge=1)
-    """Size at which the next file begins; a quarter of `max_bytes` where that is less."""
+    """Bytes after which the next file begins, at most a quarter of `max_bytes`."""
     file_seconds: float = Field(600.0, gt=0)
-    """Time after which the next file begins."""
+    """Seconds after which the next file begins."""
 
 
 class Recorder(Node):  # type: ignore[misc]
-    """Subscribes raw, so a message costs no decoding; a thread of its own waits for the disk."""
+    """Subscribes to serialised messages, so nothing is decoded; a separate thread writes to the disk."""
 
     def __init__(self) -> None:
         super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
-        map_large_blocks()  # a message stays until the disk has it
+        map_large_blocks()  # a message stays queued until it is on the disk
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
         self._patterns = _patterns(config)
@@ -60,19 +63,19 @@ class Recorder(Node):  # type: ignore[misc]
         tell = self.get_logger().warning
         recording = BoundedRecording(path, self.get_fully_qualified_name(), limits, self.health, tell)
         self._disk = RecordingThread(recording, self.health, partial(tell, throttle_duration_sec=5.0))
-        # Handed to the operating system every second, so that it survives a kill.
+        # Flushed to the operating system every second, to survive a kill.
         self.create_timer(1.0, self._disk.flush, clock=DiagnosticsPublisher.steady_clock())
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self.health})
 
     def close(self) -> int:
-        """Write what waits, for a while at most, and finish the bag; the process's exit status."""
+        """Write the queued messages within a time limit, finish the bag, and return the process's exit status."""
         whole = self._disk.close()
         self._diagnostics.publish()
         return 0 if whole else EX_IOERR
 
     def _discover(self) -> None:
-        """Subscribe to topics as they appear; durability and reliability follow what is offered."""
+        """Subscribe to topics as they appear, with the offered durability and reliability."""
         for topic, types in self.get_topic_names_and_types():
             if topic in self._taken or not any(fnmatchcase(topic, pattern) for pattern in self._patterns):
                 continue
@@ -116,7 +119,9 @@ class Recorder(Node):  # type: ignore[misc]
 def _patterns(config: RecorderConfig) -> list[str]:
     for pattern in config.topics:
         if not re.fullmatch(r"/[A-Za-z0-9_/*?\[\]-]+", pattern):
-            raise ConfigError(f"topic {pattern!r} to record: give absolute names or patterns such as /site/*/depth/*")
+            raise ConfigError(
+                f"topic {pattern!r} cannot be recorded: give absolute names or patterns such as /site/*/depth/*"
+            )
     if config.topics:
         return list(config.topics)
     site = load_site(config.site)

@@ -1,4 +1,4 @@
-"""segmentation: labels every pixel of a camera's images with its class of cover (grass, shrub, tree, sky, ...)."""
+"""segmentation: label every pixel of a camera's images with its land cover class (grass, shrub, tree, sky, ...)."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from ltm_ros.runtime.topics import (
 
 
 class SegmentationConfig(JoinConfig, LabellingConfig):
-    """Parameters of the node: whose pictures, how they are labelled, and how they are joined with where they look."""
+    """Parameters of the node: camera, network, and how images are joined with their poses."""
 
 
 class SegmentationHandler(Handler[SegmentationConfig]):
-    """Takes pictures alone; where the camera has masks of single views, with their poses."""
+    """Labels images; uses their poses only if the camera has masks of single views."""
 
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
     acknowledgements = (FINISHED,)

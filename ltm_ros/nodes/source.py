@@ -1,4 +1,4 @@
-"""source: asks a camera for its pictures and publishes them with true time and true direction, as a driver would."""
+"""source: request images from a camera and publish them with time and direction, like a driver."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.cameras.camera_source import CameraSource, Frame
-from ltm_ros.cameras.opening import SourceThread, calibration_of, gaze_of, open_reader
+from ltm_ros.cameras.opening import SourceThread, calibration_of, direction_of, open_reader
 from ltm_ros.runtime.clocks import SystemClock
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -23,15 +23,15 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, SOURCE_INFO
 
 JPEG_QUALITY = 92
-"""Of a video's pictures, where the camera sends no JPEGs."""
+"""JPEG quality of video images, if the camera sends no JPEGs."""
 
 
 class SourceNodeConfig(NodeConfig):
-    """How the camera is asked stands in the site file, `cameras: NAME: source`."""
+    """Parameters of the node; the camera's connection is in the site file, `cameras: NAME: source`."""
 
 
 class SourceHandler(Handler[SourceNodeConfig]):
-    """The camera is asked in a thread of its own (`SourceThread`), which publishes too."""
+    """Requests and publishes images in a separate thread (`SourceThread`)."""
 
     publications: Sequence[Topic] = (IMAGE_COMPRESSED, CAMERA_INFO, POSE, SOURCE_INFO)
 
@@ -50,7 +50,7 @@ class SourceHandler(Handler[SourceNodeConfig]):
         self._source = CameraSource(
             camera.source,
             calibration,
-            gaze_of(site, camera),
+            direction_of(site, camera),
             partial(open_reader, camera.source, site.limits.image_bytes, clock),
             self._publish,
             health,
@@ -73,7 +73,7 @@ class SourceHandler(Handler[SourceNodeConfig]):
 
     def _publish(self, frame: Frame) -> None:
         if self._ended:
-            return  # the node may be gone before a slow camera has answered
+            return  # the node may end before a slow camera has answered
         stamp = frame.stamp_ns
         self.outlet.publish(CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
         if frame.pose is not None:

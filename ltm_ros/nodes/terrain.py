@@ -1,4 +1,4 @@
-"""terrain: updates a site's surface map from the depth that its cameras measure, where several views agree."""
+"""terrain: update a site's surface map from measured depth where several views agree."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from ltm_ros.runtime.topics import (
 from ltm_ros.surface.confirmation import Confirmation, TerrainPublisher
 
 GRID_CELLS_PER_S = 1_000_000
-"""Of the latched grid of changes: a large one goes out less often."""
+"""Cells per second of the latched grid of changes: a large grid is published less often."""
 _PARTS: Mapping[str, Topic] = {
     "depth": MEASURED_DEPTH,
     "sigma": MEASURED_SIGMA,
@@ -52,30 +52,32 @@ _PARTS: Mapping[str, Topic] = {
     "pose": POSED_POSE,
 }
 _WAITING = 6
-"""Frames of one camera that wait for their parts, and labels that wait for their frame: they come first, where they
-come at all."""
+"""Maximum number of frames per camera that wait for their parts, and of labels that wait for their frame."""
 
 
 class TerrainNodeConfig(JoinConfig):
     max_wait: float = Field(120.0, gt=0)
-    """Seconds that a frame's pose waits for its measured depth, which has waited in `topodepth` before."""
+    """Seconds for which a frame's pose waits for its measured depth, which may have waited in `topodepth` before."""
     folder: str = ""
-    """Where the surface is kept from run to run, and written on request; relative to the site file. Empty: it ends
-    with the node. Never taken from the wire."""
+    """Folder in which the surface is kept between runs and written on request, relative to the site file. Empty: not
+    kept. Never set by a message.
+    """
     commit_every: float = Field(10.0, gt=0)
-    """Seconds of frames that a power cut may take."""
+    """Seconds of frames that a power cut may lose."""
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
-    """Seconds by which a camera's clock may be ahead."""
+    """Maximum seconds by which a camera's clock may be ahead."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
-    """Seconds by which a frame may be late."""
+    """Maximum seconds by which a frame may be late."""
     surfaces: str = ""
-    """Folder in which the confirmed surfaces are kept that depth is traced to; empty: it is not. The graph gives it."""
+    """Folder for the confirmed surfaces that depth is traced to; empty: none. The graph sets it."""
     depth_from_elsewhere: bool = False
-    """`measured/depth` and `measured/sigma` come from no node of this graph: a range finder's, say, at any size."""
+    """Whether `measured/depth` and `measured/sigma` come from outside this graph, such as a range finder,
+    at any size.
+    """
 
 
 class TerrainHandler(Handler[TerrainNodeConfig]):
-    """Sends the cells whose change is new as they are decided and stored, and the whole grid of changes, latched."""
+    """Publishes changed cells after they are confirmed and stored, and the whole grid of changes (latched)."""
 
     publications: Sequence[Topic] = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
 
@@ -83,11 +85,11 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         super().__init__(config, outlet, health)
         self._site = site = load_site(config.site)
         if site.terrain is None:
-            raise ConfigError(f"{config.site}: has no section `terrain`; add one (`terrain: {{}}` takes the defaults)")
+            raise ConfigError(f"{config.site}: has no section `terrain`; add one (`terrain: {{}}` uses the defaults)")
         if not site.depth_model and not config.depth_from_elsewhere:
             raise ConfigError(
-                f"{config.site}: terrain needs measured depth, and traced depth agrees with the DEM by construction: "
-                "give `depth_model` a depth network, or set the node's depth_from_elsewhere"
+                f"{config.site}: terrain needs measured depth, because traced depth agrees with the DEM by "
+                "construction: set `depth_model` to a depth network, or set the node's depth_from_elsewhere"
             )
         self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
         self._terrain = SiteTerrain(site, self._open_store)
@@ -155,13 +157,13 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._publish_grid()
 
     def end_of_day(self) -> None:
-        """The fuel map shall take what was seen of the next day for what stands now."""
+        """Publish changes before the next day's frames, so that the fuel map applies them in order."""
         self._store_what_is_due()
         if self._dirty:
             self._publish_grid()
 
     def finish(self) -> None:
-        """Raises StoreError where frames could not be stored; they are lost."""
+        """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
         for join in self._joins.values():
             join.finish()
         try:
@@ -173,13 +175,13 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             self._store.close()
 
     def save(self) -> str:
-        """Write the layers to the configured folder. Raises ConfigError where none is configured."""
+        """Write the layers to the configured folder. Raises ConfigError without one."""
         if self._folder is None:
             raise ConfigError("no folder is configured for the terrain: set the node's parameter folder")
         self._settle()
         window = self._map.seen_window()
         if window is None:
-            raise ConfigError("no camera has seen the terrain yet; there is nothing to write")
+            raise ConfigError("no frame has updated the terrain yet; there is nothing to write")
         self._map.commit()
         layers = self._map.layers(window)
         files = write_surface(
@@ -203,7 +205,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         if self._stamps.refuses(f"a frame of {camera}", stamp):
             return
         if self._map.counted(camera, stamp):
-            self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
+            self.health.drop("duplicate", f"duplicate frame of {camera} of stamp {stamp} ns; counted once")
             return
         added = self._terrain.add(
             msg_to_depth(depth),
@@ -227,7 +229,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         self.outlet.acknowledge(self._of(camera, FINISHED), stamp)
 
     def _store_what_is_due(self) -> None:
-        """Nothing is lost where the store is away: all of it stays in memory, and is tried again."""
+        """Store due frames. Without the disk, they stay in memory and are tried again."""
         try:
             self._settle()
             due = self._since_commit >= self.config.commit_every or self._map.uncommitted >= UNCOMMITTED
@@ -252,15 +254,15 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
             except StoreError as error:
                 if time.monotonic() >= until:
                     raise StoreError(
-                        f"{self._map.uncommitted} frames are lost, whose changes nobody was told of: "
-                        f"{LAST_TRIES_S:.0f} s more did not help ({error}); send them again"
+                        f"{self._map.uncommitted} frames with unpublished changes are lost: {LAST_TRIES_S:.0f} s "
+                        f"more did not help ({error}); send them again"
                     ) from error
                 time.sleep(LAST_PAUSE_S)
 
     def _settle(self, last: bool = False) -> None:
-        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes.
+        """Compute the changes of the frames since the last call; changes are stored before they are published.
 
-        `last`: write all, for nothing comes after. Raises StoreError.
+        `last`: write everything, because no more frames come. Raises StoreError.
         """
         if self._undecided:
             self._undecided, self._dirty = 0, True
@@ -283,7 +285,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
         try:
             self._folder.mkdir(exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{self._folder}: no folder that can be used ({error.strerror})") from error
+            raise ConfigError(f"{self._folder}: not a usable folder ({error.strerror})") from error
         return TileStore.open(self._folder / STORE_FILE, schema)
 
 

@@ -1,4 +1,4 @@
-"""topodepth: fuses traced depth with the depth that a network estimates from the photo (TopoDepth of the paper)."""
+"""topodepth: fuse traced depth with the depth that a network estimates from the image (TopoDepth)."""
 
 from __future__ import annotations
 
@@ -47,20 +47,22 @@ from ltm_ros.runtime.topics import (
 
 
 class TopoDepthConfig(JoinConfig, FusingConfig):
-    """Parameters of the node: how it joins, and how it fuses."""
+    """Parameters of the node: joining and fusion."""
 
     label_wait: float = Field(5.0, ge=0)
-    """Seconds that a frame waits for its labels before it is fused without them: on a tower's two cores, all nodes of
-    all cameras at work, they may be some behind."""
+    """Seconds for which a frame waits for its labels before it is fused without them; on a tower's two cores they may
+    be several seconds late.
+    """
     max_waiting: int = Field(4, ge=1)
-    """Frames that wait for labels at most."""
+    """Maximum number of frames that wait for labels."""
     surfaces: str = ""
-    """Folder of the confirmed surfaces that `depth` traces to; empty: it traces to the site's rasters. The graph gives
-    it."""
+    """Folder of the confirmed surfaces that `depth` traces to; empty: it traces to the site's rasters. The graph sets
+    it.
+    """
 
 
 class TopoDepthHandler(Handler[TopoDepthConfig]):
-    """Joins photo, calibration, pose and traced depth; labels too, where they come in time."""
+    """Joins image, calibration, pose and traced depth, and labels if they come in time."""
 
     publications = (
         FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
@@ -106,7 +108,7 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
         self._join.finish()
 
     def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
-        """`traced`: the version of the surface to which the frame was traced."""
+        """Fuse a frame. `traced`: the version of the surface that it was traced to."""
         if self._versions is not None and traced != self._version:
             over = confirmed_terrain(self._site, self._versions, traced)
             self._step.trace_to(None if over.top is over.ground else over.ground)

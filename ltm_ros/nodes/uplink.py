@@ -1,4 +1,4 @@
-"""uplink: keeps the votes of a site's cameras in an outbox, and sends them to the map of their region."""
+"""uplink: keep the votes of a site's cameras in an outbox, and send them to their region's map."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
 
 OUTBOX_FILE: Final = "outbox.sqlite"
 SECTORS: Final = 24
-"""Directions in which a camera looks, that thinning tells apart."""
+"""Number of viewing directions that thinning distinguishes."""
 
 
 class UplinkNodeConfig(NodeConfig):
     folder: str = ""
-    """Where the outbox is kept; relative to the site file."""
+    """Folder of the outbox, relative to the site file."""
 
 
 class UplinkHandler(Handler[UplinkNodeConfig]):
-    """Only takes what the votes' nodes publish: frames go into the outbox a moment after they come."""
+    """Receives votes and writes them to the outbox shortly after."""
 
     def __init__(self, config: UplinkNodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -74,7 +74,7 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
     def on_votes(self, camera: str, message: Any) -> None:
         content = bytes(serialize_message(message))
         if len(content) > MAX_BYTES:
-            raise MessageError(f"votes of {camera} of {len(content)} bytes; a region takes {MAX_BYTES} at most")
+            raise MessageError(f"votes of {camera} of {len(content)} bytes; the maximum of a region is {MAX_BYTES}")
         model = self._models.get(camera, "")
         self._link.offer(OutboxFrame(camera, stamp_of(message), sector(message), model, content))
 
@@ -82,15 +82,15 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
         self._models[camera] = msg_to_model(message)
 
     def finish(self) -> None:
-        """Raises StoreError where frames could not be written; they are lost."""
+        """Write the remaining frames. Raises StoreError if that fails; then they are lost."""
         if not self._link.stop():
-            raise StoreError(f"frames are lost: the outbox's disk did not serve, nor for {LAST_TRIES_S:.0f} s more")
+            raise StoreError(f"frames are lost: the outbox's disk failed, also for {LAST_TRIES_S:.0f} s more")
 
 
 def sector(message: Any) -> int:
-    """Which of `SECTORS` directions votes look in, by the mean of their bearings; -1 where they tell none.
+    """Return which of `SECTORS` directions the votes show, by the mean of their bearings; -1 without bearings.
 
-    Raises MessageError on a message that is no table of points.
+    Raises MessageError if the message is not a table of points.
     """
     bearings = msg_to_columns(message).get("bearing_deg")
     if bearings is None or not len(bearings):
@@ -104,13 +104,11 @@ def _grid(site: Site) -> VotesGrid:
     try:
         return VotesGrid.of(site.in_crs(site.fuel_geometry(site.open_dem())), site.origin)
     except ValidationError as error:
-        raise ConfigError(
-            f"crs {site.crs!r}: a site that belongs to a region needs a CRS by its code, such as EPSG:32611"
-        ) from error
+        raise ConfigError(f"crs {site.crs!r}: a site of a region needs a CRS by code, such as EPSG:32611") from error
 
 
 def _age_clock() -> int | None:
-    """A clock that nothing keeps right makes no frame too old."""
+    """Return the clock for ages: without synchronisation, no frame counts as too old."""
     return None if kernel_clock().synchronised is False else time.time_ns()
 
 

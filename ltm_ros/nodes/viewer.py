@@ -1,4 +1,4 @@
-"""viewer: shows the running graph in Rerun, live or into an .rrd file."""
+"""viewer: show the running graph in Rerun, live or into an .rrd file."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 
 
 def free_path(path: Path) -> Path:
-    """`path`, or the first of `name_1`, `name_2`, ... (before the suffix of a file) that is not there.
+    """Return `path`, or the first of `name_1`, `name_2`, ... (before a file's suffix) that does not exist.
 
-    An empty folder counts as not there.
+    An empty folder counts as not existing.
     """
     candidate, n = path, 0
     while candidate.is_file() or (candidate.is_dir() and any(candidate.iterdir())):
@@ -61,14 +61,14 @@ def free_path(path: Path) -> Path:
 
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12
-"""Every how many pixels a depth image gives a point in the 3D view."""
+"""Step in pixels between the points of a depth image in the 3D view."""
 
 
 class ViewerConfig(NodeConfig):
     save: str = ""
-    """.rrd file to write; empty: none. Where it exists, `<name>_1.rrd` and so on is written instead."""
+    """.rrd file to write; empty: none. If it exists, `<name>_1.rrd` and so on is used."""
     serve: bool = False
-    """Serve a live view on loopback."""
+    """Whether to serve a live view on loopback."""
     web_port: int = Field(WEB_PORT, ge=0, lt=65536)
     grpc_port: int = Field(GRPC_PORT, ge=1, lt=65536)
 
@@ -84,7 +84,7 @@ class ViewerHandler(Handler[ViewerConfig]):
         self._untouched = {
             name: getattr(prior, name) for name in ("life_form", "code", "entropy", "changed", "seen_by")
         }
-        """What is known of cells that no camera has touched: the prior; the graph sends the others alone."""
+        """The prior, for cells without evidence; the graph publishes only the others."""
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
@@ -157,7 +157,7 @@ class ViewerHandler(Handler[ViewerConfig]):
             values = {}
             for item in status.values:
                 if item.key.endswith(("_ms", "_hz")) or item.key in ("received", "published", "dropped", "queue"):
-                    with suppress(ValueError):  # any driver may have such keys, and words for values
+                    with suppress(ValueError):  # any driver may publish such keys, with text values
                         values[item.key] = float(item.value)
             self._view.log_diagnostics(stamp_of(message), status.name, values)
             if status.level != b"\x00":
@@ -181,7 +181,7 @@ class ViewerHandler(Handler[ViewerConfig]):
         self._fusions[camera].add(part, stamp_of(message), message)
 
     def _show_fusion(self, camera: str, traced: Any, fused: Any) -> None:
-        """With the network's depth where it came: of a frame it is sent before the fused one, and not always."""
+        """Show the fused depth, with the network's depth if it came; that is published earlier, and not always."""
         stamp, network = stamp_of(fused), self._network.get(camera)
         alone = msg_to_depth(network) if network is not None and stamp_of(network) == stamp else None
         self._view.log_fusion(camera, stamp, msg_to_depth(fused), msg_to_depth(traced), alone)

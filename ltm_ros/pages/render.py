@@ -13,13 +13,13 @@ import numpy as np
 
 
 def write_figures(path: Path, figures: Any) -> None:
-    """Write `figures`, of what JSON has and NumPy's floats; folders are made."""
+    """Write `figures` as JSON, with NumPy's floats; creates folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(without_nan(figures), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def without_nan(value: Any) -> Any:
-    """Values that JSON has: NaN and infinity become null."""
+    """Return values that JSON supports: NaN and infinity become null."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,1 +1,1 @@
-"""Reads recorded runs frame by frame."""
+"""Read recorded runs frame by frame."""

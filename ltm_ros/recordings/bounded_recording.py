@@ -1,4 +1,4 @@
-"""Record with room left on the disk: a ring of files, written by a thread of its own."""
+"""Record within limits of disk space: a ring of files, written by a separate thread."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import Backoff
 
 RING_BYTES, RING_SHARE = 16_000_000_000, 0.5
-"""Of recordings by default: the lesser of the bytes and of the share of the disk."""
+"""Default maximum of all recordings: the smaller of bytes and share of the disk."""
 FLOOR_BYTES, FLOOR_SHARE = 2_000_000_000, 0.1
-"""Free space that a recording leaves by default, likewise."""
+"""Default free space that a recording leaves, likewise."""
 RETRY_S, LONGEST_RETRY_S = 1.0, 15.0
 """First and longest pause after the disk has failed."""
 
 
 @dataclass(frozen=True)
 class RecordingLimits:
-    """`most_bytes`: of all recordings that are not kept, None: any. `floor`: bytes that stay free. `split`: when the
-    next file begins."""
+    """`most_bytes`: of all recordings that are not kept, None: unlimited. `floor`: bytes that stay free. `split`: when
+    the next file begins.
+    """
 
     most_bytes: int | None
     floor: int
@@ -44,11 +45,13 @@ class RecordingLimits:
     def of(
         cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float
     ) -> RecordingLimits:
-        """What a configuration means on the disk of `path`. Raises RecordingError where the disk cannot be asked."""
+        """Return the limits of a configuration on the disk of `path`. Raises RecordingError if the disk cannot be
+        queried.
+        """
         try:
             disk = disk_bytes(path)
         except OSError as error:
-            raise RecordingError(f"cannot look at the disk of {path}: {error}") from error
+            raise RecordingError(f"cannot read the disk usage of {path}: {error}") from error
         most = min(RING_BYTES, int(RING_SHARE * disk)) if max_bytes < 0 else max_bytes or None
         floor = min(FLOOR_BYTES, int(FLOOR_SHARE * disk)) if min_free_bytes < 0 else min_free_bytes
         size = file_bytes if most is None else max(1, min(file_bytes, most // 4))
@@ -56,18 +59,18 @@ class RecordingLimits:
 
 
 class BoundedRecording:
-    """Writes messages into bags; for one thread. Raises nothing where the disk fails: it is told to `health`.
+    """Writes messages into bags; for one thread. Disk errors are reported to `health`, not raised.
 
-    Published is what the operating system has. What it has not taken is dropped as `disk` (an error of the disk) or
-    `disk_low` (less free than the floor).
+    Messages count as published when the operating system has them. Others are dropped as `disk` (disk error) or
+    `disk_low` (free space below the floor).
     """
 
     def __init__(
         self, path: Path, recorder: str, limits: RecordingLimits, health: Health, tell: Callable[[str], None]
     ) -> None:
-        """`tell`: one line each time that recording stops or goes on.
+        """Open the recording. `tell`: gets one line each time that recording stops or continues.
 
-        Raises RecordingError where no bag can be made for another reason than a disk that is full just now.
+        Raises RecordingError if no bag can be made for another reason than a full disk.
         """
         self._limits, self._health, self._tell = limits, health, tell
         self._ring = RecordingRing(path, recorder, limits.most_bytes)
@@ -81,7 +84,7 @@ class BoundedRecording:
         self._retry_at = 0.0
         self._backoff = Backoff(RETRY_S, LONGEST_RETRY_S)
         for folder in self._ring.repair():
-            self._tell(f"{folder} was not finished; it is now, and ends with its last whole chunk")
+            self._tell(f"{folder} was not finished; it now ends with its last complete chunk")
         try:
             self._open()
         except RecordingError as error:
@@ -90,7 +93,7 @@ class BoundedRecording:
             self._fail(error)
 
     def add_topic(self, topic: str, type_name: str, latched: bool) -> None:
-        """Announce a topic. Raises RecordingError on a type that is not known here."""
+        """Announce a topic. Raises RecordingError for an unknown type."""
         if self._writer is not None:
             try:
                 self._writer.add_topic(topic, type_name, latched)
@@ -101,7 +104,7 @@ class BoundedRecording:
         self._topics[topic] = type_name, latched
 
     def write(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
-        """Take a message. Raises RecordingError on one that can be in no bag."""
+        """Write a message. Raises RecordingError for an invalid one."""
         if self._low():
             self._refuse("disk_low", self._why_low(), topic, cdr)
             return
@@ -130,7 +133,7 @@ class BoundedRecording:
         self._account()
 
     def flush(self) -> None:
-        """Once a second: hand what waits to the operating system, look at the disk, say how it is."""
+        """Pass written data to the operating system, check the disk, and report its state; call it once a second."""
         low = self._low()
         if self._writer is not None:
             self._try(self._writer.flush)
@@ -142,9 +145,9 @@ class BoundedRecording:
         self._health.gauge("file_bytes", 0 if self._writer is None else self._writer.file_bytes)
 
     def close(self) -> bool:
-        """Finish the bag; whether it is whole."""
+        """Finish the bag; return whether it is complete."""
         for topic in self._held:
-            self._health.drop("disk", f"the last message of {topic} came while nothing could be recorded")
+            self._health.drop("disk", f"the last message of {topic} came while recording was stopped")
         return self._writer is None or self._try(self._writer.close)
 
     def _open(self) -> BagWriter:
@@ -162,7 +165,9 @@ class BoundedRecording:
         self._health.gauge("recorded_bytes", self._ring.total())
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
-        """The last message of a latched topic is state, which comes but once: it waits until recording goes on."""
+        """Drop a message; the last message of a latched topic waits until recording continues, because it is not
+        repeated.
+        """
         latched = topic in self._topics and self._topics[topic][1]
         if not latched or topic in self._held:
             self._health.drop(cause, why)
@@ -170,25 +175,25 @@ class BoundedRecording:
             self._held[topic] = cdr
 
     def _low(self) -> bool:
-        """Looks at the disk; a recording that stops ends its file, so that it can be read meanwhile."""
+        """Check the disk; when recording stops, the file is finished, so that it can be read."""
         before, low = self._floor.low, self._floor.look()
         if low and not before:
-            self._tell(f"recording stops: {self._why_low()}")
+            self._tell(f"recording stopped: {self._why_low()}")
             if self._writer is not None:
                 self._try(self._writer.end_file)
         elif before and not low:
-            self._tell(f"recording goes on: {self._floor.free / 1e6:.0f} MB are free")
+            self._tell(f"recording continues: {self._floor.free / 1e6:.0f} MB are free")
         return low
 
     def _why_low(self) -> str:
         free, least, again = (f"{n / 1e6:.0f} MB" for n in (self._floor.free, self._floor.floor, self._floor.again))
         return (
-            f"{free} are free on the disk of {self._path}, recording leaves {least}; remove what is not needed (from "
-            f"{again} on it goes on), or lower min_free_bytes"
+            f"{free} are free on the disk of {self._path}, but recording needs {least}; delete files (recording "
+            f"continues from {again} on), or lower min_free_bytes"
         )
 
     def _try(self, act: Callable[[], None]) -> bool:
-        """False where the disk has failed."""
+        """Run a disk operation; return False if it failed."""
         writer = self._writer
         assert writer is not None  # nosec B101 # tells the type checker what holds
         lost = writer.lost
@@ -224,23 +229,24 @@ class BoundedRecording:
         if new and self._failed:
             self._failed = ""
             self._backoff.succeeded()
-            self._tell("recording goes on")
+            self._tell("recording continues")
 
 
 QUEUE_BYTES = 256 << 20
-"""Bytes of messages that may wait for the disk before more are dropped and counted. DDS holds as much besides where
-messages are large, and all of it shall stay below a gigabyte."""
+"""Maximum bytes of queued messages, before more are dropped and counted. DDS may hold as much of large messages, and
+the total must stay below 1 GB.
+"""
 QUEUE_MESSAGES = 100_000
-"""Messages likewise, however small they are: each takes some 450 bytes of Python's besides its own."""
+"""Maximum number of queued messages: each takes some 450 bytes besides its own."""
 CLOSE_S = 5.0
-"""For which a recorder that is told to stop goes on writing what waits."""
+"""Seconds for which a stopping recorder writes its queue."""
 
 _Work = tuple[Callable[[], None], int | None]
-"""What is to be done, and the bytes of the message if it stores one."""
+"""A task, and the bytes of the message if it stores one."""
 
 
 class RecordingThread:
-    """Hands messages to a recording in the order in which they come, from any threads; the only one that writes."""
+    """Passes messages from any threads to a recording in order; only this thread writes."""
 
     def __init__(
         self,
@@ -250,7 +256,7 @@ class RecordingThread:
         most_bytes: int = QUEUE_BYTES,
         most_messages: int = QUEUE_MESSAGES,
     ) -> None:
-        """`tell`: a line of each error. Runs from now on."""
+        """Start the thread. `tell`: gets a line of each error."""
         self._recording, self._health, self._tell = recording, health, tell
         self._most_bytes, self._most_messages = most_bytes, most_messages
         self._queue: queue.Queue[_Work | None] = queue.Queue()
@@ -265,16 +271,16 @@ class RecordingThread:
         self._queue.put((partial(self._recording.add_topic, topic, type_name, latched), None))
 
     def flush(self) -> None:
-        """Hand what is written to the operating system; nothing more where that waits already."""
+        """Pass written data to the operating system, unless that is queued already."""
         if not self._flushing:
             self._flushing = True
             self._queue.put((self._flush, None))
 
     def take(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
-        """Write a message; where too many wait, or too large ones, it is dropped and counted as `overload`."""
+        """Queue a message; if the queue is full, it is dropped and counted as `overload`."""
         with self._lock:
             if self._bytes + len(cdr) > self._most_bytes or self._messages >= self._most_messages:
-                waiting = f"{self._messages} messages ({self._bytes >> 20} MB) wait for the disk"
+                waiting = f"{self._messages} messages ({self._bytes >> 20} MB) are queued for the disk"
                 self._health.drop("overload", f"{waiting}; record fewer topics")
                 return
             self._bytes += len(cdr)
@@ -282,7 +288,7 @@ class RecordingThread:
         self._queue.put((partial(self._store, topic, type_name, cdr, log_time_ns), len(cdr)))
 
     def close(self) -> bool:
-        """Write what waits, for `CLOSE_S` at most, and finish the bag; whether it is whole."""
+        """Write the queue, for `CLOSE_S` at most, and finish the bag; return whether it is complete."""
         self._stop_at = time.monotonic() + CLOSE_S
         self._queue.put(None)
         self._thread.join()
@@ -299,7 +305,7 @@ class RecordingThread:
                 self._health.drop(cause_of(error), str(error))
                 self._tell(str(error))
             except BaseException:
-                # A bug: a recorder that does not record shall not seem to; the graph starts another.
+                # An internal error: a recorder that does not record must not look healthy; the graph restarts it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             if size is not None:
@@ -318,6 +324,6 @@ class RecordingThread:
 
     def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         if time.monotonic() > self._stop_at:
-            self._health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for what waited at the end")
+            self._health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for the queued messages at the end")
             return
         self._recording.write(topic, type_name, cdr, log_time_ns)

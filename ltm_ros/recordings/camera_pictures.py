@@ -20,23 +20,23 @@ from ltm_ros.recordings.frame_stream import PARTS, FrameStream
 from ltm_ros.runtime.topics import POSE
 
 PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
-"""Endings of photos; .tif is left out: rasters are called so."""
+"""Suffixes of photos; .tif is excluded, because rasters use it."""
 
 
 def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
-    """The photos of a folder by name, without label images. Raises RecordingError where there are none."""
+    """Return the photos of a folder by name, without label images. Raises RecordingError if there are none."""
     found = sorted(
         path
         for path in folder.glob(pattern)
         if path.suffix.lower() in PICTURES and path.is_file() and not path.stem.endswith(("_labels", "_mask"))
     )
     if not found:
-        raise RecordingError(f"{folder}: no photos called {pattern!r}; {', '.join(PICTURES)} are read")
+        raise RecordingError(f"{folder}: no photos match {pattern!r}; supported: {', '.join(PICTURES)}")
     return found
 
 
 def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:
-    """Names and photos, at most so many. Raises RecordingError and ImageError."""
+    """Yield names and photos, at most `most`. Raises RecordingError and ImageError."""
     paths = evenly(pictures_in(folder, pattern), most)
     return [path.name for path in paths], [read_rgb(path) for path in paths]
 
@@ -44,9 +44,9 @@ def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], l
 def recorded_pictures(
     bag: Path, site: Site, camera: str, most: int, view: ViewMask | None = None
 ) -> tuple[list[str], list[UInt8Array]]:
-    """Return names by stamps, and pictures of a camera in a recording, `most` of them at most.
+    """Return names by stamps, and images of a camera in a recording, `most` of them at most.
 
-    `view`: only pictures with a pose that looks there; the zoom does not count. Raises RecordingError, ImageError.
+    `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError.
     """
     site.camera(camera)
     stream = FrameStream(bag, site.name, [camera], {part: PARTS[part] for part in ("photo", "pose")})
@@ -55,7 +55,9 @@ def recorded_pictures(
     needed = ("photo",) if view is None else ("photo", "pose")
     stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or _looks_at(f.take("pose"), view)]
     if not stamps:
-        raise RecordingError(f"{bag}: no picture of {camera} has a pose that looks to view {view.name if view else ''}")
+        raise RecordingError(
+            f"{bag}: no image of {camera} has a pose in the direction of view {view.name if view else ''}"
+        )
     wanted = set(evenly(stamps, most))
     frames = [(f.stamp_ns, f.take("photo")) for f in stream.frames(needed) if f.stamp_ns in wanted]
     return [f"{camera}_{stamp}" for stamp, _ in frames], [photo for _, photo in frames]
@@ -67,15 +69,15 @@ def _looks_at(pose: Pose, view: ViewMask) -> bool:
 
 
 _MOST = 12
-"""Views of a camera that are kept."""
+"""Maximum number of views per camera."""
 _ALIKE_DEG = 2.0
 
 
 def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
-    """The different views of each camera of the site, in the order in which they were taken, at most _MOST a camera;
-    none of a camera that the recording does not have.
+    """Return the different views of each camera of the site, in order of time, at most _MOST per camera; none of a
+    camera that is not in the recording.
 
-    Raises RecordingError where it has none of them.
+    Raises RecordingError if there are none at all.
     """
     stream = FrameStream.open(bag, site, {"camera": PARTS["camera"], "pose": ((POSE, _map_pose),)})
     cameras: dict[str, Camera] = {}
@@ -93,8 +95,8 @@ def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
     views = [PosedCamera(name, cameras[name], pose) for name in cameras for pose in poses[name]]
     if not views:
         raise RecordingError(
-            f"{bag}: holds no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); its "
-            f"topics are {stream.topics}"
+            f"{bag}: contains no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); "
+            f"its topics are {stream.topics}"
         )
     return views
 

@@ -1,7 +1,7 @@
-"""The reader of recorded frames: streams the frames of a bag, joined by camera and stamp, in bounded memory.
+"""Stream the frames of a bag, joined by camera and stamp, in bounded memory.
 
-A first pass over the bag reads stamps alone and counts the messages of each frame; the second gives a frame out as soon
-as its last message has come. So memory holds the frames that overlap in time, however long the bag is.
+A first pass over the bag reads only stamps and counts the messages of each frame; the second returns a frame as soon as
+its last message has come. So memory holds only frames that overlap in time, whatever the length of the bag.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from ltm_ros.runtime.topics import (
 
 Take = Callable[[Any], Any]
 Parts = Mapping[str, tuple[tuple[Topic, Take], ...]]
-"""Name of a part -> the topics that may carry it, each with what turns its message into an array or core type."""
+"""Name of a part -> its topics, each with the function that decodes its messages."""
 
 
 def _mono8(message: Any) -> UInt8Array:
@@ -66,15 +66,15 @@ PARTS: Parts = {
     "truth_ground": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
     "truth_labels": ((TRUTH_LABELS, _mono8),),
 }
-"""The parts that any of our nodes or importers writes."""
+"""The parts that our nodes and importers write."""
 
 _HEADER = struct.Struct("<4siI")
 
 
 def raw_stamp(message: BagMessage) -> int:
-    """`header.stamp` of a message that begins with a header, nanoseconds, without decoding the rest.
+    """Return `header.stamp` of a message in nanoseconds, without decoding the rest.
 
-    Raises RecordingError on bytes that are no little-endian CDR.
+    Raises RecordingError for bytes that are not little-endian CDR.
     """
     if len(message.raw) < _HEADER.size or message.raw[1] != 1:
         raise RecordingError(
@@ -88,7 +88,7 @@ def raw_stamp(message: BagMessage) -> int:
 
 @dataclass(frozen=True, eq=False)
 class StreamedFrame:
-    """What a bag holds of one frame. Parts are decoded when they are asked for."""
+    """The messages of one frame in a bag. Parts are decoded on request."""
 
     camera_name: str
     stamp_ns: int
@@ -100,7 +100,7 @@ class StreamedFrame:
         return part in self._raw
 
     def take(self, part: str) -> Any:
-        """The part, decoded once; None where the bag does not have it. Raises RecordingError, ImageError."""
+        """Return the part, decoded once; None if the bag lacks it. Raises RecordingError, ImageError."""
         if part not in self._raw:
             return None
         if part not in self._taken:
@@ -110,10 +110,10 @@ class StreamedFrame:
 
 
 class FrameStream:
-    """The frames of the cameras of one site.
+    """The frames of a site's cameras.
 
-    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), how long after its stamp each message
-    was logged.
+    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), time from the stamp to the log time
+    of each message.
     """
 
     def __init__(self, bag: Path, site: str, cameras: Collection[str], parts: Parts = PARTS) -> None:
@@ -142,15 +142,15 @@ class FrameStream:
 
     @property
     def topics(self) -> str:
-        """The bag's topics, for error messages."""
+        """Return the bag's topics, for error messages."""
         return ", ".join(sorted(self._reader.topics())) or "(none)"
 
     def has(self, part: str) -> bool:
-        """Whether the bag has this part of any frame."""
+        """Return whether the bag has this part of any frame."""
         return any(counted == part for _, counted in self.counts)
 
     def frames(self, needed: Collection[str] = (), cameras: Collection[str] | None = None) -> Iterator[StreamedFrame]:
-        """Frames that have the `needed` parts; each camera's in time order."""
+        """Yield frames that have the `needed` parts; each camera's in time order."""
         chosen = [t for t, (camera, *_) in self._topics.items() if cameras is None or camera in cameras]
         due = {
             camera: deque(stamp for name, stamp in keys)

@@ -1,4 +1,4 @@
-"""Open a recorded run: its bag, site, frames, votes and the map that it ended with."""
+"""Open a recorded run: its bag, site, frames, votes and final map."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ FUEL_TRUTH = "fuel_truth.tif"
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrame:
-    """What went in and what came out: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth where
-    the site has a depth network."""
+    """Inputs and results of a frame: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth if the
+    site has a depth network.
+    """
 
     camera_name: str
     stamp_ns: int
@@ -42,39 +43,40 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bag with the site it is of and the folder that may hold its truth rasters."""
+    """A bag with its site and the folder that may hold its truth rasters."""
 
     bag: Path
     site_path: Path
     site: Site
     truth: Path
     date: str | None = None
-    """Of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
+    """Date of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
 
     @classmethod
     def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Recorded:
-        """The site: as given, beside or in the bag, or the shipped one that the topics name. Truth: the site's folder.
+        """Find the site: as given, beside or in the bag, or the shipped one with the cameras of the topics; and truth:
+        the site's folder.
 
-        Raises RecordingError where no site or date is found, ConfigError on a site that cannot be read.
+        Raises RecordingError without a site or date, ConfigError for an invalid site.
         """
         path = site or _site_of(bag)
         folder = truth or path.resolve().parent
         dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
         if date is None and len(dates) > 1:
-            raise RecordingError(f"{folder} holds the truth of {', '.join(dates)}: name the bag's date with --date")
+            raise RecordingError(f"{folder} contains the truth of {', '.join(dates)}: give the bag's date with --date")
         if date is not None and date not in dates:
-            raise RecordingError(f"{folder} holds no truth of {date!r}; it has {', '.join(dates) or 'none'}")
+            raise RecordingError(f"{folder} contains no truth of {date!r}; it has {', '.join(dates) or 'none'}")
         return cls(bag, path, load_site(path), folder, date)
 
     @property
     def life_forms(self) -> Path | None:
-        """The raster of true class ids on the fuel grid, where there is one."""
+        """Return the raster of true class ids on the fuel grid, if any."""
         dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
         return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
 
     @property
     def surfaces(self) -> tuple[Path | None, Path | None]:
-        """The rasters of the true surface at the bag's date and at the one before it, where there are such."""
+        """Return the rasters of the true surface at the bag's date and at the previous one, if any."""
         if self.date is None:
             return None, None
         folder = self.truth / "truth"
@@ -88,9 +90,9 @@ class Recorded:
 
 
 def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
-    """The frames of a recorded run that came out with depth and labels, one camera after the other, in time order.
+    """Yield the frames of a recorded run with depth and labels, camera by camera, in time order.
 
-    A frame is handed out as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
+    A frame is returned as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
     """
     stream = FrameStream.open(bag, site)
     for camera in site.cameras:
@@ -111,36 +113,40 @@ def _site_of(bag: Path) -> Path:
                 return project_path(shipped)
             except LtmError:
                 continue
-    raise RecordingError(f"{bag}: no site.yaml beside it, and none ships for {', '.join(sorted(names))}: give --site")
+    raise RecordingError(
+        f"{bag}: no site.yaml beside it, and no shipped site has the cameras {', '.join(sorted(names))}: give --site"
+    )
 
 
 def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
-    """Rows and columns of a frame's image. Raises RecordingError where nothing says them."""
+    """Return rows and columns of a frame's image. Raises RecordingError if unknown."""
     camera: Camera | None = frame.take("camera") or frame.take("depth_camera")
     if camera is None and (calibration := site.cameras[frame.camera_name].calibration) is not None:
         camera = calibration.camera()
     if camera is None:
         raise RecordingError(
-            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} gives no "
-            "calibration: record camera_info too"
+            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} has no "
+            "calibration: record camera_info, too"
         )
     return camera.height, camera.width
 
 
 def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:
-    """The votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
+    """Yield the votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
     for frame in recorded.stream().frames(["votes"]):
         yield msg_to_votes(frame.take("votes"), geometry, labels.names, frame.camera_name)
 
 
 def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
-    """Class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError where none is."""
+    """Return class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError if there is
+    no map.
+    """
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)
     last = None
     for message in reader.messages([topic]):
         last = message
     if last is None:
-        raise RecordingError(f"{bag} holds no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
+        raise RecordingError(f"{bag} has no {topic}; its topics are {', '.join(sorted(reader.topics())) or '(none)'}")
     classes, geometry = msg_to_classes(reader.decode(last))
     return classes, site.in_crs(geometry), LabelSet.load(config_path(site.labels))

@@ -1,1 +1,1 @@
-"""The link between towers and the map of their region, over MQTT; the map itself, and what it sends and writes."""
+"""Link towers to the map of their region over MQTT; keep the map, publish tiles and write exports."""

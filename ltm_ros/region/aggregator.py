@@ -1,6 +1,7 @@
-"""The fuel map of a region: takes sealed votes of many towers, counts each frame once, and answers for what is stored.
+"""Keep the fuel map of a region: receive signed votes of many towers, count each frame once, and acknowledge stored
+frames.
 
-The map, its store and the rules by which votes are taken are those of a site's node `fuel_map`.
+The map, its store and the rules for votes are those of a site's node `fuel_map`.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Aggregator:
     """
 
     def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
-        """Raises LtmError for a site, a store or certificates that cannot be taken."""
+        """Open the region's map. Raises LtmError for an invalid site, store or certificate."""
         self.site = load_site(config.site)
         self.identity = Identity(config.broker, AGGREGATOR)
         self._config, self._health = config, health
@@ -75,20 +76,21 @@ class Aggregator:
         self._outcomes: dict[str, list[Outcome]] = defaultdict(list)
 
     def take(self, tower: str, content: bytes) -> None:
-        """What came on the topic of a tower. What cannot be taken is counted by its cause and, where it says of which
-        frame it is, answered in words."""
+        """Take a message of a tower. Invalid ones are counted by cause and, if they name their frame, answered with the
+        reason.
+        """
         try:
             if tower not in self._config.towers:
-                raise MessageError(f"{tower!r} is no tower of {self._config.name}: add it to towers in region.yaml")
+                raise MessageError(f"{tower!r} is not a tower of {self._config.name}: add it to towers in region.yaml")
             self._health.received(f"/{self._config.name}/{tower}/votes")
             envelope = self.identity.opened(content, tower)
             start = header_of(HeaderStart, envelope)
             if (start.region, start.tower) != (self._config.name, tower):
                 raise MessageError(
-                    f"votes on the topic of {tower} in {self._config.name} are of {start.tower} in {start.region}"
+                    f"votes on the topic of {tower} in {self._config.name} are from {start.tower} in {start.region}"
                 )
         except LtmError as error:
-            # Nobody knows whose frame it is, or may be told.
+            # The sender is unknown, so there is nothing to acknowledge.
             self._health.drop(cause_of(error), plain(str(error)))
             return
         frame = tower, start.camera, start.stamp_ns
@@ -123,12 +125,12 @@ class Aggregator:
         tower, camera, stamp = frame
         if start.version != VERSION:
             raise MessageError(
-                f"votes of version {start.version}; {self._config.name} reads {VERSION}: update the older side"
+                f"votes of version {start.version}, but {self._config.name} reads {VERSION}: update the older side"
             )
         source = f"{tower}_{camera}"
         if source not in self.site.cameras:
             raise MessageError(
-                f"{source} is no camera of {self.site.name}: add it to cameras in {self._config.site.name}"
+                f"{source} is not a camera of {self.site.name}: add it to cameras in {self._config.site.name}"
             )
         header = header_of(VotesHeader, envelope)
         counting = self.persistence.seen(source, stamp)
@@ -148,7 +150,7 @@ class Aggregator:
             if self.persistence.stored(source, stamp):
                 self._answer(frame)
         elif counting is Counting.TOO_OLD:
-            self._health.drop("too_old", f"votes of {source} of stamp {stamp} ns are older than what is remembered")
+            self._health.drop("too_old", f"votes of {source} of stamp {stamp} ns are older than the remembered stamps")
             self._answer(frame)
         else:
             self._health.note("empty_votes")
@@ -156,7 +158,7 @@ class Aggregator:
         return ""
 
     def _transfer(self, tower: str, grid: VotesGrid) -> VoteTransfer:
-        """Of the grid that a tower counts on; one of each tower is kept."""
+        """Return the transfer from the grid of a tower; one per tower is kept."""
         found = self._transfers.get(tower)
         if found is None or found[0] != grid:
             shared = next((known for known in self._transfers.values() if known[0] == grid), None)
@@ -186,7 +188,7 @@ class Aggregator:
 
 def _message(content: bytes) -> PointCloud2:
     if len(content) > MAX_BYTES:
-        raise MessageError(f"votes of {len(content)} bytes; {MAX_BYTES} at most are taken")
+        raise MessageError(f"votes of {len(content)} bytes; the maximum is {MAX_BYTES}")
     try:
         return deserialize_message(content, PointCloud2)
     except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError

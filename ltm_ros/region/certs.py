@@ -1,6 +1,6 @@
-"""Makes a small authority for trials: certificates of a region's broker, its map, towers and followers.
+"""Make a small certificate authority for trials: certificates of a region's broker, map, towers and followers.
 
-With the broker's configuration, which says what each may read and write.
+It also writes the broker's configuration with the access rights.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ AUTHORITY: Final = "ca"
 BROKER: Final = "broker"
 _RESERVED: Final = (AUTHORITY, BROKER, AGGREGATOR)
 _BACKDATED: Final = timedelta(minutes=5)
-"""So that a clock a little behind takes a new certificate."""
+"""Backdating of certificates, so that a clock slightly behind accepts a new one."""
 
 
 @dataclass(frozen=True)
 class TrialAuthority:
-    """The authority in `folder`, made where there is none. Its key is there too: whoever has it can be any tower.
+    """The authority in `folder`, created if missing, with its key: whoever has the key can impersonate any tower.
 
-    `days`: for which certificates are valid from now on.
+    `days`: validity of new certificates.
     """
 
     folder: Path
     days: int
 
     def make(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
-        """Write what is missing, leave what is there; the files that are new.
+        """Write missing files and keep existing ones; return the new files.
 
-        `clients`: towers, and those who follow the map. `hosts`: names and addresses of the broker, as clients call it.
-        `address`, `port`: where it listens. Raises ConfigError for a name that cannot be used and where it cannot be
-        written.
+        `clients`: towers, and followers of the map. `hosts`: names and addresses of the broker for clients. `address`,
+        `port`: where it listens. Raises ConfigError for an invalid name, and if files cannot be written.
         """
         for name in (region, *clients):
             if not re.fullmatch(NAME, name) or name in _RESERVED:
                 raise ConfigError(
-                    f"{name!r}: a name has a-z, 0-9 and _, begins with a letter, and is none of {', '.join(_RESERVED)}"
+                    f"{name!r}: a name consists of a-z, 0-9 and _, begins with a letter, and is none of "
+                    f"{', '.join(_RESERVED)}"
                 )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -98,16 +98,16 @@ class TrialAuthority:
         if certificate_file.exists():
             if not key_file.exists():
                 raise ConfigError(
-                    f"{key_file}: the authority's key is not there, without which nothing new can be made; put it "
-                    "back while `ltm certs` runs, then away again"
+                    f"{key_file}: the authority's key is missing, but needed for new certificates; put it back "
+                    "while `ltm certs` runs, then remove it again"
                 )
             try:
                 key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
                 certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
             except ValueError as error:
-                raise ConfigError(f"{self.folder}: holds no authority that `ltm certs` made") from error
+                raise ConfigError(f"{self.folder}: contains no authority made by `ltm certs`") from error
             if not isinstance(key, ec.EllipticCurvePrivateKey):
-                raise ConfigError(f"{key_file}: not made by `ltm certs`; name another folder")
+                raise ConfigError(f"{key_file}: not made by `ltm certs`; give another folder")
             return key, certificate
         made = self._key(AUTHORITY)
         certificate = (
@@ -122,7 +122,7 @@ class TrialAuthority:
         return made, certificate
 
     def _key(self, name: str) -> ec.EllipticCurvePrivateKey:
-        """A new one, or that which lies there without a certificate: after a stop in the midst, or made elsewhere."""
+        """Return a new key, or an existing one without a certificate, left by an interruption or made elsewhere."""
         path = self.folder / f"{name}.key"
         if not path.exists():
             return ec.generate_private_key(ec.SECP256R1())
@@ -132,8 +132,7 @@ class TrialAuthority:
             key = None
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise ConfigError(
-                f"{path}: no key on an elliptic curve in PEM, and it has no certificate; it stays as it is: move it "
-                "away"
+                f"{path}: not an elliptic curve key in PEM, and without a certificate; it was not changed: move it away"
             )
         return key
 
@@ -150,8 +149,9 @@ class TrialAuthority:
     def _write(
         self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
     ) -> None:
-        """The key first, for its owner's eyes alone: a certificate without its key would be taken for made. Each whole
-        or not at all: half a key would be taken for somebody else's, half a certificate for made."""
+        """Write the key first, readable only by its owner: a certificate without its key would count as complete. Each
+        file is written completely or not at all.
+        """
         secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
@@ -168,7 +168,7 @@ class TrialAuthority:
             new.append(self.folder / file_name)
 
     def configuration(self, address: str, port: int) -> str:
-        """mosquitto's; the certificate says who a client is, and nobody comes without one."""
+        """Return mosquitto's configuration; clients are identified by their certificates, which are required."""
         folder = self.folder.resolve()
         return f"""# Written by `ltm certs`: a broker for the link between towers and their region's map.
 listener {port} {address}

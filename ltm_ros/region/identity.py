@@ -1,4 +1,6 @@
-"""Who a side of the link is: its certificate, by which it speaks TLS and signs what it sends; whom it believes."""
+"""Hold the identity of one side of the link: its certificate for TLS and signatures, and the authorities that it
+trusts.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,15 @@ from ltm_core.uplink.envelope import Envelope, packed, unpacked
 from ltm_ros.runtime.ros_environment import secret
 
 _REMEMBERED: Final = 256
-"""Certificates whose chain has been checked."""
+"""Maximum number of certificates whose checked chain is cached."""
 _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 
 @dataclass(frozen=True)
 class _Believed:
-    """What a certificate says, read once: it is asked for with each message. `key`: None where it is of another kind
-    than ours; valid from `begin` to `end`."""
+    """Contents of a certificate, read once, because each message needs them. `key`: None for another kind of key; valid
+    from `begin` to `end`.
+    """
 
     name: str
     key: ec.EllipticCurvePublicKey | None
@@ -37,7 +40,7 @@ class _Believed:
 
     @classmethod
     def of(cls, certificate: x509.Certificate) -> _Believed:
-        """Raises ValueError or UnsupportedAlgorithm where it cannot be read."""
+        """Read a certificate. Raises ValueError or UnsupportedAlgorithm."""
         key = certificate.public_key()
         return cls(
             common_name(certificate),
@@ -48,7 +51,7 @@ class _Believed:
 
 
 class Identity:
-    """Signs envelopes, and checks those of others. Raises ConfigError for files that cannot be taken.
+    """Signs envelopes, and checks those of others. Raises ConfigError for invalid files.
 
     `name`: the common name that the certificate must have.
     """
@@ -61,13 +64,15 @@ class Identity:
         self._authorities = _certificates(config.ca)
         self._key = _key(self._key_file)
         if self._key.public_key() != certificates[0].public_key():
-            raise ConfigError(f"{config.key} is not the key of {config.certificate}: name the one that belongs to it")
+            raise ConfigError(f"{config.key} does not belong to {config.certificate}: give the matching key")
         if (found := common_name(certificates[0])) != name:
-            raise ConfigError(f"{config.certificate} is of {found!r}, not of {name!r}: name that of {name!r}")
+            raise ConfigError(
+                f"{config.certificate} belongs to {found!r}, not to {name!r}: give the certificate of {name!r}"
+            )
         self._believed: OrderedDict[bytes, _Believed] = OrderedDict()
 
     def tls(self) -> ssl.SSLContext:
-        """For a connection to the broker: TLS 1.2 or newer, its certificate checked, ours shown."""
+        """Return the TLS context for the broker: TLS 1.2 or newer, with certificates of both sides."""
         context = ssl.create_default_context(cafile=str(self._config.ca))
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         try:
@@ -77,28 +82,26 @@ class Identity:
         return context
 
     def sealed(self, header: bytes, body: bytes = b"") -> bytes:
-        """An envelope with our certificate and signature. Raises MessageError where it would be too large."""
+        """Return an envelope with our certificate and signature. Raises MessageError if it would be too large."""
         signed = packed(header, self._own, body)
         return signed + self._key.sign(signed, _HASH)
 
     def opened(self, content: bytes, name: str) -> Envelope:
-        """An envelope that `name` has signed, unchanged. Raises MessageError on any other."""
+        """Return the content of an envelope signed by `name`. Raises MessageError for any other."""
         envelope = unpacked(content)
         signer = self._believable(envelope.certificate)
         if signer.name != name:
             raise MessageError(f"an envelope of {name!r} is signed by {signer.name!r}")
         if signer.key is None:
-            raise MessageError(
-                f"the certificate of {name!r} has no key on an elliptic curve: make one with `ltm certs`"
-            )
+            raise MessageError(f"the certificate of {name!r} has no elliptic curve key: make one with `ltm certs`")
         try:
             signer.key.verify(envelope.signature, envelope.signed, _HASH)
         except InvalidSignature as error:
-            raise MessageError(f"an envelope of {name!r} was altered after it was signed") from error
+            raise MessageError(f"an envelope of {name!r} was modified after signing") from error
         return envelope
 
     def _believable(self, content: bytes) -> _Believed:
-        """Whose certificate it is: one that one of our authorities has signed and that is valid now."""
+        """Return the owner of a certificate that is valid now and signed by one of our authorities."""
         believed = self._believed.get(content)
         if believed is None:
             try:
@@ -112,8 +115,8 @@ class Identity:
                 self._believed.popitem(last=False)
         if not believed.begin <= datetime.now(UTC) <= believed.end:
             raise MessageError(
-                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew it, or "
-                "set the clock"
+                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew "
+                "it, or set the clock"
             )
         return believed
 
@@ -125,12 +128,12 @@ class Identity:
                 continue
             return
         raise MessageError(
-            f"an envelope's certificate, of {common_name(certificate)!r}, is of no authority in {self._config.ca}"
+            f"an envelope's certificate, of {common_name(certificate)!r}, is not from an authority in {self._config.ca}"
         )
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Empty where there is none."""
+    """Return the common name; empty if there is none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(names[0].value) if names else ""
 
@@ -140,18 +143,18 @@ def _certificates(path: Path) -> list[x509.Certificate]:
         found = x509.load_pem_x509_certificates(path.read_bytes())
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else "no certificate in PEM"
-        raise ConfigError(f"{path}: cannot be read ({why}); `ltm certs` makes one for trials") from error
+        raise ConfigError(f"{path}: cannot be read ({why}); for a trial, make one with `ltm certs`") from error
     return found
 
 
 def _key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """No message holds what is in the file."""
+    """Read the key. No error message contains the file's content."""
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except OSError as error:
         raise ConfigError(f"{path}: the key cannot be read ({error.strerror})") from error
     except (ValueError, TypeError):
-        raise ConfigError(f"{path}: no private key in PEM without a password") from None
+        raise ConfigError(f"{path}: not a private key in PEM without a password") from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise ConfigError(f"{path}: the key must be on an elliptic curve, such as P-256; `ltm certs` makes such")
+        raise ConfigError(f"{path}: the key must be on an elliptic curve, such as P-256; `ltm certs` makes one")
     return key

@@ -1,4 +1,4 @@
-"""Hold what towers have sent until it is counted, and define their messages."""
+"""Hold messages of towers until they are counted, and define their formats."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from ltm_ros.runtime.health import Health
 
 
 def sealed_votes(identity: Identity, config: UplinkConfig, grid: VotesGrid, frame: OutboxFrame) -> bytes:
-    """A frame's envelope. Raises MessageError where it would be too large, ValidationError for names that cannot be
-    sent."""
+    """Return a frame's envelope. Raises MessageError if it would be too large, ValidationError for invalid names."""
     header = VotesHeader(
         region=config.name,
         tower=config.tower,
@@ -30,19 +29,19 @@ def sealed_votes(identity: Identity, config: UplinkConfig, grid: VotesGrid, fram
 
 
 def outcomes_heard(identity: Identity, config: UplinkConfig, content: bytes) -> list[Outcome]:
-    """What an acknowledgement says. Raises MessageError on any that is not the aggregator's, for this tower."""
+    """Parse an acknowledgement. Raises MessageError if it is not from the aggregator, for this tower."""
     envelope = identity.opened(content, AGGREGATOR)
     header = header_of(AckHeader, envelope)
     if (header.region, header.tower, header.version) != (config.name, config.tower, VERSION):
         raise MessageError(
-            f"an acknowledgement is of version {header.version} for {header.tower} in {header.region}; this is "
+            f"an acknowledgement has version {header.version} for {header.tower} in {header.region}; this is "
             f"{config.tower} in {config.name}, version {VERSION}"
         )
     return outcomes_of(envelope)
 
 
 def tell_what_waits(health: Health, frames: int, size: int, oldest_ns: int | None, now_ns: int, link_up: bool) -> None:
-    """The gauges by which a monitoring system sees how a tower's link fares; `size`: bytes, `oldest_ns`: a stamp."""
+    """Set the gauges of a tower's queue for monitoring; `size`: bytes, `oldest_ns`: a stamp."""
     age_s = 0.0 if oldest_ns is None else max(0.0, (now_ns - oldest_ns) / 1e9)
     health.gauge("outbox_frames", frames)
     health.gauge("outbox_bytes", size)
@@ -51,22 +50,22 @@ def tell_what_waits(health: Health, frames: int, size: int, oldest_ns: int | Non
 
 
 WAITING_BYTES: Final = 64 << 20
-"""Of all that waits; above it, what came last of the tower of which most waits is dropped, and sent again by it."""
+"""Maximum bytes of all queued messages; above it, the newest message of the tower with most data is dropped, and sent
+again by it.
+"""
 KEPT_BYTES: Final = 1000
-"""What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
+"""Overhead in bytes of a queued message, so that empty messages cannot fill the memory."""
 LONGEST_NAME: Final = 100
-"""Characters that are kept of a name that is no tower's: a broker may make it 65,000 long."""
+"""Characters kept of an unknown tower's name, which a broker may make 65,000 long."""
 
 
 class Inbox:
-    """`put` from the connection's thread, `get` from the one that counts.
+    """`put` is called from the connection's thread, `get` from the counting one.
 
-    Towers take turns, and where there is no room the one with the most in here loses it: a tower that sends without
-    end, with a good certificate, delays nobody else's frames and costs them no place.
+    Towers take turns, and if the queue is full, the tower with most data loses a message: a tower that floods, even
+    with a valid certificate, cannot delay or displace other towers' frames.
 
-    Args:
-        towers: who has a turn; all other names together have one more.
-        most: bytes that may wait.
+    Args: towers: each has a turn; all other names share one. most: maximum bytes in the queue.
     """
 
     def __init__(self, towers: Sequence[str], health: Health, most: int = WAITING_BYTES) -> None:
@@ -74,13 +73,13 @@ class Inbox:
         self._lanes: dict[str, deque[tuple[str, bytes]]] = {name: deque() for name in [*towers, ""]}
         self._bytes = dict.fromkeys(self._lanes, 0)
         self._turns: deque[str] = deque()
-        """Lanes in which something waits, the next one first."""
+        """Queues with messages, the next one first."""
         self._came = threading.Condition()
         self.bytes = 0
-        """That wait."""
+        """Bytes in the queues."""
 
     def put(self, tower: str, content: bytes) -> None:
-        """Keep a message, unless no room is left and most of what waits is its own tower's."""
+        """Queue a message, unless the queue is full and its own tower has most of the data."""
         name, tower = (tower, tower) if tower in self._lanes else ("", tower[:LONGEST_NAME])
         with self._came:
             if not self._lanes[name]:
@@ -94,16 +93,16 @@ class Inbox:
                 self._account(most, -KEPT_BYTES - len(content))
                 if not self._lanes[most]:
                     self._turns.remove(most)
-                dropped.append(gone if most else "names that are no towers")
+                dropped.append(gone if most else "unknown towers")
             self._came.notify()
         for gone in dropped:
             self._health.drop(
                 "overload",
-                f"{self._most >> 20} MB wait to be counted, most of them of {gone}, which sends the last ones again",
+                f"{self._most >> 20} MB are queued, most of them from {gone}, which sends the last ones again",
             )
 
     def get(self, timeout: float) -> tuple[str, bytes] | None:
-        """Tower and content of the next message; None: nothing came in `timeout` seconds."""
+        """Return tower and content of the next message; None: nothing came in `timeout` seconds."""
         with self._came:
             if not self._turns and not self._came.wait_for(lambda: bool(self._turns), timeout):
                 return None

@@ -1,4 +1,4 @@
-"""A connection to an MQTT 5 broker that comes back by itself: topics, bounds and reconnects in one place."""
+"""Connect to an MQTT 5 broker and reconnect after losses; define topics and limits."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from ltm_ros.runtime.health import Health
 
 ROOT: Final = "ltm"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 2
-"""Between attempts to connect. A link that returns is found that late; an attempt that is refused costs about 5 kB, a
-tenth of what one camera sends meanwhile."""
+"""First and longest pause in seconds between attempts to connect. A rejected attempt costs about 5 kB, a tenth of what
+one camera sends meanwhile.
+"""
 LARGEST_PACKET: Final = LARGEST + 1024
-"""Bytes of a packet with its topic; the broker is told that no larger one is taken."""
+"""Maximum bytes of a packet with its topic, which is announced to the broker."""
 
 WITH_WILL: Final = 0x04
-"""Reason of a DISCONNECT after which the will is carried out (MQTT 5, 3.14.2.1)."""
+"""Reason code of a DISCONNECT after which the will is published (MQTT 5, 3.14.2.1)."""
 
 Taker = Callable[[str, bytes], None]
-"""Topic and payload; called from the connection's thread, so that it must be quick and raise nothing."""
+"""Receives topic and payload in the connection's thread; must be quick and must not raise."""
 
 
 def votes_topic(region: str, tower: str) -> str:
@@ -40,37 +41,35 @@ def ack_topic(region: str, tower: str) -> str:
 
 
 def presence_topic(region: str) -> str:
-    """Retained: a number that says which life of the aggregator answers; empty while none does."""
+    """Return the retained topic with the run number of the active aggregator; empty without one."""
     return f"{ROOT}/{region}/aggregator"
 
 
 def tile_topic(region: str, row: int, col: int) -> str:
-    """Retained: a tile of the map, by its place in tiles from the north-west corner."""
+    """Return the retained topic of a map tile, by its position in tiles from the north-west corner."""
     return f"{ROOT}/{region}/tile/{row}/{col}"
 
 
 def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
-    """What came, to whom it is for. A topic that is no UTF-8 is the word of a broker that means harm: it is counted,
-    for an error here would end the connection's thread for good."""
+    """Pass on a received message. A topic that is not UTF-8 comes from a malicious broker: it is counted, because an
+    exception would end the connection's thread.
+    """
     try:
         topic = message.topic
     except UnicodeDecodeError as error:
-        health.drop("message", f"the broker sent a message on a topic that is no UTF-8 ({error})")
+        health.drop("message", f"the broker sent a message on a topic that is not UTF-8 ({error})")
         return
     take(topic, bytes(message.payload))
 
 
 class MqttLink:
-    """Connects in the background from `start` on, and again after each loss.
+    """Connects in the background after `start`, and again after each loss.
 
-    Votes and acknowledgements need no word of the broker (QoS 0): who sends them sends them again until the other side
-    has answered. Tiles go with QoS 1, and may queue; who is there goes past them, with QoS 0.
+    Votes and acknowledgements use QoS 0, because senders repeat them until the other side answers. Tiles use QoS 1 and
+    may queue; presence messages use QoS 0 to overtake them.
 
-    Args:
-        client_id: unique among the broker's clients.
-        topics: to listen to.
-        take: what comes on them.
-        will: topic and payload that the broker publishes, retained, when this connection is lost.
+    Args: client_id: unique among the broker's clients. topics: subscriptions. take: receives their messages. will:
+    topic and payload that the broker publishes, retained, when this connection is lost.
     """
 
     def __init__(
@@ -85,9 +84,9 @@ class MqttLink:
     ) -> None:
         self._config, self._topics, self._take, self._health = config, topics, take, health
         self.connected = threading.Event()
-        """Set while the broker answers and has taken our subscriptions."""
+        """Set while the broker answers and has accepted our subscriptions."""
         self.connections = 0
-        """How often it has been."""
+        """Number of connections so far."""
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
         self._client.tls_set_context(identity.tls())
         self._client.reconnect_delay_set(FIRST_PAUSE_S, LONGEST_PAUSE_S)
@@ -109,19 +108,21 @@ class MqttLink:
         self._client.loop_start()
 
     def stop(self) -> None:
-        """Say good-bye; the broker carries out the will, whatever else waited to be sent."""
+        """Disconnect; the broker publishes the will, and queued messages are dropped."""
         self._client.disconnect(reasoncode=ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
         self._client.loop_stop()
 
     def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
-        """Whether it is on its way; it may still get lost, with QoS 1 only together with the connection."""
+        """Send a message; return whether it was handed over. It may still get lost; with QoS 1 only together with the
+        connection.
+        """
         if not self.connected.is_set():
             return False
         return self._client.publish(topic, payload, qos=qos, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
 
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self._tell(f"the broker refuses us: {reason}")
+            self._tell(f"the broker rejected the connection: {reason}")
         elif self._topics:
             client.subscribe([(topic, 0) for topic in self._topics])
         else:
@@ -129,7 +130,7 @@ class MqttLink:
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
         if refused := [str(reason) for reason in reasons if reason.is_failure]:
-            self._tell(f"the broker does not let us listen to {', '.join(self._topics)}: {', '.join(refused)}")
+            self._tell(f"the broker rejected the subscriptions to {', '.join(self._topics)}: {', '.join(refused)}")
         else:
             self._ready()
 
@@ -145,7 +146,7 @@ class MqttLink:
             self._health.note("link_lost")
         self.connected.clear()
         if reason.is_failure:
-            self._tell(f"the connection is lost: {reason}")
+            self._tell(f"connection lost: {reason}")
 
     def _tell(self, what: str) -> None:
         self._health.trouble("link", f"broker {self._config.host}:{self._config.port}: {what}")

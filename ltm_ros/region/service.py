@@ -1,4 +1,4 @@
-"""Run the process behind `ltm region`: link, map, exports, and its health."""
+"""Run `ltm region`: link, map, exports, and health."""
 
 from __future__ import annotations
 
@@ -31,23 +31,21 @@ from ltm_ros.tower.patient_server import PatientServer
 from ltm_ros.tower.tower_status import TowerStatus, TowerWatch
 
 SETTLE_S: Final = 0.25
-"""For which frames are counted before they are stored together and answered for."""
+"""Seconds for which frames are counted before they are stored together and acknowledged."""
 SHOWN_SHARE: Final = 0.1
-"""Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
-many at once;"""
+"""Share of the time for recomputing the map for its followers; with many frames it is done in batches;"""
 SHOWN_SHARE_LATE: Final = 0.02
-"""where more frames come than can be counted, as after an outage,"""
+"""the same if more frames come than can be counted, as after an outage,"""
 LATE_S: Final = 2.0
-"""and until none have been left to wait for this long."""
+"""until no frame has waited for this many seconds."""
 
 
 class RegionService:
-    """Raises LtmError for a site, a store or certificates that cannot be taken.
+    """Raises LtmError for an invalid site, store or certificate.
 
-    `run` works until it is told to stop, by one `step` after the other.
+    `run` repeats `step` until it is stopped.
 
-    Args:
-        now_ns: the time. `make_link`: the connection; others in tests.
+    Args: now_ns: the time. `make_link`: makes the connection; replaced in tests.
     """
 
     def __init__(
@@ -79,7 +77,7 @@ class RegionService:
         self._shown_at, self._showing_s, self._late_at = 0.0, 0.0, -LATE_S
 
     def run(self, stopping: threading.Event) -> None:
-        """Count, store, answer and send, until told to stop; then store the rest."""
+        """Count, store, acknowledge and send until stopped; then store the rest."""
         self._link.start()
         self._last = self._tiles_at = time.monotonic()
         try:
@@ -94,8 +92,9 @@ class RegionService:
             self._link.stop()
 
     def step(self, patience_s: float) -> None:
-        """One turn: count what comes, for `SETTLE_S` at most, until nothing has come for `patience_s`; then store it,
-        and answer."""
+        """Run one turn: count frames, for `SETTLE_S` at most, until none has come for `patience_s`; then store and
+        acknowledge them.
+        """
         self._count_for(patience_s)
         now = time.monotonic()
         self.aggregator.persistence.wait(now - self._last)
@@ -111,7 +110,7 @@ class RegionService:
             self._exports.look(now, changed)
 
     def _show(self, now_s: float) -> bool:
-        """Whether parts of the map were decided anew."""
+        """Recompute the map; return whether parts changed."""
         share = SHOWN_SHARE_LATE if now_s - self._late_at < LATE_S else SHOWN_SHARE
         if now_s < self._shown_at + self._showing_s * (1 / share - 1):
             return False
@@ -132,7 +131,7 @@ class RegionService:
             self._late_at = time.monotonic()
 
     def _greet(self) -> None:
-        """Tell towers who is there, whenever the connection is a new one; the broker may have forgotten all."""
+        """Publish the aggregator's presence on each new connection, because the broker may have lost it."""
         if self._link.connected.is_set() and self._connections != self._link.connections:
             connections = self._link.connections
             if self._link.send(self._presence, self._life, retain=True):
@@ -142,16 +141,16 @@ class RegionService:
     def _answer(self, answers: dict[str, list[bytes]]) -> None:
         for tower, sealed in answers.items():
             for content in sealed:
-                # One that is lost is asked for again, by a frame that is sent again.
+                # A lost acknowledgement is requested again when the frame is repeated.
                 self._link.send(ack_topic(self._config.name, tower), content)
 
     def _offer(self, topic: str, payload: bytes) -> None:
-        """From the connection's thread."""
+        """Queue a message from the connection's thread."""
         self._inbox.put(topic.rpartition("/")[2], payload)
 
 
 def _prepare(aggregator: Aggregator) -> None:
-    """What the first frame and the first tile would load: towers shall not wait for it after an outage."""
+    """Load what the first frame and tile need, so that towers do not wait for it after an outage."""
     compile_kernels(aggregator.site, aggregator.labels)
     for message in (PointCloud2(), OccupancyGrid()):
         serialize_message(message)
@@ -159,12 +158,13 @@ def _prepare(aggregator: Aggregator) -> None:
 
 SAID_EVERY_S: Final = 60.0
 SWITCH_S: Final = 0.0005
-"""After which the thread that counts lets that of the connection in. A message comes by several reads, before
-each of which that may have to wait as long: with Python's 5 ms, tens of milliseconds a message."""
+"""Seconds after which the counting thread yields to the connection's. A message takes several reads, each of which may
+wait as long: with Python's 5 ms, tens of milliseconds per message.
+"""
 
 
 def run_region(config: RegionConfig) -> None:
-    """Until SIGINT or SIGTERM. Raises LtmError for what cannot be taken."""
+    """Run until SIGINT or SIGTERM. Raises LtmError for an invalid configuration."""
     for folder in (config.folder, *([config.export.folder] if config.export else [])):
         make_folder(folder)
     sys.setswitchinterval(SWITCH_S)
@@ -186,7 +186,7 @@ def run_region(config: RegionConfig) -> None:
 
 
 class RegionWatch:
-    """Says what is wrong once a minute, and answers HTTP where the region's site file has a section `health`."""
+    """Reports problems once a minute, and serves HTTP if the region's site file has a section `health`."""
 
     def __init__(self, config: RegionConfig, service: RegionService, health: Health) -> None:
         site = service.aggregator.site
@@ -208,7 +208,7 @@ class RegionWatch:
             )
 
     def status(self) -> TowerStatus:
-        """Now."""
+        """Return the current status."""
         summary, now_s = self._health.summary(), time.monotonic()
         message = summary["last_error"] if self._health.troubled else "ok"
         with self._lock:
@@ -231,7 +231,7 @@ class RegionWatch:
                 key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")
             }
             line = (
-                f"-- {summary.get('frames', '0')} frames; given up: {drops or 'nothing'}; last: {summary['last_error']}"
+                f"-- {summary.get('frames', '0')} frames; dropped: {drops or 'nothing'}; last: {summary['last_error']}"
             )
             if line != said:
                 said = line

@@ -1,4 +1,4 @@
-"""Send the tiles of a region's map that have changed, and write the map as GeoTIFFs."""
+"""Publish the changed tiles of a region's map, and write the map as GeoTIFFs."""
 
 from __future__ import annotations
 
@@ -32,20 +32,22 @@ from ltm_ros.runtime.health import Health, cause_of
 
 
 class TilePublisher:
-    """Each tile is retained by the broker, so that who comes later has the whole map at once."""
+    """Publishes tiles, which the broker retains, so that later followers get the whole map at once."""
 
     def __init__(self, region: str, aggregator: Aggregator, link: MqttLink) -> None:
         self._region, self._aggregator, self._link = region, aggregator, link
         self._due: set[Key] = set()
         self._sent: dict[Key, bytes] = {}
-        """What followers have of each tile."""
+        """Published content of each tile."""
         self._store = aggregator.persistence.store
         self._classes = list(life_form_labels(aggregator.labels).names)
         site = aggregator.site
         self._grid = VotesGrid.of(site.in_crs(aggregator.geometry), site.origin)
 
     def note(self, windows: Sequence[Window]) -> None:
-        """These parts of the map may have changed. Where nobody has looked yet, nothing is sent: most of a region."""
+        """Record that parts of the map may have changed. Tiles without evidence, most of a region, are not
+        published.
+        """
         persistence = self._aggregator.persistence
         keys = {key for window in windows for key in persistence.map.tiles_of(window)}
         for row, col in keys:
@@ -53,7 +55,7 @@ class TilePublisher:
                 self._due.add((row, col))
 
     def note_all(self) -> None:
-        """The broker may have forgotten what it was sent: all tiles with evidence are due."""
+        """Record that the broker may have lost everything: all tiles with evidence are due."""
         self._sent.clear()
         evidence = self._aggregator.persistence.map
         seen = evidence.layers().last_seen > 0
@@ -64,9 +66,11 @@ class TilePublisher:
                     self._due.add((row, col))
 
     def send(self) -> None:
-        """Send what is due, as far as the connection takes it."""
+        """Publish due tiles, as far as the connection accepts them."""
         persistence, geometry = self._aggregator.persistence, self._aggregator.geometry
-        if persistence.store is not self._store:  # it was away so far, and the map held but what came since
+        if (
+            persistence.store is not self._store
+        ):  # the store was unavailable until now, and the map had only what came since
             self._store = persistence.store
             self.note_all()
         while self._due:
@@ -89,9 +93,9 @@ class TilePublisher:
 
 
 def opened_tile(identity: Identity, content: bytes) -> tuple[TileHeader, UInt8Array, GridGeometry]:
-    """What a subscriber was sent: the header, class indices (h, w) with 255 unknown, and where they are, in the CRS.
+    """Return a received tile: the header, class indices (h, w) with 255 unknown, and their place in the CRS.
 
-    Raises MessageError for anything that the region's aggregator has not signed.
+    Raises MessageError unless the region's aggregator has signed it.
     """
     envelope = identity.opened(content, AGGREGATOR)
     header = header_of(TileHeader, envelope)
@@ -106,9 +110,9 @@ def opened_tile(identity: Identity, content: bytes) -> tuple[TileHeader, UInt8Ar
 
 
 class RegionExports:
-    """One export at a time, on a thread of its own, of the map as it is when it begins.
+    """Exports the current map, one export at a time, on a separate thread.
 
-    Whatever fails there is told and tried again: the map itself does not depend on its files.
+    Failures are reported and tried again: the map does not depend on its exports.
     """
 
     def __init__(self, config: ExportConfig, aggregator: Aggregator, health: Health) -> None:
@@ -119,7 +123,7 @@ class RegionExports:
         self._due, self._next_s = True, 0.0
 
     def look(self, now_s: float, changed: bool) -> None:
-        """Begin one where the map has changed and the last is long enough ago."""
+        """Start an export if the map has changed and the last one is old enough."""
         self._due |= changed
         if self._work is not None and not self._work.done():
             return
@@ -129,7 +133,7 @@ class RegionExports:
             self._work = self._pool.submit(self._write, self._source())
 
     def close(self, changed: bool = False) -> None:
-        """Write the last state, where it is not written yet; `changed`: since the last `look`."""
+        """Write the last state if it is not written yet; `changed`: since the last `look`."""
         self._due |= changed
         self._pool.shutdown()
         self._judge()
@@ -140,7 +144,7 @@ class RegionExports:
                 self._tell(error)
 
     def _judge(self) -> None:
-        """What has become of the last one; of one that failed, the map is due again."""
+        """Check the result of the last export; after a failure, the map is due again."""
         work, self._work = self._work, None
         error = None if work is None else work.exception()
         if error is not None:
@@ -150,12 +154,12 @@ class RegionExports:
     def _tell(self, error: BaseException) -> None:
         if isinstance(error, LtmError):
             self._health.trouble(cause_of(error), f"the map was not exported: {error}")
-        else:  # a bug of ours or of a library
+        else:  # an internal error, or one of a library
             sys.excepthook(type(error), error, error.__traceback__)
             self._health.trouble("export", f"the map was not exported ({type(error).__name__}: {error}); see the log")
 
     def _source(self) -> FuelSource:
-        """The map of this moment: its layers are arrays of their own."""
+        """Return the current map, with copies of its layers."""
         aggregator = self._aggregator
         evidence = aggregator.persistence.map
         geometry = aggregator.site.in_crs(aggregator.geometry)
@@ -170,11 +174,11 @@ class RegionExports:
 
 
 def _copy(folder: Path, url: str) -> None:
-    """The files of a folder to a store that fsspec has; the STAC item last, so that all it names is there.
+    """Copy the files of a folder to a store by fsspec; the STAC item last, so that everything that it names exists.
 
     Raises StoreError.
     """
-    from ltm_ros.archive.results import ResultFolder  # needs the extra `archive`, for those alone who copy
+    from ltm_ros.archive.results import ResultFolder  # needs the extra `archive`, only for copies
 
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     try:

@@ -1,7 +1,8 @@
-"""A tower's side of the link: what its cameras vote goes into the outbox, and from there to the region's map.
+"""Run a tower's side of the link: votes of its cameras go into the outbox, and from there to the region's map.
 
-A frame leaves the outbox on the aggregator's own signed word alone. So neither the broker nor this process needs to
-remember what is on its way: after any end, what was not answered is sent again, and the aggregator counts it once.
+A frame leaves the outbox only after the aggregator's signed acknowledgement. So neither the broker nor this process
+needs to remember frames in flight: after any failure, unacknowledged frames are sent again, and the aggregator counts
+them once.
 """
 
 from __future__ import annotations
@@ -30,37 +31,37 @@ from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S, Backoff
 
 WINDOW: Final = 64
-"""Frames on their way at a time, and"""
+"""Maximum number of frames in flight, and"""
 WINDOW_BYTES: Final = 1 << 20
-"""bytes of them."""
+"""their maximum bytes."""
 RESEND_S: Final = 30.0
-"""After which a frame without an answer is sent again, though the aggregator seems to be there; doubled each time, up
-to"""
+"""Seconds after which an unacknowledged frame is sent again although the aggregator seems present; doubled each time,
+up to
+"""
 LONGEST_RESEND_S: Final = 480.0
 REFUSED_PAUSE_S: Final = 600.0
-"""Until a frame that the aggregator refused is offered again: a version, a clock or a list of towers may be mended."""
+"""Seconds until a frame that the aggregator rejected is sent again: a version, a clock or a list of towers may be
+corrected.
+"""
 OPEN_S: Final = 5.0
-"""Between two attempts to open an outbox whose disk does not serve."""
+"""Seconds between two attempts to open an outbox whose disk fails."""
 SLOW_S: Final = 1.0
-"""For one transaction; a disk that takes longer is about to fail, or is somebody else's too."""
+"""Seconds for one transaction above which a warning is given: the disk may be failing, or overloaded."""
 HELD_BYTES: Final = 32 << 20
-"""Of frames that wait for a disk that does not serve; further ones are lost, and counted."""
+"""Maximum bytes of frames that wait for a failing disk; further ones are lost, and counted."""
 BOUND_S: Final = 10.0
-"""Between two looks at what is too old or too much."""
+"""Seconds between two checks of the outbox's age and size limits."""
 STEP_S: Final = 0.2
 
 Clock = Callable[[], int | None]
-"""The time, ns; None: nobody keeps this machine's clock right, so it tells no frame's age."""
+"""Time in ns; None: the system clock is not synchronised, so frames have no age."""
 
 
 class TowerLink:
-    """`offer` takes frames from any thread; a thread of its own keeps and sends them.
+    """`offer` takes frames from any thread; a separate thread stores and sends them.
 
-    Args:
-        grid: the fuel grid that the votes are on.
-        outbox: its file.
-        clock: for the age of frames.
-        make_link: the connection; another one in tests.
+    Args: grid: the fuel grid of the votes. outbox: its file. clock: for the age of frames. make_link: makes the
+    connection; replaced in tests.
     """
 
     def __init__(
@@ -72,27 +73,28 @@ class TowerLink:
         clock: Clock,
         make_link: type[MqttLink] = MqttLink,
     ) -> None:
-        """Raises ConfigError for a certificate, a key or an outbox that cannot be taken. Where its disk does not serve
-        frames wait in memory, and it is tried again."""
+        """Open the link. Raises ConfigError for an invalid certificate, key or outbox. If its disk fails, frames wait
+        in memory, and it is tried again.
+        """
         self._config, self._grid, self._health, self._clock = config, grid, health, clock
         self._identity = Identity(config.broker, config.tower)
         self._file = outbox
         self._outbox: Outbox | None = None
         self._open_due = 0.0
         self.kept = 0
-        """Frames of `offer` that are in the outbox, the first ones."""
+        """Number of frames of `offer` that are in the outbox, in order."""
         self._offered: deque[OutboxFrame] = deque()
         self._held = 0
         self._lock = threading.Lock()
         self._acks: queue.Queue[bytes] = queue.Queue(1000)
         self._presence = ""
-        """Which life of the aggregator answers; empty: none."""
+        """Run number of the active aggregator; empty: none."""
         self._answered_by: tuple[str, int] = ("", 0)
-        """The life that has been sent what is on its way, and the connection by which."""
+        """The aggregator run to which the frames in flight were sent, and the connection."""
         self._on_their_way: dict[FrameKey, tuple[float, int]] = {}
-        """When each is sent again, and its bytes."""
+        """Time at which each is sent again, and its bytes."""
         self._answered: set[FrameKey] = set()
-        """Frames that the region's map has, and the disk has not yet let go of: they are not sent again."""
+        """Acknowledged frames that are not yet deleted from the disk: they are not sent again."""
         self._resend = Backoff(RESEND_S, LONGEST_RESEND_S)
         self._bound_due = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
@@ -108,7 +110,7 @@ class TowerLink:
 
     @property
     def waiting(self) -> int:
-        """Frames that were offered or lie in the outbox."""
+        """Return the number of frames in the queue and the outbox."""
         return len(self._offered) + (0 if self._outbox is None else self._outbox.frames)
 
     def start(self) -> None:
@@ -116,11 +118,11 @@ class TowerLink:
         self._thread.start()
 
     def offer(self, frame: OutboxFrame) -> None:
-        """Keep a frame for the region; it is in the outbox a moment later."""
+        """Queue a frame for the region; it is in the outbox shortly after."""
         with self._lock:
             if self._held + len(frame.message) > HELD_BYTES:
                 self._health.drop(
-                    "outbox_full", f"the outbox's disk has not served for {HELD_BYTES >> 20} MB of frames; see to it"
+                    "outbox_full", f"the outbox's disk has failed for {HELD_BYTES >> 20} MB of frames; check it"
                 )
                 return
             self._held += len(frame.message)
@@ -128,7 +130,7 @@ class TowerLink:
         self._wake.set()
 
     def stop(self) -> bool:
-        """Write what was offered, and let go of the outbox; False: some frames could not be written, and are lost."""
+        """Write the queued frames and close the outbox; False: some frames could not be written, and are lost."""
         self._stopping.set()
         self._wake.set()
         self._thread.join(LAST_TRIES_S + 2.0)
@@ -139,14 +141,14 @@ class TowerLink:
         return not lost
 
     def close(self) -> None:
-        """Let go of the connection and the outbox, as an end in the midst does: what was not yet written is gone."""
+        """Close the connection and the outbox without writing queued frames, as a crash would."""
         self._link.stop()
         if self._outbox is not None:
             self._outbox.close()
 
     def step(self, now_s: float) -> None:
-        """One turn of the thread's work. Raises StoreError where the disk does not serve; what lies in the outbox is
-        sent all the same, for what leaves it makes room on a disk that is full.
+        """Run one turn of the thread's work. Raises StoreError if the disk fails; frames in the outbox are still sent,
+        because deleting them frees space on a full disk.
         """
         if self._outbox is None and (now_s >= self._open_due or self._stopping.is_set()):
             self._open_due = now_s + OPEN_S
@@ -186,7 +188,8 @@ class TowerLink:
                 self._health.trouble(cause_of(error), str(error))
                 time.sleep(STEP_S)
             except BaseException:
-                # A bug, or a damaged outbox: an uplink that sends nothing shall not seem to; the graph starts another.
+                # An internal error, or a damaged outbox: an uplink that sends nothing must not look healthy; the
+                # graph restarts it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             if self._stopping.is_set():
@@ -202,8 +205,8 @@ class TowerLink:
         begun = time.monotonic()
         outbox.put(frames)
         if (took := time.monotonic() - begun) > SLOW_S:
-            words = "look whether it fails (smartctl), or who else writes to it"
-            self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to keep {len(frames)} frames: {words}")
+            words = "check its health (smartctl), and what else writes to it"
+            self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to store {len(frames)} frames: {words}")
         self.kept += len(frames)
         with self._lock:
             for frame in frames:
@@ -212,7 +215,7 @@ class TowerLink:
 
     def _hear_acks(self, outbox: Outbox, now_s: float) -> None:
         refused: list[FrameKey] = []
-        for _ in range(self._acks.qsize()):  # not until it is empty: somebody may fill it as quickly
+        for _ in range(self._acks.qsize()):  # not until it is empty, because it may be filled as quickly
             for outcome in self._outcomes(self._acks.get_nowait()):
                 key = outcome.camera, outcome.stamp_ns
                 self._on_their_way.pop(key, None)
@@ -222,7 +225,7 @@ class TowerLink:
                     refused.append(key)
                     self._health.note("refused")
                     self._health.trouble(
-                        "refused", f"the region's map refuses the frame {key[1]} of {key[0]}: {outcome.why}"
+                        "refused", f"the region's map rejected the frame {key[1]} of {key[0]}: {outcome.why}"
                     )
         if refused:
             outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
@@ -233,7 +236,7 @@ class TowerLink:
             self._answered.clear()
 
     def _outcomes(self, content: bytes) -> list[Outcome]:
-        """Of nobody but the aggregator, for this tower; what cannot be believed says nothing, and is counted."""
+        """Return the outcomes of an acknowledgement by the aggregator for this tower; invalid ones are counted."""
         try:
             return outcomes_heard(self._identity, self._config, content)
         except MessageError as error:
@@ -243,13 +246,13 @@ class TowerLink:
     def _bound(self, outbox: Outbox) -> None:
         removed = outbox.bound(self._clock())
         if removed.aged:
-            words = f"frames older than {self._config.outbox_days:g} days were not sent; is the link up?"
+            words = f"frames older than {self._config.outbox_days:g} days were not sent; check the link"
             self._health.drop("outbox_aged", words, removed.aged)
         if removed.thinned:
             self._health.drop(
                 "outbox_thinned",
-                f"more than {self._config.outbox_bytes >> 20} MB waited for the link: of the oldest, every other frame "
-                "of each view went",
+                f"more than {self._config.outbox_bytes >> 20} MB were queued for the link: every other frame of "
+                "each view was deleted, the oldest first",
                 removed.thinned,
             )
 
@@ -258,7 +261,7 @@ class TowerLink:
         if not (life[0] and self._link.connected.is_set()):
             return
         if life != self._answered_by:
-            # What another life of the aggregator had in memory is gone with it, or the connection with what was in it.
+            # What a previous aggregator run had in memory is lost, and so is what was in flight on the connection.
             self._answered_by = life
             self._on_their_way.clear()
         late = [key for key, (again, _) in self._on_their_way.items() if now_s >= again]
@@ -288,7 +291,7 @@ class TowerLink:
             room -= size
 
     def _state(self) -> None:
-        """What waits, in the outbox or, while its disk does not serve, in memory alone."""
+        """Report the frames in the outbox, or in memory while its disk fails."""
         if (outbox := self._outbox) is not None:
             frames, size, oldest = outbox.frames, outbox.bytes, outbox.oldest_ns()
         else:
@@ -299,14 +302,12 @@ class TowerLink:
         tell_what_waits(self._health, frames, size, oldest, self._clock() or time.time_ns(), up)
 
     def _take(self, topic: str, payload: bytes) -> None:
-        """From the connection's thread."""
+        """Receive a message in the connection's thread."""
         if topic == presence_topic(self._config.name):
             self._presence = payload[:64].decode("ascii", "replace")
         else:
             try:
                 self._acks.put_nowait(payload)
             except queue.Full:
-                self._health.drop(
-                    "overload", "more acknowledgements came than there were frames; they are asked for again"
-                )
+                self._health.drop("overload", "too many acknowledgements; they are requested again")
         self._wake.set()

@@ -1,4 +1,4 @@
-"""Lets a camera's frames into its chain of nodes only while the chain has room, so that all that enter are finished."""
+"""Admit a camera's frames to its nodes only while they have room, so that every admitted frame is finished."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from ltm_ros.runtime.health import Health, cause_of
 FrameT = TypeVar("FrameT")
 
 HEARS_WITHIN = 0.4
-"""Share of `finish_within` for which a frame waits for a worker that has finished none yet: DDS names it before it
-hears all that it needs, and its first frame may take longer than others."""
+"""Share of `finish_within` that a frame waits for a worker without any finished frame: DDS names it before it receives
+everything, and its first frame may take longer.
+"""
 
 VIEWS = 1000
-"""Of a camera that are remembered."""
+"""Number of remembered views per camera."""
 
 
 @dataclass
 class _InFlight:
     awaited: dict[str, float]
-    """Workers that have not finished with it: seconds since they were given it or last finished another."""
+    """Workers that have not finished it: seconds since they received it or finished another."""
     whole: bool = True
-    """Whether all that were awaited have finished it, as far as is known."""
+    """Whether all awaited workers have finished it, as far as is known."""
 
     def give_up(self, workers: Set[str]) -> None:
         for worker in self.awaited.keys() & workers:
@@ -34,28 +35,21 @@ class _InFlight:
 
 
 class Admission(Generic[FrameT]):
-    """The door of one camera's chain. At most `capacity` frames are in flight; of the others the newest waits, or where
-    the camera looks here and there, the newest of the view that was let in longest ago.
+    """Admission of one camera's frames. At most `capacity` frames are in flight. Of the others the newest waits, or for
+    a moving camera, the newest of the view that was admitted longest ago.
 
-    A frame is in flight until every node has finished it that was known as a worker when it was let in. Nothing is
-    asked of who works on it: a worker that goes is not awaited any more, one that finishes a later frame has done with
-    those before, and one that has a frame and finishes none for `finish_within` is left out of account until it does.
-    So the slowest worker that lives sets the pace, and where there is none nothing limits. One that has finished none
-    yet may not hear us, so a frame waits less for it.
+    A frame is in flight until every worker that was known at its admission has finished it. A worker that disappears is
+    not awaited any more; one that finishes a later frame has finished all earlier ones; one that finishes no frame for
+    `finish_within` is ignored until it does. So the slowest living worker sets the pace, and without workers there is
+    no limit. A worker without any finished frame may not receive messages yet, so a frame waits less for it.
 
-    Args:
-        admit: takes a frame that is let in. May raise LtmError: then it is not in flight.
-        workers: names of the nodes that will say when they have finished a frame, as known now.
-        health: counts frames that are turned away as `shed`, notes those that some worker has not finished as
-            `unfinished`; states how many are in flight, waiting and finished.
-        capacity: frames in flight at most.
-        finish_within: seconds.
-        shed: False: all frames wait, in order, while there is room for what they hold (a recording's frames).
-        size_of: bytes that a waiting frame holds.
-        waiting_bytes: that waiting frames hold at most; a frame alone always has room.
-        more_waits: whether further frames may be offered at once. While it says so none is let in, for a newer one may
-            be among them; `idle` is called then.
-        view_of: what is the same for frames that show the same.
+    Args: admit: takes an admitted frame. May raise LtmError: then it is not in flight. workers: names of the nodes that
+    acknowledge frames, as known now. health: counts dropped frames as `shed` and unfinished ones as `unfinished`;
+    states the numbers in flight, waiting and finished. capacity: maximum number of frames in flight. finish_within:
+    seconds. shed: False: all frames wait in order, up to `waiting_bytes` (for recordings). size_of: bytes of a waiting
+    frame. waiting_bytes: maximum of all waiting frames; a single frame is always accepted. more_waits: whether further
+    frames follow at once; meanwhile none is admitted, because a newer one may follow, and `idle` is called then.
+    view_of: returns equal values for frames of the same view.
     """
 
     def __init__(
@@ -76,19 +70,19 @@ class Admission(Generic[FrameT]):
         self._size_of, self._waiting_bytes = size_of, waiting_bytes
         self._more_waits, self._view_of = more_waits, view_of
         self._views: OrderedDict[Hashable, int] = OrderedDict()
-        """Those that were let in, longest ago first, and the number of the frame that was."""
+        """Admitted views, longest ago first, with the number of the frame."""
         self._let_in_ever = 0
         self._waiting: OrderedDict[int, FrameT] = OrderedDict()
         self._held = 0
         self._in_flight: OrderedDict[int, _InFlight] = OrderedDict()
         self._late: set[str] = set()
-        """Workers that let a frame grow too old, and have finished none since."""
+        """Workers that exceeded the time limit and have finished no frame since."""
         self._heard: set[str] = set()
-        """Workers that have finished a frame since they came."""
+        """Workers that have finished a frame since they appeared."""
         self._finished = 0
 
     def offer(self, stamp_ns: int, frame: FrameT) -> None:
-        """Let a frame in, have it wait, or turn one away. Raises the last LtmError of frames that are let in."""
+        """Admit a frame, queue it, or drop one. Raises the last LtmError of admitted frames."""
         self._waiting[stamp_ns] = frame
         self._held += self._size_of(frame)
         errors = self._let_in()
@@ -96,14 +90,18 @@ class Admission(Generic[FrameT]):
             while len(self._waiting) > 1:
                 least = min(self._waiting, key=self._claim)
                 newer = any(stamp > least for stamp in self._waiting)
-                why = "a newer one waits" if newer else "an older one waits, of a view that was let in longer ago"
+                why = (
+                    "a newer one is queued"
+                    if newer
+                    else "an older one is queued, of a view that was admitted longer ago"
+                )
                 self._turn_away(least, why)
         while len(self._waiting) > 1 and self._held > self._waiting_bytes:
-            self._turn_away(next(iter(self._waiting)), f"{self._held >> 20} MB wait")
+            self._turn_away(next(iter(self._waiting)), f"{self._held >> 20} MB are queued")
         self._state(errors)
 
     def finished(self, worker: str, stamp_ns: int) -> None:
-        """A worker has finished a frame. Raises as `offer`."""
+        """Record that a worker has finished a frame. Raises as `offer`."""
         self._late.discard(worker)
         self._heard.add(worker)
         if stamp_ns in self._in_flight:
@@ -119,15 +117,16 @@ class Admission(Generic[FrameT]):
         self._state(self._let_in())
 
     def idle(self, prompt: Set[str]) -> None:
-        """Let one frame in, now that no further one is offered at once. `prompt`: workers that have done all that they
-        will do with frames in flight: what they have not finished has failed there. Raises as `offer`."""
+        """Admit one frame, now that none follows at once. `prompt`: workers that are done with all frames in flight;
+        frames that they have not finished have failed there. Raises as `offer`.
+        """
         for frame in self._in_flight.values():
             frame.give_up(prompt)
         self._release()
         self._state(self._let_in(1))
 
     def tick(self, waited: float) -> None:
-        """So many seconds have passed. Raises as `offer`."""
+        """Advance time by `elapsed_s` seconds. Raises as `offer`."""
         there = self._workers() if self._in_flight else set()
         if self._in_flight:
             self._heard &= there
@@ -150,7 +149,7 @@ class Admission(Generic[FrameT]):
         self._state(self._let_in())
 
     def finish(self) -> None:
-        """No more will be let in: those that wait are turned away."""
+        """Admit no more frames, and drop the queued ones."""
         for stamp in list(self._waiting):
             self._turn_away(stamp, "the node ended")
         self._state([])
@@ -176,7 +175,7 @@ class Admission(Generic[FrameT]):
         return errors
 
     def _claim(self, stamp: int) -> tuple[int, int]:
-        """Of those that wait, the one with the least is turned away."""
+        """Take a place in the queue; the frame with the lowest priority is dropped."""
         return -self._views.get(self._view_of(self._waiting[stamp]), 0), stamp
 
     def _note_view(self, frame: FrameT) -> None:
@@ -197,10 +196,12 @@ class Admission(Generic[FrameT]):
     def _turn_away(self, stamp: int, why: str) -> None:
         self._held -= self._size_of(self._waiting.pop(stamp))
         awaited = sorted({worker for frame in self._in_flight.values() for worker in frame.awaited})
-        others = f"{len(self._in_flight)} are in flight (at {', '.join(awaited)})" if awaited else "others are at work"
+        others = (
+            f"{len(self._in_flight)} are in flight (at {', '.join(awaited)})" if awaited else "others are in flight"
+        )
         self._health.drop(
             "shed",
-            f"the frame of stamp {stamp} ns: {why}, and {others}; slow the camera down or give it more cores",
+            f"the frame of stamp {stamp} ns: {why}, and {others}; reduce the frame rate or add cores",
         )
 
     def _state(self, errors: list[LtmError]) -> None:

@@ -1,4 +1,4 @@
-"""Run the jobs of each camera in a process that all cameras share, with fair turns."""
+"""Run the jobs of all cameras in a shared process, with fair turns."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from ltm_ros.runtime.stamp_join import data_bytes
 
 
 class TurnTaker(Protocol):
-    """Something that is worked on turn by turn, by one thread at a time: a camera."""
+    """A camera or another object that is processed turn by turn, by one thread at a time."""
 
     def turn(self, activity: Activity) -> bool:
-        """Do what there is to do, one frame at most; whether there may be more. `activity`: the thread's own, to tell
-        what it is at."""
+        """Process one frame at most; return whether there may be more. `activity`: the thread's activity, for the
+        heartbeat.
+        """
         ...
 
 
 class FrameScheduler:
-    """Gives turns to those that were woken, in that order, on `workers` threads.
+    """Gives turns to woken takers, in that order, on `workers` threads.
 
-    Who was woken while it had its turn, or says that there is more, queues up behind all others that wait: under
-    overload all get equally many turns. What a turn raises is a bug of the process: it ends, with its traceback.
+    A taker that was woken during its turn, or has more to do, goes to the end of the queue: under overload all get
+    equally many turns. An exception from a turn is a bug and ends the process with its traceback.
     """
 
     def __init__(self, workers: int, heartbeat: Heartbeat) -> None:
@@ -42,7 +43,7 @@ class FrameScheduler:
         self._queue: deque[TurnTaker] = deque()
         self._queued: set[TurnTaker] = set()
         self._at_work: dict[TurnTaker, bool] = {}
-        """Those that have a turn now, and whether they were woken meanwhile."""
+        """Takers that have a turn now, and whether they were woken meanwhile."""
         self._closing = False
         self._threads = [
             threading.Thread(
@@ -56,7 +57,7 @@ class FrameScheduler:
             thread.start()
 
     def wake(self, taker: TurnTaker) -> None:
-        """There is something to do for `taker`; from any thread."""
+        """Schedule `taker`; thread-safe."""
         with self._changed:
             if taker in self._at_work:
                 self._at_work[taker] = True
@@ -64,7 +65,7 @@ class FrameScheduler:
                 self._enqueue(taker)
 
     def close(self, patience_s: float) -> bool:
-        """Let the threads end when nobody waits for a turn any more; whether they have, in so many seconds."""
+        """Let the threads end when the queue is empty; return whether they have within the time limit."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -103,23 +104,21 @@ class FrameScheduler:
 
 
 INBOX = 1000
-"""Messages that wait for a camera's next turn at most: some seconds of images, poses and calibrations."""
+"""Maximum number of messages that wait for a camera's next turn: some seconds of images, poses and calibrations."""
 INBOX_BYTES = 128 << 20
-"""Of data, that wait at most; a message alone always has room."""
+"""Maximum bytes of waiting data; a single message is always accepted."""
 CRASHED = "crash"
-"""Why frames are counted as dropped whose job a bug has ended."""
+"""Cause under which frames are dropped whose job has failed with a bug."""
 
 
 class CameraPipeline:
-    """What other processes send waits for the camera's turn (`FrameScheduler`). In its turn first all of that is
-    handled, so that of several frames the newest is known; then one is let in, and runs through all jobs.
+    """Messages from other processes wait for the camera's turn (`FrameScheduler`). A turn first handles all of them, so
+    that the newest frame is known; then one frame is admitted and runs through all jobs.
 
-    What is wrong with a message is counted by the job that refuses it, as in a process of its own. After a bug the
-    frame is dropped everywhere and counted (`CRASHED`), and the job's handler is made anew; where that fails, too, the
-    job is left out, and tried again now and then.
+    The job that rejects a message counts it. After a bug, the frame is dropped everywhere and counted (`CRASHED`), and
+    the job's handler is recreated; if that fails, the job is skipped and tried again later.
 
-    Args:
-        say: takes a job's name and what shall be logged of it.
+    Args: say: takes a job's name and a line for its log.
     """
 
     def __init__(self, say: Callable[[str, str], None]) -> None:
@@ -129,13 +128,13 @@ class CameraPipeline:
         self._inbox: deque[tuple[Job, Topic, Any]] = deque()
         self._inbox_bytes = 0
         self._taking = True
-        """Whether handlers get further messages before they are idle."""
+        """Whether handlers get further messages before `idle`."""
         self._closing = False
         self._activity = Activity("start")
         self._broken: dict[str, Backoff] = {}
-        """Jobs whose handlers could not be made anew."""
+        """Jobs whose handlers could not be recreated."""
         self._waited = 0.0
-        """Seconds that the handlers have not been told of."""
+        """Seconds not yet passed on to the handlers."""
 
     @property
     def more_waits(self) -> bool:
@@ -143,11 +142,11 @@ class CameraPipeline:
 
     @property
     def waiting(self) -> int:
-        """Messages in the inbox."""
+        """Return the number of messages in the inbox."""
         return len(self._inbox)
 
     def offer(self, job: Job, topic: Topic, message: Any) -> None:
-        """Have a message wait for the next turn, from any thread. Raises queue.Full where there is no room."""
+        """Queue a message for the next turn; thread-safe. Raises queue.Full without room."""
         size = data_bytes(message)
         with self._lock:
             full = len(self._inbox) >= INBOX or (self._inbox_bytes and self._inbox_bytes + size > INBOX_BYTES)
@@ -157,12 +156,12 @@ class CameraPipeline:
             self._inbox_bytes += size
 
     def tick(self, waited: float) -> None:
-        """So many seconds have passed; the handlers are told in the next turn."""
+        """Advance time; the handlers get it in the next turn."""
         with self._lock:
             self._waited += waited
 
     def turn(self, activity: Activity) -> bool:
-        """As `TurnTaker`."""
+        """Implement `TurnTaker`."""
         self._activity = activity
         self._take_inbox()
         self._tell_time()
@@ -176,11 +175,11 @@ class CameraPipeline:
         return let_in
 
     def stop_admitting(self) -> None:
-        """No frame is let in any more."""
+        """Stop admitting frames."""
         self._closing = True
 
     def finish(self) -> None:
-        """Handle what waits, then tell all handlers that no more will come."""
+        """Handle the queued messages, then tell all handlers that no more come."""
         self._activity = Activity("end")
         self._take_inbox()
         self.pipeline.finish()
@@ -208,7 +207,7 @@ class CameraPipeline:
     def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
         if job.name in self._broken:
             if message is not None:
-                job.health.drop("down", f"{job.name} could not be started again after a bug; see the log")
+                job.health.drop("down", f"{job.name} could not be restarted after an internal error; see the log")
                 self._drop_frame(job, message)
             return
         began, used, results = time.perf_counter(), time.thread_time(), job.health.results
@@ -223,18 +222,20 @@ class CameraPipeline:
         finally:
             self._activity.end()
         job.health.used(time.thread_time() - used)
-        # A message that only waits for others to join it tells nothing of the work on a frame.
+        # A message that only waits for others to join it takes no processing time.
         if job.health.results > results:
             job.health.worked(time.perf_counter() - began)
 
     def _crashed(self, job: Job, message: Any, error: Exception) -> None:
         sys.excepthook(*sys.exc_info())
-        job.health.drop(CRASHED, f"{error!r}: a bug; the frame is dropped and {job.name} started anew; see the log")
+        job.health.drop(
+            CRASHED, f"{error!r}: internal error; the frame is dropped and {job.name} is restarted; see the log"
+        )
         self._drop_frame(job, message)
         self._renew(job, Backoff())
 
     def _drop_frame(self, job: Job, message: Any) -> None:
-        """No job shall wait for what `job` would have made of it."""
+        """Drop a frame everywhere, so that no job waits for the results of `job`."""
         self.pipeline.clear()
         if hasattr(message, "header"):
             stamp = stamp_of(message)

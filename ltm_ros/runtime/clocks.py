@@ -1,4 +1,4 @@
-"""Read this machine's clocks, whether they are synchronised, and when they are set."""
+"""Read this machine's clocks, and detect whether they are synchronised and when they are set."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 _TIME_ERROR = 5
-"""What adjtimex(2) returns while nothing keeps the clock right."""
+"""Result of adjtimex(2) while the clock is not synchronised."""
 
 
 class _Timex(ctypes.Structure):
-    """`struct timex` of Linux on machines with 64 bits; `modes` = 0 only asks."""
+    """`struct timex` of 64-bit Linux; `modes` = 0 only reads."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -25,7 +25,9 @@ class _Timex(ctypes.Structure):
 @dataclass(frozen=True)
 class KernelClock:
     synchronised: bool | None
-    """Whether something keeps the clock right (chrony, ntpd and systemd-timesyncd tell the kernel); None: not known."""
+    """Whether a time service synchronises the clock (chrony, ntpd or systemd-timesyncd report it to the kernel); None:
+    unknown.
+    """
     estimated_error_s: float | None
 
 
@@ -40,17 +42,17 @@ def kernel_clock() -> KernelClock:
 
 
 LEAST_STEP_S = 1.0
-"""What a time service corrects by running the clock faster or slower stays far below it."""
+"""Smallest clock step in seconds; gradual corrections by a time service stay far below it."""
 _INTERRUPTED_NS = 100_000_000
 
 
 def _elapsed_ns() -> int:
-    """Nanoseconds since the machine started, those that it slept among them: waking up is no step."""
+    """Return the nanoseconds since the machine started, including suspend, so that waking up is no step."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 class ClockWatch:
-    """Compares the clock on the wall with one that nobody can set. The two clocks are arguments for tests."""
+    """Compares the system clock with a monotonic one. Tests pass their own clocks."""
 
     def __init__(self, wall_ns: Callable[[], int] = time.time_ns, elapsed_ns: Callable[[], int] = _elapsed_ns) -> None:
         self._wall_ns, self._elapsed_ns = wall_ns, elapsed_ns
@@ -58,11 +60,13 @@ class ClockWatch:
         self.step_s()
 
     def step_s(self) -> float:
-        """Seconds by which the clock was set since the last call, less than none: back; 0.0 where it was not."""
+        """Return the seconds by which the clock was set since the last call, negative if set back; 0.0
+        without a step.
+        """
         before = self._elapsed_ns()
         wall = self._wall_ns()
         if self._elapsed_ns() - before > _INTERRUPTED_NS:
-            return 0.0  # the process lay still between the two: the next call will tell
+            return 0.0  # the process was paused between the two: the next call decides
         former, offset = self._offset, wall - before
         step = 0.0 if former is None else (offset - former) / 1e9
         if former is None or abs(step) < LEAST_STEP_S:
@@ -73,14 +77,14 @@ class ClockWatch:
 
 
 class Clock(Protocol):
-    """Time of day and time that no one sets, both in seconds."""
+    """System time and monotonic time, both in seconds."""
 
     def wall(self) -> float: ...
 
     def monotonic(self) -> float: ...
 
     def synchronised(self) -> bool | None:
-        """None: not known."""
+        """Return whether the clock is synchronised; None: unknown."""
         ...
 
 

@@ -1,12 +1,8 @@
 """Count messages sent, received and lost, and check that publishers and subscribers are matched.
 
-Check that publishers and subscribers are matched, and count lost messages.
-
-Counts messages of a topic that were sent but never received, from the sequence numbers of the middleware.
-
-A reader keeps the newest few messages of a topic: what a slow process does not take in time is replaced by the next,
-and nothing reports it. The same holds for messages for which shared memory had no room, and for bytes that are no
-message. Only a gap in the sequence numbers shows it.
+Lost messages are counted from gaps in the middleware's sequence numbers. A reader keeps only the newest messages of a
+topic: what a slow process does not take in time is replaced without notice. The same holds for messages that did not
+fit into shared memory, and for invalid bytes.
 """
 
 from __future__ import annotations
@@ -20,14 +16,14 @@ from rclpy.node import Node
 
 
 class TrafficCounts(TypedDict):
-    """Messages since the process began, by absolute topic."""
+    """Messages since the start of the process, by absolute topic."""
 
     said: dict[str, int]
     heard: dict[str, int]
 
 
 class TopicCount:
-    """Of one publisher or subscription; counted up by one thread at a time."""
+    """Count of one publisher or subscription; written by one thread at a time."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
@@ -35,7 +31,7 @@ class TopicCount:
 
 
 class Traffic:
-    """Of one process; from any thread."""
+    """Counts of one process; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,22 +39,24 @@ class Traffic:
         self._heard: list[TopicCount] = []
 
     def speaker(self, topic: str) -> TopicCount:
-        """For a publisher. Not of latched topics: what they last said is heard by those who come later, too."""
+        """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
+        message, too.
+        """
         return self._add(self._said, topic)
 
     def listener(self, topic: str) -> TopicCount:
-        """For a subscription."""
+        """Return the count of a subscription."""
         return self._add(self._heard, topic)
 
     def forget(self, counts: Iterable[TopicCount]) -> None:
-        """These publishers and subscriptions are gone."""
+        """Remove these publishers and subscriptions."""
         gone = set(counts)
         with self._lock:
             self._said[:] = [count for count in self._said if count not in gone]
             self._heard[:] = [count for count in self._heard if count not in gone]
 
     def counts(self) -> TrafficCounts | None:
-        """None where the process has neither publishers nor subscriptions that are counted."""
+        """Return the counts; None if the process has no counted publishers or subscriptions."""
         with self._lock:
             said, heard = list(self._said), list(self._heard)
         return {"said": _by_topic(said), "heard": _by_topic(heard)} if said or heard else None
@@ -77,14 +75,14 @@ def _by_topic(counts: list[TopicCount]) -> dict[str, int]:
 
 
 TRAFFIC = Traffic()
-"""That of this process."""
+"""Traffic of this process."""
 
 
 def with_info(take: Callable[[Any, Any], None]) -> Callable[..., None]:
-    """`take` as `create_subscription` shall have it.
+    """Return `take` in the form that `create_subscription` needs.
 
-    rclpy finds out from a callback's signature whether it wants the info, and calls it with both; its EventsExecutor,
-    as of 7.1, with one tuple of both.
+    rclpy decides by a callback's signature whether it passes the message info, as second argument; its EventsExecutor
+    (7.1) passes one tuple of both.
     """
 
     def callback(*given: Any) -> None:
@@ -97,14 +95,16 @@ def with_info(take: Callable[[Any, Any], None]) -> Callable[..., None]:
 
 NUMBER = "publication_sequence_number"
 UNKNOWN = 2**64 - 1
-"""What a middleware says that does not number messages."""
+"""Sequence number of a middleware that does not number messages."""
 
 Writers = Callable[[], frozenset[bytes]]
-"""The identities of those that publish on the topic now."""
+"""Returns the identities of the topic's current publishers."""
 
 
 class LossCounter:
-    """Of one topic. Only counts while one and the same writer publishes: several count each for themselves."""
+    """Counts lost messages of one topic, only while there is a single publisher, because each numbers its
+    own messages.
+    """
 
     def __init__(self, writers: Writers) -> None:
         self._writers = writers
@@ -112,12 +112,12 @@ class LossCounter:
         self._last = 0
 
     def lost(self, info: Mapping[str, Any]) -> int:
-        """How many messages are missing between the last one and the one with this `info` of rclpy's."""
+        """Return the number of messages missing between the last one and the one with this rclpy `info`."""
         number, last = int(info.get(NUMBER) or UNKNOWN), self._last
         if number == UNKNOWN:
             return 0
         self._last = number
-        # Asking costs: only when the numbers leap is it known whether they still are the same writer's.
+        # The query is expensive: only a gap in the numbers requires a check that the publisher is the same.
         if number == last + 1 and last:
             return 0
         former, self._writer = self._writer, self._writers()
@@ -125,28 +125,28 @@ class LossCounter:
 
 
 def loss_report(lost: int, topic: str) -> str:
-    """Value and remedy, as `Health.drop` takes them."""
+    """Return cause and remedy for `Health.drop`."""
     return (
-        f"{lost} messages of {topic} did not come through: this node was too slow to take them (slow the camera down, "
-        "give it more cores), /dev/shm was full, or they were no messages"
+        f"{lost} messages of {topic} were lost: this node was too slow (reduce the frame rate or add cores), "
+        "/dev/shm was full, or they were invalid"
     )
 
 
 def writers_of(node: Any, topic: str) -> Writers:
-    """As `LossCounter` takes it; `topic` as given to `create_subscription`."""
+    """Return the function that `LossCounter` needs; `topic` as given to `create_subscription`."""
     return lambda: frozenset(bytes(end.endpoint_gid) for end in node.get_publishers_info_by_topic(topic))
 
 
 LISTENERS = "listeners."
-"""Prefix of the diagnostics key that holds how many subscribers a node's publisher is matched with."""
+"""Prefix of the diagnostics key with the number of subscribers that a publisher is matched with."""
 
 
 def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Topics that have more subscribers than their publisher is matched with, or the other way round.
+    """Return topics whose publisher is not matched with all subscribers, or the reverse.
 
-    DDS discovers each pair of processes by itself: that `node` knows of two others says nothing of what these know of
-    each other. So their own word counts, `summaries`: the latest diagnostics of every node, by full name. Listeners
-    that are none of these, somebody's `ros2 topic echo`, are waited for by nobody.
+    DDS discovers each pair of processes separately: `node` cannot see whether two others are matched. So this uses
+    their own reports, `summaries`: the latest diagnostics of every node, by full name. Other subscribers, such as `ros2
+    topic echo`, are ignored.
     """
     found = []
     for name, summary in summaries.items():
@@ -159,7 +159,7 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
                     f"{end.node_namespace.rstrip('/')}/{end.node_name}"
                     for end in node.get_subscriptions_info_by_topic(topic)
                 ]
-                # One whose name is not yet known may be anybody's.
+                # One whose name is unknown yet may be any node.
                 ours = sum(listener in summaries or "_UNKNOWN_" in listener for listener in listeners)
                 matched = int(value)
                 if matched < ours or (matched != ours and ours == len(listeners)):
@@ -168,9 +168,9 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
 
 
 def unheard(node: Node) -> dict[str, str]:
-    """Topics of a node's own subscriptions that more publish on than it is matched with: what is wrong, with a remedy.
+    """Return the problem and remedy of each subscription with more publishers than matches.
 
-    For a moment after somebody comes or goes that is as it should be.
+    This is normal for a moment after a node starts or ends.
     """
     found = {}
     for subscription in node.subscriptions:
@@ -178,7 +178,7 @@ def unheard(node: Node) -> dict[str, str]:
         known, matched = node.count_publishers(topic), subscription.get_publisher_count()
         if matched < known:
             found[topic] = (
-                f"{known} publish {topic}, {matched} reach this node; let them offer what it asks for (reliable, and "
-                "transient local where it is latched), or restart it"
+                f"{known} nodes publish {topic}, but this node receives only {matched}; use matching QoS "
+                "(reliable, and transient local for latched topics), or restart it"
             )
     return found

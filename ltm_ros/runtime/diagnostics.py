@@ -16,10 +16,10 @@ from ltm_ros.runtime.process_memory import memory_in_use
 
 
 class DiagnosticsPublisher:
-    """Publishes on a steady clock: a replay that has ended stops ROS time, and diagnostics must go on.
+    """Publishes on a steady clock, because diagnostics must continue when a replay's ROS time stops.
 
-    `healths`: by full name, of the nodes that `node` speaks for; they are sent in one message, and the first says what
-    their process has in memory (`heap_bytes`, `python_blocks`).
+    `healths`: by full name, of the nodes that `node` reports for, in one message; the first includes the process's
+    memory (`heap_bytes`, `python_blocks`).
     """
 
     def __init__(self, node: Node, healths: Mapping[str, Health], hardware_id: str = "") -> None:
@@ -55,7 +55,7 @@ class DiagnosticsPublisher:
 
 @dataclass(frozen=True)
 class NodeRow:
-    """What a node reported at the end; latencies from the moment a frame was taken, NaN where it has none."""
+    """Final report of a node; latencies since capture, NaN without any."""
 
     node: str
     received: int
@@ -65,13 +65,13 @@ class NodeRow:
     latency_p95_ms: float = math.nan
     work_p50_ms: float = math.nan
     causes: str = ""
-    """Why messages were dropped: `overload 2, pose 1`."""
+    """Causes of drops: `overload 2, pose 1`."""
     reasons: tuple[str, ...] = ()
-    """What was said of the first message that was dropped by each cause, after its name."""
+    """Reason of the first drop of each cause, after its name."""
 
     @classmethod
     def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
-        """From the key -> value texts of a node's `/diagnostics` status."""
+        """Parse the key -> value texts of a node's `/diagnostics` status."""
         causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
         return cls(
             node,
@@ -87,5 +87,5 @@ class NodeRow:
 
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
-    """One row a node, by name, from the key -> value texts of their diagnostics."""
+    """Return one row per node, by name, from the key -> value texts of their diagnostics."""
     return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]

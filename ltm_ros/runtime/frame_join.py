@@ -1,6 +1,6 @@
-"""Joins a camera's images with their calibrations and poses: the one place that decides which of them a frame has.
+"""Join a camera's images with their calibrations and poses; used live and for archives.
 
-The node `capture` joins live messages, the archive joins what bags hold of them: the same frame has the same pose.
+The node `capture` joins live messages, the archive joins recorded ones: the same frame has the same pose.
 """
 
 from __future__ import annotations
@@ -30,19 +30,20 @@ from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMAGE_RAW
 
 class FrameJoinConfig(StrictModel):
     pose_tolerance: float = Field(0.0, ge=0)
-    """Seconds by which a pose's stamp may miss its image's. 0: stamps must be equal."""
+    """Maximum difference in seconds between a pose's stamp and its image's. 0: stamps must be equal."""
     max_wait: float = Field(3.0, gt=0)
-    """Seconds that an image waits for its pose and calibration."""
+    """Seconds for which an image waits for its pose and calibration."""
     max_waiting: int = Field(20, ge=1)
-    """Images that wait for their pose and calibration at most; beyond it the oldest is dropped."""
+    """Maximum number of images that wait for their pose and calibration; the oldest is dropped first."""
     drop_repeated: bool = False
-    """Drop an image that has the bytes of the camera's last one: of a camera that stands still for a week, the one
-    picture would count as a week's looks. Nodes `source` send none; set it for other drivers, and their recordings."""
+    """Whether to drop an image with the bytes of the camera's previous one: a frozen image would count as new evidence
+    for as long. Nodes `source` send none; set it for other drivers, and their recordings.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedFrame:
-    """An image, as it was given, with its pose, the pose's covariance (6, 6) (None: not known) and its calibration."""
+    """An image with its pose, the pose's covariance (6, 6) (None: unknown) and its calibration."""
 
     image: Any
     pose: Pose
@@ -51,17 +52,13 @@ class JoinedFrame:
 
 
 class FrameJoin:
-    """An image is complete when its pose and a calibration are there; of calibrations, the newest up to its stamp.
+    """Joins an image when its pose and a calibration have come; the newest calibration up to its stamp is used.
 
-    Many poses and calibrations are remembered, and those of a camera that stands still are all the same: such are one
-    object. Otherwise each of its frames would put some twenty small blocks among those of pictures, to be freed a
-    thousand frames later, and the holes that they leave keep the heap's pages.
+    Equal poses and calibrations of a fixed camera are stored as one object. Otherwise each frame would leave some
+    twenty small blocks among those of images, freed a thousand frames later, which fragments the heap.
 
-    Args:
-        complete: takes each joined frame.
-        health: counts duplicates, covariances that say nothing, and frames that never got a part (`no_pose`,
-            `no_calibration`).
-        stamp_and_size: of an image as it is given, nanoseconds and (width, height).
+    Args: complete: takes each joined frame. health: counts duplicates, invalid covariances, and frames without a part
+    (`no_pose`, `no_calibration`). stamp_and_size: of an image, nanoseconds and (width, height).
     """
 
     def __init__(
@@ -89,7 +86,7 @@ class FrameJoin:
         self._sensors, self._frame = camera.sensors, site.frame
         self._dem = site.open_dem() if camera.sensors is not None else None
         self.assumed = site.assumed_pose_error.covariance()
-        """(6, 6): of poses of which nothing else is known."""
+        """Covariance (6, 6) of poses that state none."""
         parts = [Part("image")]
         if camera.sensors is not None:
             parts.append(Part("fix", Match.LATEST))
@@ -110,7 +107,7 @@ class FrameJoin:
 
     @property
     def others(self) -> Mapping[Topic, Callable[[Any], None]]:
-        """What is joined to images, as the site file has it come, and who takes each message of it."""
+        """Return the other topics to join, by the site file, with their callbacks."""
         topics: dict[Topic, Callable[[Any], None]] = {}
         if self._fixed_calibration is None:
             topics[CAMERA_INFO] = self.on_camera_info
@@ -121,11 +118,11 @@ class FrameJoin:
         return topics
 
     def add_image(self, stamp_ns: int, image: Any) -> None:
-        """Raises LtmError of what it completes."""
+        """Add an image. Raises the LtmError of a frame that it completes."""
         self._join.add("image", stamp_ns, image)
 
     def known(self, stamp_ns: int) -> bool:
-        """Whether an image of this stamp would be a duplicate."""
+        """Return whether an image of this stamp would be a duplicate."""
         return self._join.known("image", stamp_ns)
 
     def tick(self, waited: float) -> None:
@@ -135,11 +132,12 @@ class FrameJoin:
         self._join.finish()
 
     def check_size(self, size: tuple[int, int], camera: Camera) -> None:
-        """Raises ImageError where a calibration is for images of another size, (width, height)."""
+        """Check the size of an image. Raises ImageError if a calibration has another size, (width, height)."""
         if size != (camera.width, camera.height):
             raise ImageError(
-                f"image of {self._name} is {size[0]} x {size[1]} pixels, its calibration is for {camera.width} x "
-                f"{camera.height}; publish a camera_info for the image as it is sent, or mend it in the site file"
+                f"image of {self._name} is {size[0]} x {size[1]} pixels, but its calibration is for "
+                f"{camera.width} x {camera.height}; publish a matching camera_info, or correct the calibration in "
+                "the site file"
             )
 
     def on_camera_info(self, message: Any) -> None:

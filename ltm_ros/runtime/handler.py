@@ -1,7 +1,7 @@
-"""Base class of the nodes' work, without transport: subscriptions, publications, services and their callbacks.
+"""Define the base class of nodes without transport: subscriptions, publications, services and their callbacks.
 
-The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same
-messages, so what a tower computes live is what a researcher recomputes from the recording.
+The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same messages,
+so that a recording gives the tower's results.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ltm_ros.runtime.health import Health
 
 @dataclass(frozen=True)
 class Topic:
-    """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message. `depth`:
-    messages kept for a listener that is slow. `counted`: whether messages count as frames that a node receives.
+    """`name`: relative to the node's namespace, or absolute. `latched`: late subscribers get the last message. `depth`:
+    messages kept for a slow subscriber. `counted`: whether messages count as frames received.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Topic:
 
 
 class NodeConfig(StrictModel):
-    """Parameters that every node takes."""
+    """Parameters of every node."""
 
     site: str
     """Path of the site file."""
@@ -37,38 +37,40 @@ class NodeConfig(StrictModel):
 
 
 class Outlet(Protocol):
-    """Where a handler's messages go."""
+    """Transport of a handler's messages."""
 
     def publish(self, topic: Topic, message: Any) -> None: ...
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Publish what `make` gives, of a frame of this stamp, where somebody listens; else it is only counted."""
+        """Publish the result of `make` for a frame of this stamp if the topic has subscribers; otherwise
+        only count it.
+        """
         ...
 
     def wanted(self, topic: Topic) -> bool:
-        """Whether somebody listens: costly messages are made only then."""
+        """Return whether the topic has subscribers. Expensive messages are built only if it has."""
         ...
 
     def more_waits(self) -> bool:
-        """Whether this handler gets further messages at once, and then `idle`."""
+        """Return whether this handler gets further messages at once, and then `idle`."""
         ...
 
     def now_ns(self) -> int:
-        """The graph's time, for judging stamps: ROS time, or that of the recording; 0 where it has not begun."""
+        """Return the graph's time for checking stamps: ROS time, or the recording's; 0 before it begins."""
         ...
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Say that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
+        """Report that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
         ...
 
     def workers(self, topic: Topic) -> Set[str]:
-        """Full names of the nodes that acknowledge frames on a topic, as known now; none where frames are fed one by
-        one."""
+        """Return the full names of the nodes that acknowledge frames on a topic, as known now; none if frames are fed
+        one by one.
+        """
         ...
 
     def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Those of `workers` that by the next `idle` have done all that they will do with what was published before:
-        nodes that share this one's process."""
+        """Return those of `workers` that are done with earlier frames by the next `idle`: nodes in this process."""
         ...
 
 
@@ -76,15 +78,15 @@ ConfigT = TypeVar("ConfigT", bound=NodeConfig)
 
 
 class Handler(Generic[ConfigT]):
-    """Base of the handlers: subclasses fill `subscriptions`, `publications` and, where needed, `services`.
+    """Base of the handlers: subclasses fill `subscriptions`, `publications` and, if needed, `services`.
 
-    All callbacks run on one thread, in order of arrival. A callback may raise LtmError: the message is dropped, the
-    drop is counted by its cause, and the node lives on.
+    All callbacks run on one thread, in order of arrival. A callback may raise LtmError: the message is dropped and
+    counted by cause, and the node continues.
     """
 
     publications: Sequence[Topic] = ()
     acknowledgements: Sequence[Topic] = ()
-    """Where this node says which frames it has finished, so that no more are let in than it can do; live only."""
+    """Topic on which this node reports finished frames, so that no more are admitted than it can process; live only."""
 
     def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
         self.config = config
@@ -93,45 +95,46 @@ class Handler(Generic[ConfigT]):
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        """What to listen to, and who takes each message."""
+        """Return the topics to subscribe to, with their callbacks."""
         return {}
 
     @property
     def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
-        """Topics to listen to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
+        """Return topics to subscribe to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
 
-        `*` stands for one part of the name; the callback is told the whole name.
+        `*` matches one part of the name; the callback gets the whole name.
         """
         return {}
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        """std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
+        """Return std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
         return {}
 
     def start(self) -> None:
-        """Called once when publications are open: latched messages go out here."""
+        """Publish latched messages; called once when publications are open."""
 
     def idle(self) -> None:
-        """Called after a message when no other waits: what is cheaper for many at once is done here."""
+        """Do work that is cheaper in batches; called after a message when no other waits."""
 
     def discard(self, stamp_ns: int) -> None:
-        """Called where no more will come of a camera's frame: forget its parts that wait."""
+        """Forget the waiting parts of a camera's frame that will not be completed."""
 
     def tick(self, waited: float) -> None:
-        """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""
+        """Advance time; called every half second with the seconds since the last call, by a clock that also runs in a
+        paused replay.
+        """
 
     def end_of_day(self) -> None:
-        """Called in an offline replay, in which no time passes, where the recording goes over to another day, UTC:
-        what live goes out now and then is said at least then."""
+        """Publish periodic results at a change of the UTC day in an offline replay, which has no clock."""
 
     def finish(self) -> None:
-        """Called once when no more messages will come."""
+        """Finish; called once when no more messages come."""
 
 
 @dataclass(frozen=True)
 class NodeType(Generic[ConfigT]):
-    """What a node module offers as `NODE`: its name, its parameters and its work."""
+    """Description of a node module, its `NODE`: name, parameters and handler."""
 
     name: str
     config: type[ConfigT]
@@ -139,4 +142,4 @@ class NodeType(Generic[ConfigT]):
 
 
 EX_CONFIG = 78
-"""Exit status of a node whose configuration cannot work (sysexits.h)."""
+"""Exit status of a node with an invalid configuration (sysexits.h)."""

@@ -14,16 +14,16 @@ from ltm_core.site.site import SITE_NAMES
 from ltm_core.vision.scene_view import SceneView
 
 WINDOW = 200
-"""Messages over which latencies are summarised."""
+"""Number of messages over which latencies are summarised."""
 
 
 def cause_of(error: LtmError) -> str:
-    """The name under which an error is counted: ImageError -> image."""
+    """Return the name under which an error is counted: ImageError -> image."""
     return type(error).__name__.removesuffix("Error").lower()
 
 
 class Health:
-    """Counters of one node; safe to use from several threads."""
+    """Counters of one node; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -45,7 +45,7 @@ class Health:
             self._received[topic] += 1
 
     def published(self, topic: str, age: float | None = None) -> None:
-        """A result went out, `age` seconds after the moment its source was taken (None: not known)."""
+        """Count a published result, `age` seconds after capture (None: unknown)."""
         with self._lock:
             self._published[topic] += 1
             self._published_at.append(time.monotonic())
@@ -53,23 +53,23 @@ class Health:
                 self._ages.append(age)
 
     def worked(self, seconds: float) -> None:
-        """A message was handled in `seconds`."""
+        """Count a message that was handled in `seconds`."""
         with self._lock:
             self._work.append(seconds)
 
     def used(self, cpu_s: float) -> None:
-        """Processor time went by on this node's work; stated by nodes that share a process."""
+        """Add processor time of this node; for nodes that share a process."""
         with self._lock:
             self._cpu_s = cpu_s + (self._cpu_s or 0.0)
 
     @property
     def results(self) -> int:
-        """Messages published."""
+        """Return the number of published messages."""
         with self._lock:
             return self._published.total()
 
     def drop(self, cause: str, why: str, count: int = 1) -> None:
-        """Inputs were given up; `why` holds the value and the remedy. The first of each cause is kept."""
+        """Count dropped inputs; `why` holds the value and the remedy. The first of each cause is kept."""
         with self._lock:
             self._dropped[cause] += count
             self._reasons.setdefault(cause, why)
@@ -77,18 +77,18 @@ class Health:
             self._last_trouble = time.monotonic()
 
     def trouble(self, cause: str, why: str) -> None:
-        """Something is wrong that has lost nothing so far; `why` holds the value and the remedy."""
+        """Report a problem that has lost nothing so far; `why` holds the value and the remedy."""
         with self._lock:
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
     def note(self, event: str) -> None:
-        """Count something worth knowing that loses nothing."""
+        """Count an event that loses nothing."""
         with self._lock:
             self._noted[event] += 1
 
     def gauge(self, name: str, value: object) -> None:
-        """State a current value, such as a queue's length."""
+        """Set a current value, such as a queue's length."""
         with self._lock:
             self._gauges[name] = str(value)
 
@@ -103,11 +103,11 @@ class Health:
 
     @property
     def troubled(self) -> bool:
-        """Whether something was dropped in the last ten seconds."""
+        """Return whether something was dropped in the last ten seconds."""
         return time.monotonic() - self._last_trouble < 10.0
 
     def summary(self) -> dict[str, str]:
-        """Key -> value as `/diagnostics` carries them; times in milliseconds, rates in Hz."""
+        """Return key -> value for `/diagnostics`; times in milliseconds, rates in Hz."""
         with self._lock:
             values = {"frames_in": str(_frames(self._received)), "frames_out": str(_frames(self._published))}
             values |= {"received": str(self._received.total()), "published": str(self._published.total())}
@@ -128,7 +128,8 @@ class Health:
 
 
 def _frames(messages: Counter[str]) -> int:
-    """Frames behind messages: a frame has one message on each topic of its camera, so the fullest topic counts.
+    """Return the number of frames: a frame has one message on each topic of its camera, so the topic with most messages
+    counts.
 
     Topics are relative to the node or `/site/camera/...`; site topics and `/diagnostics` carry no frames of a camera.
     """
@@ -148,7 +149,7 @@ def _rate(moments: Float64Array) -> float:
 
 
 class _LastValues:
-    """The last `WINDOW` numbers, in one block of memory: as objects they would come and go among all others."""
+    """The last `WINDOW` numbers, in one block of memory, to avoid many small objects."""
 
     def __init__(self) -> None:
         self._values = np.empty(WINDOW)
@@ -159,18 +160,18 @@ class _LastValues:
         self._count += 1
 
     def values(self) -> Float64Array:
-        """In no order."""
+        """Return them in no particular order."""
         return self._values[: self._count].copy()
 
 
 def note_picture(health: Health, seen: SceneView) -> None:
-    """Count a picture that is not used by its reason, and say how the last one was."""
+    """Count an unusable image by its reason, and report the state of the last one."""
     if seen.reason is not None:
         health.note(f"unusable.{seen.reason}")
     if seen.smoke > 0:
         health.note("smoke")
-    smoke = "" if seen.smoke == 0 else f"usable but for {seen.smoke:.1%}, smoke before the land"
-    doubtful = "" if seen.doubtful is None else f"usable but for {seen.doubtful.mean():.0%}, burnt out or black"
+    smoke = "" if seen.smoke == 0 else f"usable except {seen.smoke:.1%} (smoke in front of the land)"
+    doubtful = "" if seen.doubtful is None else f"usable except {seen.doubtful.mean():.0%} (overexposed or black)"
     if seen.masked:
         health.gauge("mask", seen.masked)
     health.gauge("picture", seen.unusable or smoke or doubtful or "usable")

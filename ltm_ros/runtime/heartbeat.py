@@ -1,9 +1,9 @@
-"""Tells the runner once a second what this process is at, and for how long: the sign of life that its watchdog reads.
+"""Report the activities of this process once a second to the runner's watchdog.
 
-A thread of its own writes it into a pipe, so it needs no DDS, and is sent while a node loads and compiles. That the
-thread runs proves only that the process is scheduled and the interpreter's lock is free; what work goes on, and that it
-does go on, is what the activities say; that messages come, the counts of what was sent and heard on DDS, in a line of
-their own before it. Standard library only.
+A separate thread writes into a pipe, so it needs no DDS and works while a node loads and compiles. The thread itself
+shows that the process is scheduled and the interpreter's lock is free; the activities show that work progresses; the
+counts of messages sent and received over DDS, on a line before it, show that messages arrive. Uses only the standard
+library.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ltm_ros.runtime.delivery_checks import TRAFFIC, Traffic
 PERIOD_S = 1.0
 
 Beat = list[tuple[float, bool, str]]
-"""What a process is at: seconds, whether it may take long, and its name."""
+"""Activity of a process: seconds, whether it may take long, and its name."""
 
 
 class Activity:
-    """Something that a process does turn by turn: its executor, a worker. While it waits for work it is in no turn."""
+    """An executor or worker thread, which works in turns. While it waits, it has no turn."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -53,7 +53,7 @@ class Activity:
 
 
 class Heartbeat:
-    """The activities of a process and its traffic, and the thread that tells of them."""
+    """The activities of a process and its traffic, and the thread that reports them."""
 
     def __init__(self, traffic: Traffic | None = None) -> None:
         self._traffic = traffic or Traffic()
@@ -61,13 +61,15 @@ class Heartbeat:
         self._ages: dict[Activity, tuple[int, float]] = {}
 
     def activity(self, name: str) -> Activity:
-        """A new one, watched from its first turn on."""
+        """Return a new activity, watched from its first turn on."""
         made = Activity(name)
         self._activities.append(made)
         return made
 
     def look(self, elapsed_s: float) -> Beat:
-        """What goes on, `elapsed_s` after the last look; a turn's age is counted from the first look that saw it."""
+        """Return the activities, `elapsed_s` after the last call; a turn's age counts from the first call
+        that saw it.
+        """
         beat: Beat = []
         for activity in list(self._activities):
             turn, what = activity.turns, activity.what
@@ -79,7 +81,7 @@ class Heartbeat:
         return beat
 
     def start(self, descriptor: int, prepare: Callable[[], None], reader_gone: Callable[[], None]) -> None:
-        """Tell whoever reads the pipe. The thread calls `prepare` before this returns, and last `reader_gone`."""
+        """Start writing to the pipe. The thread calls `prepare` before this returns, and at the end `reader_gone`."""
         os.set_blocking(descriptor, False)
         prepared = threading.Event()
 
@@ -94,20 +96,20 @@ class Heartbeat:
 
     def _tell(self, descriptor: int) -> None:
         poll = select.poll()
-        poll.register(descriptor, 0)  # errors alone: that nobody reads any more
+        poll.register(descriptor, 0)  # only errors: the reader has gone
         last, wait_s, rest = time.monotonic(), 0.0, b""
         while not poll.poll(wait_s * 1000):
             wait_s = PERIOD_S
             now = time.monotonic()
-            # Not longer than it could have been at work: this process, or the whole machine, may have been stopped.
+            # At most the possible duration: this process or the machine may have been paused.
             elapsed_s, last = min(now - last, 2 * PERIOD_S), now
             lines = self._lines(elapsed_s)
             try:
-                # What had no room is not left out, for what comes then would be no line.
+                # The rest of an incomplete line must be sent first, or the next line would be invalid.
                 lines = rest or lines
                 rest = lines[os.write(descriptor, lines) :]
             except BlockingIOError:
-                continue  # the runner is stopped; what it will want to know is the newest
+                continue  # the runner is paused; it will need only the newest
             except BrokenPipeError:
                 return
 
@@ -118,5 +120,5 @@ class Heartbeat:
 
 
 HEARTBEAT = Heartbeat(TRAFFIC)
-"""That of this process."""
+"""Heartbeat of this process."""
 STARTING = HEARTBEAT.activity("start")

@@ -1,4 +1,4 @@
-"""Makes, while all else is at work, what could not be made at the start."""
+"""Create, while everything else runs, what could not be created at the start."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltm_core.base.errors import LtmError
 from ltm_ros.runtime.retry import Backoff
 
 LONGEST_PAUSE_S = 120.0
-"""Between two attempts: each reads what it needs anew."""
+"""Longest pause in seconds between two attempts, which read everything again."""
 
 MadeT = TypeVar("MadeT")
 
@@ -23,13 +23,10 @@ def _on_thread(work: Callable[[], None]) -> threading.Thread:
 
 
 class LateStart(Generic[MadeT]):
-    """Tries each of `makes` now and then until it succeeds, one at a time, on a thread that nobody waits for.
+    """Tries each of `makes` repeatedly until it succeeds, one at a time, on a background thread.
 
-    Args:
-        makes: by name. What one raises is said, once for each new reason, and it is tried again.
-        said: why each could not be made before, by name.
-        say: takes a line.
-        start: runs an attempt; an argument for tests.
+    Args: makes: by name. Errors are reported once for each new reason, and the attempt is repeated. said: why each
+    could not be created before, by name. say: takes a line. start: runs an attempt; an argument for tests.
     """
 
     def __init__(
@@ -50,20 +47,20 @@ class LateStart(Generic[MadeT]):
         self._closed = False
 
     def tick(self, waited: float) -> list[MadeT]:
-        """So many seconds have passed; what has been made since the last call."""
+        """Advance time; return what was created since the last call."""
         made = self._take()
         for pace in self._paces.values():
             pace.passed(waited)
         due = next((name for name in self._makes if self._paces[name].due), None)
         if due is not None and not self._busy and not self._closed:
-            # Whoever comes next waits behind those that are tried less often by now.
+            # New ones wait behind those that are tried less often by now.
             self._makes[due] = self._makes.pop(due)
             self._paces[due].failed()
             self._attempt = self._start(lambda: self._try(due))
         return made + self._take()
 
     def close(self, patience_s: float) -> list[MadeT]:
-        """Begin no further attempt and wait for one that is under way; what was made and nobody has taken."""
+        """Start no further attempt and wait for the current one; return results that were not taken."""
         self._closed = True
         if self._attempt is not None:
             self._attempt.join(patience_s)
@@ -94,7 +91,7 @@ class LateStart(Generic[MadeT]):
             self._say(f"{name}: started")
 
     def _tell(self, name: str, why: str) -> bool:
-        """Whether this is a new reason."""
+        """Return whether this is a new reason."""
         new = self._said.get(name) != why
         self._said[name] = why
         if new:
@@ -103,4 +100,4 @@ class LateStart(Generic[MadeT]):
 
 
 def cannot_start(name: str, why: str) -> str:
-    return f"{name}: cannot start: {why}; it is tried again"
+    return f"{name}: cannot start: {why}; retrying later"

@@ -1,4 +1,4 @@
-"""The live side of a handler: an rclpy node that passes messages to it and publishes its results."""
+"""Run a handler live: an rclpy node that passes messages to it and publishes its results."""
 
 from __future__ import annotations
 
@@ -27,30 +27,31 @@ from ltm_ros.runtime.stamp_join import data_bytes
 
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
-"""Messages that wait for a busy handler before the newest is dropped and counted: the greater of the two bounds, for a
-frame brings a message on each topic."""
+"""Maximum number of queued messages before the newest is dropped and counted; the larger of both limits applies,
+because a frame has a message on each topic.
+"""
 QUEUE_BYTES = 512 << 20
-"""Bytes of image data that wait at most: the viewer of twenty towers shall not fill the memory."""
+"""Maximum bytes of queued image data, so that the viewer of twenty towers cannot fill the memory."""
 DISCOVERED = 10_000
-"""Topics found by pattern that a node listens to at most: nobody shall fill its memory with names."""
+"""Maximum number of topics found by pattern, so that names cannot fill the memory."""
 
 _Item = tuple[Callable[[Any], None], Any]
 
 
 class _Inbox(queue.Queue[_Item | None]):
-    """Callbacks with their messages; full when there are too many of them, or when they hold too many bytes."""
+    """Callbacks with their messages; full by number or by bytes."""
 
     def __init__(self, messages: int, most_bytes: int) -> None:
         super().__init__(messages)
         self._most_bytes = most_bytes
-        self._bytes_in = self._bytes_out = 0  # each written by one thread only
+        self._bytes_in = self._bytes_out = 0  # each is written by one thread only
 
     @property
     def waiting_bytes(self) -> int:
         return self._bytes_in - self._bytes_out
 
     def offer(self, callback: Callable[[Any], None], message: Any) -> None:
-        """Raises queue.Full at once where there is no room. A message alone always has room."""
+        """Queue a message. Raises queue.Full without room. A single message is always accepted."""
         size = data_bytes(message)
         if size and self.waiting_bytes and self.waiting_bytes + size > self._most_bytes:
             raise queue.Full
@@ -58,13 +59,13 @@ class _Inbox(queue.Queue[_Item | None]):
         self._bytes_in += size
 
     def done(self, message: Any) -> None:
-        """The worker has finished with a message that was offered."""
+        """Record that the worker has finished a message."""
         self._bytes_out += data_bytes(message)
         self.task_done()
 
 
 class HandlerNode(OutletNode):
-    """Runs one handler: messages queue up for a worker thread, so that the middleware is drained while it works."""
+    """Runs one handler: messages are queued for a worker thread, so that the middleware is drained while it works."""
 
     def __init__(self, node_type: NodeType[ConfigT]) -> None:
         super().__init__(node_type)
@@ -81,7 +82,7 @@ class HandlerNode(OutletNode):
             self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
-        # After the subscriptions: who is known to acknowledge frames also takes them.
+        # After the subscriptions: a node that is known to acknowledge frames must also receive them.
         for topic in self.handler.acknowledgements:
             self.open(topic)
         self._diagnostics = DiagnosticsPublisher(
@@ -94,7 +95,7 @@ class HandlerNode(OutletNode):
         self._worker.start()
 
     def close(self) -> int:
-        """Let the worker finish what waits, tell the handler, send the last diagnostics; the process's exit status."""
+        """Process the queue, finish the handler, and send the last diagnostics; return the process's exit status."""
         with contextlib.suppress(queue.Full):
             self._inbox.put(None, timeout=2.0)
         self._worker.join(timeout=5.0)
@@ -114,7 +115,7 @@ class HandlerNode(OutletNode):
         self.listen(topic, name, enqueue)
 
     def _discover(self) -> None:
-        """Listen to topics that have appeared and fit a pattern of the handler's."""
+        """Subscribe to new topics that match a pattern of the handler."""
         for name, types in self.get_topic_names_and_types():
             if name in self._taken or len(self._taken) >= DISCOVERED:
                 continue
@@ -131,8 +132,8 @@ class HandlerNode(OutletNode):
         except queue.Full:
             self.health.drop(
                 "overload",
-                f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB) wait already; "
-                "slow the camera down or give it more cores",
+                f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB) are queued already; "
+                "reduce the frame rate or add cores",
             )
 
     def _tick(self) -> None:
@@ -154,18 +155,18 @@ class HandlerNode(OutletNode):
                 if self._inbox.empty():
                     self._guarded(lambda _: self.handler.idle(), None)
             except BaseException:
-                # A bug: end the whole process at once, with its traceback, and let the graph restart it.
+                # An internal error: end the process at once with its traceback, and let the graph restart it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             self._activity.end()
-            # A message that only waits for others to join it tells nothing of the work on a frame.
+            # A message that only waits for others to join it takes no processing time.
             if self.health.results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
             self._inbox.done(message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
 
     def _guarded(self, callback: Callable[[Any], None], message: Any) -> bool:
-        """False where the message was refused."""
+        """Run a callback; return False if it rejected the message."""
         try:
             callback(message)
         except LtmError as error:
@@ -176,7 +177,7 @@ class HandlerNode(OutletNode):
 
     def _serve(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def answer(_: Any, response: Any) -> Any:
-            """Runs the action on the worker, between messages: handlers know one thread only."""
+            """Run an action on the worker, between messages, because handlers use only one thread."""
             outcome: queue.Queue[tuple[bool, str]] = queue.Queue(1)
 
             def act(_: Any) -> None:
@@ -197,8 +198,8 @@ class HandlerNode(OutletNode):
 
 
 def run_node(node_type: NodeType[ConfigT]) -> None:
-    """Body of every node's `main`: spin until SIGINT or SIGTERM, then finish what waits and send a last report.
+    """Run a node until SIGINT or SIGTERM, then process the queue and send a last report.
 
-    Exits with EX_CONFIG where the configuration cannot work, so that the graph does not start it for ever.
+    Exits with EX_CONFIG if the configuration is invalid, so that the graph does not restart it endlessly.
     """
     run_until_stopped(node_type.name, lambda: HandlerNode(node_type))

@@ -1,4 +1,4 @@
-"""Life cycle of a node's process: start, spin until it is told to stop, finish its work, shut down."""
+"""Run a node's process: start, spin until stopped, finish its work, shut down."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from ltm_ros.runtime.process_memory import Trimming, settle, steady_allocation
 from ltm_ros.runtime.ros_environment import limit_shutdown
 
 EX_IOERR = 74
-"""Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
+"""Exit status of a stopped node that could not write its remaining data (sysexits.h)."""
 
 
 class ClosableNode(Protocol):
-    """A node that has something to finish before it goes."""
+    """A node with work to finish before it ends."""
 
     def close(self) -> int:
-        """The exit status of the process."""
+        """Finish, and return the exit status of the process."""
         ...
 
     def destroy_node(self) -> None: ...
 
 
 class NodeGroup(Protocol):
-    """Several nodes that live and end together."""
+    """Several nodes that start and end together."""
 
     @property
     def members(self) -> Sequence[Any]:
-        """The rclpy nodes; more may come at the end."""
+        """Return the rclpy nodes; more may be added at the end."""
         ...
 
     def close(self) -> int:
-        """As of `ClosableNode`."""
+        """Implement `ClosableNode`."""
         ...
 
 
 class _StoppedEarly(BaseException):
-    """Told to stop while the node was being made."""
+    """A stop was requested while the node was being created."""
 
 
 _AGAIN_S = 0.5
@@ -59,14 +59,14 @@ def _unless_stopped_early(lost: sys.UnraisableHookArgs) -> None:
 
 
 def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -> None:
-    """Spin what `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
+    """Spin what `make` creates until SIGINT or SIGTERM, then `close` it while it can still publish.
 
-    The last act of a process: from the return on it has moments left to exit (`limit_shutdown`). Exits with EX_CONFIG
-    where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
-    returns where that is not 0.
+    This is the last action of a process: after it returns, only moments are left to exit (`limit_shutdown`). Exits with
+    EX_CONFIG if the configuration is invalid (LtmError), so that the graph does not restart it endlessly, and with the
+    result of `close` if that is not 0.
     """
     sys.unraisablehook = _unless_stopped_early
-    steady_allocation()  # where nobody has yet: under `ros2 launch`
+    steady_allocation()  # if not set before: under `ros2 launch`
     stopping = threading.Event()
     making = True
 
@@ -77,7 +77,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
             raise _StoppedEarly
 
     def insist() -> None:
-        """Stop again, for where Python was just in a finalizer or a callback of weakref, what `stop` raised is lost."""
+        """Stop again: an exception that `stop` raised in a finalizer or weakref callback is lost."""
         while making:
             told = stopping.is_set()
             time.sleep(_AGAIN_S)
@@ -105,7 +105,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
         rclpy.try_shutdown()
         return
     nodes = node.members if hasattr(node, "members") else [node]
-    # It waits for events; the others build a list of all that they wait for each time that one of it happens.
+    # It waits for events; other executors rebuild a list of everything for each event.
     executor = EventsExecutor()
     added = 0
     settle()

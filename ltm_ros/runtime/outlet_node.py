@@ -34,11 +34,11 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.ros_environment import wait_for_quiet
 
 WIRING_S = 5.0
-"""Between two looks for topics that are published and do not reach a node."""
+"""Seconds between two checks for published topics that do not reach a node."""
 
 
 def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
-    """Reliable, keeps the last `depth`; latched topics keep the last one for late joiners."""
+    """Return QoS: reliable, keep the last `depth`; latched topics keep the last message for late subscribers."""
     if latched:
         return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
@@ -49,9 +49,9 @@ def _qos(topic: Topic) -> QoSProfile:
 
 
 class OutletNode(Node):  # type: ignore[misc]
-    """A node whose messages come from a handler (`Outlet`) and go to one; who runs the handler is up to subclasses.
+    """A node that connects a handler to DDS (`Outlet`); subclasses run the handler.
 
-    `given`: what rclpy's Node is made with, where that is not what the command line says.
+    `given`: arguments of rclpy's Node that replace the command line.
     """
 
     def __init__(self, node_type: NodeType[ConfigT], given: Mapping[str, Any] | None = None) -> None:
@@ -67,67 +67,67 @@ class OutletNode(Node):  # type: ignore[misc]
         self._unheard: dict[str, str] = {}
 
     def publish(self, topic: Topic, message: Any) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         self.send(topic, message)
         if not topic.latched:
             self._count(topic, stamp_of(message))
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         if self.wanted(topic):
             self.send(topic, make())
         self._count(topic, stamp_ns)
 
     def wanted(self, topic: Topic) -> bool:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
 
     def more_waits(self) -> bool:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return False
 
     def now_ns(self) -> int:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return int(self.get_clock().now().nanoseconds)
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Part of Outlet."""
+        """Implement Outlet."""
         self.send(topic, self.acknowledgement(stamp_ns))
 
     def workers(self, topic: Topic) -> Set[str]:
-        """Part of Outlet."""
+        """Implement Outlet."""
         ends = self.get_publishers_info_by_topic(topic.name)
-        # Of one that has just come DDS does not know the name yet.
+        # DDS does not know the name of a new endpoint yet.
         return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
 
     def prompt_workers(self, topic: Topic) -> Set[str]:
-        """Part of Outlet."""
+        """Implement Outlet."""
         return frozenset()
 
     def acknowledgement(self, stamp_ns: int) -> Any:
         return make_header(stamp_ns, self.get_fully_qualified_name())
 
     def open(self, topic: Topic) -> None:
-        """From here on it can be published on `topic`."""
+        """Create the publisher of `topic`."""
         publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
         if not topic.latched:
             self._said[topic] = TRAFFIC.speaker(publisher.topic_name)
 
     def send(self, topic: Topic, message: Any) -> None:
-        """To others, by DDS."""
+        """Publish to other processes, by DDS."""
         self._publishers_by_topic[topic].publish(message)
         if (said := self._said.get(topic)) is not None:
             said.messages += 1
 
     def listen(self, topic: Topic, name: str, offer: Callable[[Any], None]) -> None:
-        """Have `offer` take what comes on the topic of this name; what is lost on the way is counted."""
+        """Pass messages of the named topic to `offer`; lost messages are counted."""
         losses = LossCounter(writers_of(self, name))
         heard = TRAFFIC.listener(self.resolve_topic_name(name))
         self._heard.append(heard)
 
         def take(message: Any, info: Any) -> None:
             heard.messages += 1
-            # Of a latched topic only the last message counts.
+            # For a latched topic only the last message counts.
             if not topic.latched and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
@@ -139,38 +139,40 @@ class OutletNode(Node):  # type: ignore[misc]
         super().destroy_node()
 
     def state_listeners(self) -> None:
-        """State how many listen to what is published here."""
+        """Report the number of subscribers of each publisher."""
         for topic, publisher in self._publishers_by_topic.items():
             self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
 
     def look_at_clock(self) -> None:
-        """Tell of this machine's clock where it was set."""
+        """Report if the system clock was set."""
         step = self._clock_watch.step_s()
         if step and not self.get_parameter("use_sim_time").value:
             self.health.note("clock_step")
             self.health.trouble(
                 "clock_step",
-                f"this machine's clock was set by {step:+.1f} s; frames from before may look early or late",
+                f"the system clock was set by {step:+.1f} s; earlier frames may appear early or late",
             )
 
     def look_at_wiring(self) -> None:
-        """Tell of topics that somebody publishes and that do not reach this node, once that has lasted."""
+        """Report published topics that do not reach this node, if that persists."""
         former, self._unheard = self._unheard, unheard(self)
         for topic in former.keys() & self._unheard.keys():
             self.health.trouble("unmatched", self._unheard[topic])
 
     def warn(self, text: str) -> None:
-        """Log it, now and then."""
+        """Log a warning, at a limited rate."""
         self.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _count(self, topic: Topic, stamp_ns: int) -> None:
         now = self.now_ns()
-        # 0: simulated time that has not begun for this node, so nothing is known of the age.
+        # 0: simulated time has not begun for this node, so the age is unknown.
         self.health.published(topic.name, (now - stamp_ns) / 1e9 if now else None)
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
-    """The node's parameters as typed configuration, fixed from here on. Raises ConfigError, e.g. on unknown ones."""
+    """Read the node's parameters as typed configuration, fixed from then on. Raises ConfigError, e.g. for
+    unknown ones.
+    """
     given = {
         name: parameter.value
         for name, parameter in node.get_parameters_by_prefix("").items()
@@ -185,7 +187,7 @@ def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
         changed = ", ".join(p.name for p in parameters if p.name in model.model_fields)
         return SetParametersResult(
             successful=not changed,
-            reason=f"{changed}: fixed while the node runs; change the site file" if changed else "",
+            reason=f"{changed}: cannot be changed while the node runs; change the site file" if changed else "",
         )
 
     node.add_on_set_parameters_callback(refuse)
@@ -197,7 +199,7 @@ def _ros_value(value: object) -> object:
 
 
 class SpinningNode:
-    """Subscribe on `node` before it is entered, or after; callbacks come on its thread. A context manager."""
+    """Spins `node` in a thread; callbacks come on that thread. A context manager."""
 
     def __init__(self, name: str) -> None:
         self._context = Context()

@@ -1,4 +1,4 @@
-"""Handlers of one process that hand messages to each other directly, without transport."""
+"""Connect handlers of one process that pass messages directly, without transport."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltm_ros.runtime.health import Health
 
 
 class Job:
-    """One handler of a pipeline. `make` makes it, and makes it anew where a bug has ended it.
+    """One handler of a pipeline. `make` creates it, and recreates it after a bug.
 
     `name`: the node's full name; `namespace`: absolute.
     """
@@ -23,13 +23,13 @@ class Job:
         self.renew()
 
     def renew(self) -> None:
-        """Raises whatever the handler's constructor raises; the former handler is then gone."""
+        """Recreate the handler. Raises its constructor's errors; the previous handler is then gone."""
         self.callbacks: dict[Topic, Callable[[Any], None]] = {}
         self.handler = self._make()
         self.callbacks.update(self.handler.subscriptions)
 
     def topic(self, topic: Topic) -> str:
-        """Its absolute name."""
+        """Return its absolute name."""
         return absolute(self.namespace, topic)
 
 
@@ -38,21 +38,21 @@ def absolute(namespace: str, topic: Topic) -> str:
 
 
 Run = Callable[[Job, Callable[[], None], str, Any], None]
-"""Does a job's work on a message of a topic ("", None: on none), and decides what becomes of its errors."""
+"""Runs a job on a message of a topic ("", None: none), and handles its errors."""
 
 
 class Pipeline:
-    """Jobs that take each other's messages, one at a time, in the order of publication; for one thread at a time."""
+    """Jobs that process each other's messages, one at a time, in the order of publication; for one thread at a time."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
         self.jobs: dict[str, Job] = {}
-        """By full name, in the order in which they were added."""
+        """Jobs by full name, in the order in which they were added."""
         self._listeners: defaultdict[str, list[tuple[Job, Topic]]] = defaultdict(list)
         self._sources: defaultdict[str, set[str]] = defaultdict(set)
         self._waiting: deque[tuple[str, Any]] = deque()
         self._cleared = False
-        """Whether the message at work shall reach nobody else."""
+        """Whether the current message is withheld from further jobs."""
         self._states: dict[str, Any] = {}
         """The last message of each latched topic."""
 
@@ -64,33 +64,33 @@ class Pipeline:
             self._listeners[job.topic(topic)].append((job, topic))
 
     def start(self) -> None:
-        """Let every handler say what it has to say first."""
+        """Start every handler."""
         for job in self.jobs.values():
             job.handler.start()
 
     def made_here(self, topic: str) -> bool:
-        """Whether one of the jobs publishes on a topic of this absolute name."""
+        """Return whether a job publishes on this absolute topic."""
         return topic in self._sources
 
     def listened(self, topic: str) -> bool:
-        """Whether one of the jobs listens to it."""
+        """Return whether a job subscribes to it."""
         return topic in self._listeners
 
     def publish(self, topic: str, message: Any, latched: bool = False) -> None:
-        """Have `drain` deliver a message to those that listen."""
+        """Queue a message for delivery by `drain`."""
         self._waiting.append((topic, message))
         if latched:
             self._states[topic] = message
 
     def remind(self, job: Job) -> None:
-        """Give a job that was made anew what was last said on the latched topics that it listens to."""
+        """Give a recreated job the last messages of the latched topics that it subscribes to."""
         for topic in job.callbacks:
             if (name := job.topic(topic)) in self._states:
                 self.deliver(job, topic, self._states[name])
 
     @property
     def empty(self) -> bool:
-        """Whether nothing waits that `drain` would deliver."""
+        """Return whether `drain` has nothing to deliver."""
         return not self._waiting
 
     def deliver(self, job: Job, topic: Topic, message: Any) -> None:
@@ -98,7 +98,7 @@ class Pipeline:
         self._run(job, lambda: job.callbacks[topic](message), job.topic(topic), message)
 
     def drain(self) -> None:
-        """Deliver what was published, and all that follows from it."""
+        """Deliver all published messages, and those that follow from them."""
         while self._waiting:
             topic, message = self._waiting.popleft()
             self._cleared = False
@@ -110,34 +110,33 @@ class Pipeline:
                     break
 
     def idle(self) -> None:
-        """Tell every handler that no message waits."""
+        """Call `idle` of every handler."""
         for job in self.jobs.values():
             self._run(job, lambda j=job: j.handler.idle(), "", None)  # type: ignore[misc]
 
     def settle(self) -> None:
-        """Deliver what was published and all that follows from it, with what handlers do once no message waits."""
+        """Deliver all published messages and those that follow from them, including `idle`."""
         while self._waiting:
             self.drain()
             self.idle()
 
     def end_of_day(self) -> None:
-        """Tell every handler that a day is over; what they say of it is delivered."""
+        """Call `end_of_day` of every handler and deliver the results."""
         for job in self.jobs.values():
             self._run(job, lambda j=job: j.handler.end_of_day(), "", None)  # type: ignore[misc]
         self.settle()
 
     def clear(self) -> None:
-        """Forget what `drain` would deliver, to those too that have yet to get the message at work."""
+        """Drop all undelivered messages, also of the current one."""
         self._waiting.clear()
         self._cleared = True
 
     def finish(self) -> None:
-        """Tell every handler that no more will come, each after all that it listens to; what they still publish is
-        delivered."""
+        """Finish every handler after those that it depends on, and deliver the results."""
         upstream: dict[str, set[str]] = {name: set() for name in self.jobs}
         for topic, listeners in self._listeners.items():
             for job, own in listeners:
-                # What is latched is a state, which may be fed back to where its frames came from.
+                # A latched message is a state, which may be fed back to the source of its frames.
                 if not own.latched:
                     upstream[job.name] |= self._sources.get(topic, set())
         for name in TopologicalSorter(upstream).static_order():

@@ -1,4 +1,4 @@
-"""Keeps the memory of a process that runs for months where it is after its start. Standard library only."""
+"""Keep the memory of a long-running process constant. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from functools import cache
 from typing import NamedTuple
 
 ARENAS = 2
-"""Of glibc's malloc, in a process: the main one, and one for all other threads."""
+"""Number of arenas of glibc's malloc: the main one, and one for all other threads."""
 
 TRIM_EVERY_S = 60.0
 TIDY_EVERY_S = 600.0
 
 MAPPED_FROM = 128 << 10
-"""Bytes from which a block is mapped by itself where large blocks pass through: glibc's own value at first."""
+"""Bytes from which a block is mapped separately: glibc's initial value."""
 
 STRINGS = 1 << 18
-"""Enough for Python to make the table of a process of ours anew more than once: it has interned some 30,000."""
+"""Enough strings to make Python rebuild the table more than once: a process of ours has interned some 30,000."""
 
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
@@ -28,13 +28,13 @@ _PR_SET_THP_DISABLE = 41
 
 
 def steady_allocation() -> None:
-    """Have memory be taken and given back as the process asks for it; call it before threads are started.
+    """Configure memory allocation so that freed memory is returned; call it before threads are started.
 
-    Two things else add megabytes hours later. glibc's malloc gives each thread a heap of its own, up to eight a core,
-    and what one thread allocates and another frees, as messages are, leaves holes in all of them. And NumPy asks for
-    huge pages (2 MB) where arrays of 4 MB lie, so the kernel makes them of what is left of such arrays in the heap,
-    whenever it comes by. They saved no processor time (`ltm-lab bench graph`). Where the user has chosen
-    (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`), and with another C library, nothing is done.
+    It changes two defaults that add megabytes after hours. glibc's malloc gives each thread its own heap, up to eight
+    per core, and messages that one thread allocates and another frees fragment all of them. NumPy requests huge pages
+    (2 MB) for arrays of 4 MB, which the kernel also applies to their remains; they saved no processor time (`ltm-lab
+    bench graph`). Settings by the user (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`) and other C
+    libraries are left unchanged.
     """
     libc = _libc()
     chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
@@ -45,13 +45,13 @@ def steady_allocation() -> None:
 
 
 def map_large_blocks() -> None:
-    """Have a block of `MAPPED_FROM` bytes or more be mapped by itself, and given back when it is freed; call it in a
-    process that large blocks only pass through.
+    """Map each block of `MAPPED_FROM` bytes or more separately, and return it when freed; for a process that large
+    blocks only pass through.
 
-    glibc takes the largest block that was ever freed for the size from which on it maps, up to 32 MB. Messages then lie
-    in the heap, which grows to the most that ever waited, and what is small and stays keeps its pages there. Mapping
-    costs a page fault for each 4 kB: too much for those who make arrays of each frame. Where the user has chosen
-    (`MALLOC_MMAP_THRESHOLD_`, `GLIBC_TUNABLES`), and with another C library, nothing is done.
+    glibc raises the threshold to the largest block ever freed, up to 32 MB. Messages then go to the heap, which grows
+    to the largest backlog, and small blocks that stay keep its pages. Mapping costs a page fault per 4 kB: too much for
+    processes that create arrays for each frame. Settings by the user (`MALLOC_MMAP_THRESHOLD_`, `GLIBC_TUNABLES`) and
+    other C libraries are left unchanged.
     """
     tuned = "malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
     mallopt = getattr(_libc(), "mallopt", None)
@@ -60,42 +60,44 @@ def map_large_blocks() -> None:
 
 
 def settle() -> None:
-    """Give back what the start has left over; call it when a process has made all that it keeps.
+    """Return memory left over from the start; call it when a process has created everything permanent.
 
-    Imports and compiled kernels leave cycles of objects. Python looks for such among old objects only once a quarter as
-    many have been made anew, which takes a node hours: meanwhile what it makes takes fresh memory beside them. What is
-    left now stays for good, so later looks leave it out, and are short.
+    Imports and compiled kernels leave reference cycles. Python searches old objects only after a quarter as many new
+    ones, which takes a node hours. The remaining objects are permanent, so later searches skip them and are short.
 
-    So with the table of interned strings: Python makes it anew, three times as large as it is in use, once enough have
-    come and gone, each name of a file that is read among them: 2 MB at once, half an hour later. Now it is done, and
-    the place where the former one lay is there for the next. Not in Python 3.12, where interned strings never go.
+    The same holds for the table of interned strings: Python rebuilds it, three times as large as its content, once
+    enough strings have come and gone: 2 MB at once, half an hour later. This does it now, so that the old table's space
+    is free for the next. Not in Python 3.12, where interned strings are permanent.
     """
     gc.collect()
     gc.freeze()
-    gc.collect()  # so that the rule of the quarter counts from here
+    gc.collect()  # so that the quarter counts from here
     trim()
     for number in range(0 if sys.version_info[:2] == (3, 12) else STRINGS):
         sys.intern(f"comes and goes {number}")
 
 
 def trim() -> None:
-    """Give pages of the heaps back in which nothing lies, between others too; glibc itself only does so at their ends.
-    It takes milliseconds, and what is needed again costs as much: not for each frame."""
+    """Return free pages inside the heaps; glibc itself only does so at their ends. Takes milliseconds, and pages that
+    are needed again cost as much: not for each frame.
+    """
     if (malloc_trim := getattr(_libc(), "malloc_trim", None)) is not None:
         malloc_trim(ctypes.c_size_t(0))
 
 
 class MemoryInUse(NamedTuple):
-    """Of this process: what objects lie in. What it holds besides are holes of the heaps, which are used again."""
+    """Memory of this process in objects. The rest are free blocks of the heaps."""
 
     heap_bytes: int | None
-    """Of the C library's allocator, mapped blocks among them; None where it does not tell (glibc before 2.33)."""
+    """Bytes of the C library's allocator, including mapped blocks; None if it does not report them (glibc
+    before 2.33).
+    """
     python_blocks: int
-    """Of Python's allocator for objects of up to 512 bytes."""
+    """Blocks of Python's allocator for objects of up to 512 bytes."""
 
 
 def memory_in_use() -> MemoryInUse:
-    """As of now, within a tenth of a millisecond."""
+    """Return the current values, within a tenth of a millisecond."""
     blocks = sys.getallocatedblocks()
     mallinfo = getattr(_libc(), "mallinfo2", None)
     if mallinfo is None:
@@ -107,8 +109,9 @@ def memory_in_use() -> MemoryInUse:
 
 @cache
 def _libc() -> ctypes.CDLL:
-    """Opened once: each `CDLL` makes a class of its own, twenty blocks in a cycle, which Python looks for only minutes
-    later; a report came each second."""
+    """Open the C library once: each `CDLL` creates a class of twenty blocks in a cycle, collected only
+    minutes later.
+    """
     return ctypes.CDLL(None)
 
 
@@ -122,15 +125,16 @@ class _MallInfo(ctypes.Structure):
 
 
 def tidy() -> None:
-    """Have Python look for cycles among all that came since the start, give up the tuples, lists and numbers that it
-    keeps to use again, and `trim`. By itself it looks at old objects hours later; what it keeps fills as long."""
+    """Collect cycles among all objects since the start, release Python's free lists, and `trim`. Python itself searches
+    old objects only after hours.
+    """
     gc.collect()
     trim()
 
 
 class Trimming:
-    """Calls `trim` every `TRIM_EVERY_S`, before small things that stay come to lie in what large ones have left, and
-    `tidy` instead every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests.
+    """Calls `trim` every `TRIM_EVERY_S`, before small permanent blocks fill the gaps of large ones, and `tidy` instead
+    every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests.
     """
 
     def __init__(self, now_s: float, trim: Callable[[], None] = trim, tidy: Callable[[], None] = tidy) -> None:

@@ -1,4 +1,4 @@
-"""The pauses between attempts that fail: cameras, stores, disks and processes all wait by this rule."""
+"""Compute the pauses between failing attempts, for cameras, stores, disks and processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Backoff:
 
     @property
     def due(self) -> bool:
-        """Whether the next attempt may be made."""
+        """Return whether the next attempt may be made."""
         return self._left_s <= 0.0
 
     def passed(self, seconds: float) -> None:

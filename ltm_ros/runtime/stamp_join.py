@@ -19,27 +19,26 @@ from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 
 CLOCKS_SET_NS = 946_684_800_000_000_000
-"""The year 2000: a stamp before it is of a clock that was never set, and would look like a view decades apart."""
+"""The year 2000: an earlier stamp is from a clock that was never set, and would count as a view decades apart."""
 MAX_AHEAD_S = 10.0
-"""Default of nodes: clocks that are set at all agree within a second. Whoever stamps ahead pushes out what is late: the
-longer ahead, the longer."""
+"""Default of nodes in seconds: synchronised clocks agree within a second. Stamps far ahead would displace
+late frames.
+"""
 MAX_BEHIND_S = 7 * 86400.0
-"""Default of nodes: a radio link may be away for days and deliver then; older frames belong into a replay."""
+"""Default of nodes in seconds: a radio link may fail for days and deliver then; use a replay for older frames."""
 JUMP_S = 60.0
-"""By which a source's lateness changes from one frame to the next where its clock, or this one, was set."""
+"""Change of a source's lateness in seconds, between two frames, that shows that its clock, or this one, was set."""
 
 
 class StampCheck:
-    """Refuses stamps that the graph's time contradicts.
+    """Rejects stamps that contradict the graph's time.
 
-    What is counted from the future makes all else old, and what is counted from the past may pass for a second look
-    after a long time. In a replay the graph's time is the recording's.
+    Stamps from the future would make all others old, and stamps from the past could count as a second view after a long
+    time. In a replay the graph's time is the recording's.
 
-    Args:
-        now_ns: the graph's time; 0 while it has not begun, when nothing is ahead and nothing behind.
-        health: counts what is refused, as `future`, `past` or `unset_clock`, and notes `stamp_jump`.
-        max_ahead: seconds by which a source's clock may be ahead.
-        max_behind: seconds by which a message may be late.
+    Args: now_ns: the graph's time; 0 before it begins, when no stamp is ahead or behind. health: counts rejected
+    messages as `future`, `past` or `unset_clock`, and notes `stamp_jump`. max_ahead: seconds by which a source's clock
+    may be ahead. max_behind: seconds by which a message may be late.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class StampCheck:
         self._lateness: dict[str, float] = {}
 
     def refuses(self, what: str, stamp_ns: int) -> bool:
-        """Whether the message, `what` in words, must not be taken; it is counted as dropped then."""
+        """Return whether the message, `what` in words, must be rejected; then it is counted as dropped."""
         now = self._now_ns()
         # A graph whose own time is that early follows a simulation's clock, which begins at zero.
         if stamp_ns < CLOCKS_SET_NS and not 0 < now < CLOCKS_SET_NS:
@@ -65,7 +64,9 @@ class StampCheck:
         behind = (now - stamp_ns) / 1e9
         if now and behind > self._max_behind:
             self._health.drop(
-                "past", f"{what}: {behind:.0f} s behind this node's clock; set the clocks, or replay what is that old"
+                "past",
+                f"{what}: {behind:.0f} s behind this node's clock; synchronise the clocks, or replay "
+                "messages of this age",
             )
             return True
         if now:
@@ -75,25 +76,27 @@ class StampCheck:
         return False
 
     def ahead(self, what: str, stamp_ns: int) -> bool:
-        """Whether it has not come yet: all that is asked of what may well be old, as a map that is sent once more."""
+        """Return whether the stamp is in the future; the only check for messages that may be old, such as a repeated
+        map.
+        """
         now = self._now_ns()
         if now and stamp_ns > now + self._max_ahead * 1e9:
             ahead = (stamp_ns - now) / 1e9
-            self._health.drop("future", f"{what}: {ahead:.0f} s ahead of this node's clock; set the clocks")
+            self._health.drop("future", f"{what}: {ahead:.0f} s ahead of this node's clock; synchronise the clocks")
             return True
         return False
 
 
 class RepeatCheck:
-    """Of one camera's pictures, in the order in which they come."""
+    """Detects repeated images of one camera, in order of arrival."""
 
     def __init__(self) -> None:
         self._last = ""
 
     def repeats(self, content: str) -> bool:
-        """Whether a picture is the one before, byte for byte; `content`: its digest. From here on it is the one before.
+        """Return whether an image equals the previous one; `content`: its digest, which is then stored.
 
-        Two pictures of a living camera never are: its sensor's noise differs.
+        Two images of a working camera always differ by their sensor noise.
         """
         same, self._last = content == self._last, content
         return same
@@ -105,8 +108,7 @@ _NONE = np.iinfo(np.int64).min
 class RecentStamps:
     """The last `count` stamps, nanoseconds, in one block of memory.
 
-    Not a set or a dictionary: for each frame that came and went they would put small things among all others, to be
-    freed a thousand frames later, and the holes keep pages. To look through a thousand takes microseconds.
+    Not a set or a dictionary, whose small blocks would fragment the heap. Searching a thousand takes microseconds.
     """
 
     def __init__(self, count: int) -> None:
@@ -117,25 +119,27 @@ class RecentStamps:
         return bool((self._stamps == stamp_ns).any())
 
     def add(self, stamp_ns: int) -> None:
-        """In the place of the one that was added `count` stamps ago."""
+        """Replace the stamp that was added `count` stamps ago."""
         self._stamps[self._next] = stamp_ns
         self._next = (self._next + 1) % len(self._stamps)
 
 
 WAITING_BYTES = MessageLimits().waiting_bytes
 REMEMBERED = 1000
-"""Stamps of finished frames that are known again as duplicates; messages of a part that is matched by nearness."""
+"""Number of finished frames whose duplicates are detected, and of messages of a part that is matched by nearness."""
 
 
 class JoinConfig(NodeConfig):
-    """Parameters of a node that joins what the nodes beside it make of a frame."""
+    """Parameters of a node that joins the results of other nodes for a frame."""
 
     max_wait: float = Field(60.0, gt=0)
-    """Seconds that a frame waits for its parts: longer than the slowest node is behind on a busy machine, or away."""
+    """Seconds for which a frame waits for its parts: longer than the slowest node is late on a busy machine, or
+    restarts.
+    """
 
 
 class Match(Enum):
-    """Which message of a part belongs to a frame of a given stamp."""
+    """Rule that selects the message of a part for a frame's stamp."""
 
     EXACT = "the one of equal stamp"
     NEAREST = "the nearest within a tolerance, once one from after the frame has come"
@@ -144,10 +148,10 @@ class Match(Enum):
 
 @dataclass(frozen=True)
 class Part:
-    """What a frame is joined from.
+    """A part of a frame.
 
     `tolerance_ns`: of `Match.NEAREST`. `wait_s`: seconds for which a frame that has all else waits for this part before
-    it goes on without; None: a frame needs it. `remembered`: messages kept of a part that begins no frames.
+    it continues without; None: the part is required. `remembered`: messages kept of a part that begins no frames.
     """
 
     name: str
@@ -158,7 +162,9 @@ class Part:
 
     @property
     def begins(self) -> bool:
-        """Whether a message of this part begins a frame: one that may belong to several, or to none, does not."""
+        """Return whether a message of this part begins a frame; one that may belong to several frames or
+        none does not.
+        """
         return self.match is Match.EXACT and self.wait_s is None
 
 
@@ -168,7 +174,7 @@ class _FrameParts:
     waited: float = 0.0
     """Seconds since its first message."""
     lacking_optional: float = 0.0
-    """Seconds since it had all that it needs."""
+    """Seconds since it had all required parts."""
     whole: bool = False
 
     @property
@@ -177,25 +183,22 @@ class _FrameParts:
 
 
 def data_bytes(message: Any) -> int:
-    """Of image data, or of whatever a message carries as `data`."""
+    """Return the bytes of image data, or of a message's `data`."""
     return len(getattr(message, "data", ()))
 
 
 class StampJoin:
-    """Collects the parts of each frame and hands complete frames on, each once.
+    """Collects the parts of each frame and passes complete frames on, each once.
 
-    Derived messages carry their source's stamp, so equality is the rule; a part may be matched otherwise (`Match`), or
-    be missing in the end (`Part.wait_s`). At most `capacity` frames wait, `whole_capacity` of them only for what they
-    can do without, none longer than `max_wait` seconds, and all with no more than `capacity_bytes` of data; a message
-    alone always has room.
+    Derived messages carry their source's stamp, so stamps are equal by default; a part may be matched otherwise
+    (`Match`), or be optional (`Part.wait_s`). At most `capacity` frames wait, `whole_capacity` of them only for
+    optional parts, none longer than `max_wait` seconds, and all with at most `capacity_bytes` of data; a single message
+    is always accepted.
 
-    Args:
-        parts: what a frame is joined from; a name alone is a part that is needed, of equal stamp.
-        complete: takes `**{name: message}`; None for a part that the frame went on without. May raise LtmError.
-        health: counts duplicates, and frames that stay incomplete as `unjoined`, noting what each lacks.
-        give_up: told instead of `health` of a frame that stays incomplete: its stamp, the parts that it lacks, and why
-            it waits no longer.
-        camera: whose frames they are, where the node has those of several.
+    Args: parts: the parts of a frame; a name alone is a required part of equal stamp. complete: takes `**{name:
+    message}`; None for a missing optional part. May raise LtmError. health: counts duplicates, and incomplete frames as
+    `unjoined`, with their missing parts. give_up: called instead of `health` for an incomplete frame: its stamp, its
+    missing parts, and why it no longer waits. camera: camera of the frames, if the node has several.
     """
 
     def __init__(
@@ -222,15 +225,16 @@ class StampJoin:
         }
 
     def known(self, name: str, stamp_ns: int) -> bool:
-        """Whether a message of this part and stamp would be a duplicate."""
+        """Return whether a message of this part and stamp would be a duplicate."""
         frame = self._waiting.get(stamp_ns)
         return self._parts[name].begins and (stamp_ns in self._done or (frame is not None and name in frame.parts))
 
     def add(self, name: str, stamp_ns: int, message: Any) -> None:
-        """Take a message, and complete each frame that it makes whole. Raises the last of their errors, when all are
-        done; those before are counted."""
+        """Add a message and complete each frame that has all parts. Raises the last of their errors at the end; earlier
+        ones are counted.
+        """
         if self.known(name, stamp_ns):
-            self._health.drop("duplicate", f"a second {name} of stamp {stamp_ns} ns; stamps must be unique a camera")
+            self._health.drop("duplicate", f"a second {name} of stamp {stamp_ns} ns; stamps of a camera must be unique")
             return
         part = self._parts[name]
         if part.begins:
@@ -244,11 +248,11 @@ class StampJoin:
         self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
 
     def discard(self, stamp_ns: int) -> None:
-        """Forget a frame: no more of it will come, and it is counted elsewhere."""
+        """Forget a frame that will not be completed and is counted elsewhere."""
         self._waiting.pop(stamp_ns, None)
 
     def tick(self, waited: float) -> None:
-        """So many seconds have passed: frames that have waited long enough go on without, or are given up."""
+        """Advance time: frames that have waited long enough continue without optional parts, or are dropped."""
         for stamp, frame in list(self._waiting.items()):
             frame.waited += waited
             frame.lacking_optional += waited if frame.whole else 0.0
@@ -257,7 +261,7 @@ class StampJoin:
         self._complete_ready(list(self._waiting))
 
     def finish(self) -> None:
-        """No more messages will come: frames that can do without the rest go on, the others are given up."""
+        """Finish: frames that lack only optional parts continue, the others are dropped."""
         self._complete_ready(list(self._waiting), at_once=True)
         for stamp in list(self._waiting):
             self._drop(stamp, "the recording or the node ended")
@@ -271,7 +275,7 @@ class StampJoin:
             self._try(stamp, True, errors)
         incomplete = sorted(stamp for stamp, frame in self._waiting.items() if not frame.whole)
         for stamp in incomplete[: max(0, len(incomplete) - self._capacity)]:
-            self._drop(stamp, f"{self._capacity} later ones wait too")
+            self._drop(stamp, f"{self._capacity} later ones are queued")
         self._make_room()
         for earlier in errors[:-1]:
             self._health.drop(cause_of(earlier), str(earlier))
@@ -279,20 +283,20 @@ class StampJoin:
             raise errors[-1]
 
     def _make_room(self) -> None:
-        """Give up the oldest, whatever they lack, while too many bytes wait."""
+        """Drop the oldest frames, whatever they lack, while too many bytes are queued."""
         held = sum(frame.bytes for frame in self._waiting.values())
         for stamp in sorted(self._waiting):
             if held <= self._capacity_bytes or len(self._waiting) <= 1:
                 return
             held -= self._waiting[stamp].bytes
-            self._drop(stamp, f"later ones with {held >> 20} MB of data wait too")
+            self._drop(stamp, f"later ones with {held >> 20} MB of data are queued")
 
     @staticmethod
     def _bytes_in(memory: OrderedDict[int, Any]) -> int:
         return sum(data_bytes(message) for message in memory.values())
 
     def _try(self, stamp: int, at_once: bool, errors: list[LtmError]) -> None:
-        """Complete the frame if it has what it needs, and what it can do without or has waited for `at_once`."""
+        """Complete the frame if it has its required parts, and no optional part must be waited for."""
         frame = self._waiting[stamp]
         found = frame.parts | {name: self._matched(name, stamp) for name in self._memory}
         missing = [name for name in self._parts if found.get(name) is None]
@@ -317,7 +321,7 @@ class StampJoin:
             return memory[max(past) if past else min(memory)]
         if part.match is Match.EXACT or part.tolerance_ns == 0 or stamp in memory or not memory:
             return memory.get(stamp)
-        # A nearer one may still be on its way until one from after the frame has come.
+        # A nearer one may still come until there is one from after the frame.
         nearest = min(memory, key=lambda other: abs(other - stamp))
         settled = max(memory) >= stamp
         return memory[nearest] if settled and abs(nearest - stamp) <= part.tolerance_ns else None
@@ -333,6 +337,6 @@ class StampJoin:
 
     def _count_unjoined(self, stamp: int, lacking: list[str], why: str) -> None:
         whose = f"{self._camera}: " if self._camera else ""
-        self._health.drop("unjoined", f"{whose}stamp {stamp} ns never got its {', '.join(lacking)} ({why})")
+        self._health.drop("unjoined", f"{whose}stamp {stamp} ns is incomplete, without {', '.join(lacking)} ({why})")
         for name in lacking:
             self._health.note(f"unjoined.{self._camera}.{name}" if self._camera else f"unjoined.{name}")

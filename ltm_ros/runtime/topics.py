@@ -15,18 +15,18 @@ CAMERA_INFO = Topic("camera_info", CameraInfo)
 POSE = Topic("pose", PoseWithCovarianceStamped)
 FIX = Topic("fix", NavSatFix, counted=False)
 IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundred a second
-"""What tells a camera's pose where its site file says so (`sensors`)."""
+"""Sensor from which a camera's pose is computed if its site file enables it (`sensors`)."""
 
 SOURCE_INFO = Topic("source/info", String, latched=True)
-"""How sure the stamp of the frame that carries it is, what told it, and whether this computer's clock was right."""
+"""Uncertainty of a frame's stamp, its source, and whether this computer's clock was synchronised."""
 
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
 STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
-"""As it came, of frames whose poses are refined."""
+"""Pose as received, for frames whose poses are refined."""
 POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
-"""A rotation about the map's axes by which stated poses are turned, and the covariance of their angles then."""
+"""Rotation about the map's axes that corrects stated poses, and the covariance of their angles after it."""
 POSE_INFO = Topic("pose/info", String, latched=True)
 
 DEPTH_IMAGE = Topic("depth/image", Image)
@@ -34,7 +34,7 @@ DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
 GROUND_DEPTH = Topic("depth/ground", Image)
 ALIGNMENT = Topic("alignment", Image)
 DEPTH_INFO = Topic("depth/info", String)
-"""Which version of the confirmed surface a frame was traced to, where the site follows that."""
+"""Version of the confirmed surface that a frame was traced to, if the site uses it."""
 
 FUSED_DEPTH = Topic("fused/depth", Image)
 FUSED_SIGMA = Topic("fused/sigma", Image)
@@ -51,7 +51,7 @@ LABELS_INFO = Topic("labels/info", String, latched=True)
 FUEL_VOTES = Topic("fuel/votes", PointCloud2)
 
 FINISHED = Topic("finished", Header, depth=50, counted=False)
-"""A node that works on a camera's frames has finished the one of this stamp; `frame_id`: the node's full name."""
+"""Acknowledgement that a node has finished the camera's frame of this stamp; `frame_id`: the node's full name."""
 
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
 FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid, depth=200)  # they come in bursts, twice a second
@@ -65,7 +65,7 @@ TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
 TERRAIN_INFO = Topic("terrain/info", String, latched=True)
 TERRAIN_SURFACE = Topic("terrain/surface", String, latched=True, counted=False)
-"""Which version of the confirmed surface counts: what depth is traced to from then on."""
+"""Version of the confirmed surface to which depth is traced from then on."""
 
 LOCATE_REGION = Topic("locate/region", PolygonStamped)
 LOCATE_POINT = Topic("locate/point", PointStamped)
@@ -73,7 +73,7 @@ LOCATE_ESTIMATE = Topic("locate/estimate", PoseWithCovarianceStamped)
 LOCATE_GEOJSON = Topic("locate/geojson", String)
 LOCATE_FUSED = Topic("locate/fused", PoseWithCovarianceStamped)
 LOCATE_TRACKS = Topic("locate/tracks", String, latched=True)
-"""What is marked in a camera's picture, by a detector or a person; where that is; and the site's tracks of it."""
+"""Marks in a camera's image, by a detector or a person; their places; and the site's tracks."""
 
 TRUTH_DEPTH = Topic("truth/depth", Image)
 TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
@@ -82,9 +82,9 @@ TRUTH_CAMERA_INFO = Topic("truth/camera_info", CameraInfo)
 TRUTH_POSE = Topic("truth/pose", PoseWithCovarianceStamped)
 
 CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE, FIX, IMU)
-"""What a recording must hold for the graph to run on it."""
+"""Topics that a recording needs so that the graph can run on it."""
 CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO, TRUTH_POSE)
-"""What a simulated recording holds besides; no node of the graph listens to it."""
+"""Additional topics of a simulated recording; no node of the graph uses them."""
 
 RECORDED = (
     (
@@ -110,14 +110,14 @@ RECORDED = (
         *(LOCATE_FUSED, LOCATE_TRACKS),
     ),
 )
-"""What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
+"""Topics that are recorded by default, of each camera and of the site: all except decoded copies of images."""
 
 
 def camera_topic(site: str, camera: str, topic: Topic) -> str:
-    """A camera topic's absolute name."""
+    """Return a camera topic's absolute name."""
     return f"/{site}/{camera}/{topic.name}"
 
 
 def site_topic(site: str, topic: Topic) -> str:
-    """A site topic's absolute name."""
+    """Return a site topic's absolute name."""
     return f"/{site}/{topic.name}"

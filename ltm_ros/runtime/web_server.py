@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 
 def bind_error(address: str, port: int) -> OSError | None:
-    """Why a port cannot be listened on now; None: it can."""
+    """Return why a port cannot be opened now; None: it can."""
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -32,15 +32,13 @@ def bind_error(address: str, port: int) -> OSError | None:
 
 
 def refusal(address: str, port: int, error: OSError) -> str:
-    """What is wrong where the port of health cannot be listened on, and what to do."""
+    """Return why the health port cannot be opened, and what to do."""
     remedy = {
-        errno.EADDRINUSE: f"end what uses it (`ss -ltnp 'sport = :{port}'` names it), or name another",
-        errno.EADDRNOTAVAIL: "this machine has no such address now: is that network up? Else name one that it has",
-        errno.EACCES: "ports below 1024 need rights that a service lacks: name a higher one",
-    }.get(error.errno or 0, "name another")
-    return (
-        f"{address}:{port} cannot be listened on ({error.strerror}): {remedy} in `health: {{port: ..., address: ...}}`"
-    )
+        errno.EADDRINUSE: f"end the program that uses it (`ss -ltnp 'sport = :{port}'` names it), or choose another",
+        errno.EADDRNOTAVAIL: "this machine has no such address now: check the network, or choose an existing address",
+        errno.EACCES: "ports below 1024 need privileges that a service lacks: choose a higher one",
+    }.get(error.errno or 0, "choose another")
+    return f"{address}:{port} cannot be opened ({error.strerror}): {remedy} in `health: {{port: ..., address: ...}}`"
 
 
 TIMEOUT_S = 10.0
@@ -240,7 +238,7 @@ def _handled(route: Route, body: bytes) -> WebResponse:
         return route(body)
     except Exception:
         sys.excepthook(*sys.exc_info())
-        return WebResponse.error(HTTPStatus.INTERNAL_SERVER_ERROR, "it failed: see the log")
+        return WebResponse.error(HTTPStatus.INTERNAL_SERVER_ERROR, "internal error: see the log")
 
 
 def _host(header: str) -> str:

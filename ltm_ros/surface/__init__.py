@@ -1,1 +1,1 @@
-"""Parts of the node `terrain`, and the surface that it confirms for the nodes that trace."""
+"""Parts of the node `terrain`, and the confirmed surface for the nodes that trace."""

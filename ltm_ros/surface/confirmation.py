@@ -28,7 +28,7 @@ class TerrainPublisher:
         self._site, self._map, self._outlet, self._health = site, terrain, outlet, health
 
     def info(self) -> None:
-        """Where the grid lies in the site's CRS, and what its values mean; latched."""
+        """Publish the grid's position in the site's CRS, and the meaning of its values; latched."""
         geometry = self._site.in_crs(self._map.reference.geometry)
         info = {
             "kinds": {kind.name.lower(): int(kind) for kind in ChangeKind},
@@ -45,14 +45,14 @@ class TerrainPublisher:
         self._outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
 
     def update(self, changed: Changed) -> None:
-        """Cells whose change is new."""
+        """Publish cells whose change is new."""
         heights = self._map.heights_at(changed)
         self._outlet.publish(
             TERRAIN_UPDATE, changed_to_msg(changed, heights, self._map.reference.geometry, self._map.newest_ns)
         )
 
     def grid(self) -> None:
-        """All changes in the window that a camera has seen, latched; nothing where none has seen any."""
+        """Publish all changes in the observed window, latched; nothing if no cell was observed."""
         window = self._map.seen_window()
         if window is None:
             return
@@ -66,10 +66,10 @@ class TerrainPublisher:
 
 
 class Confirmation:
-    """Makes versions of what a surface map has confirmed, in the folder `folder` of a site that asks for them.
+    """Makes versions of the confirmed surface in `folder`, if the site uses them.
 
-    When one is due is told by the frames' stamps alone, so that a replay makes the same versions. What a version holds
-    is in the map's store before. Where one cannot be written, the version before still counts, and it is tried again.
+    The frames' stamps alone decide when a version is due, so that a replay makes the same versions. A version's content
+    is in the map's store before. If it cannot be written, the previous version stays in use, and it is tried again.
     """
 
     def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
@@ -78,7 +78,7 @@ class Confirmation:
         self._map, self._outlet, self._health = surface, outlet, health
         self._every_ns, self._least = int(site.terrain.confirm_every * 1e9), site.terrain.threshold / 2
         self.news = False
-        """Whether cells have changed since it was last looked for a version."""
+        """Whether cells have changed since the last check for a new version."""
         self._looked_ns = 0
         self._current: ConfirmedSurface | None = None
         self._manifest = SurfaceManifest(site=site.name)
@@ -86,39 +86,41 @@ class Confirmation:
         self._pace = Backoff()
 
     def start(self) -> None:
-        """Tell of the version that counts."""
+        """Publish the version in use."""
         self._tell()
 
     def follow(self) -> None:
-        """Make a version where one is due: the first as soon as there is change, and others not too often."""
+        """Make a version when it is due: the first at the first change, later ones not too often."""
         since = self._map.newest_ns - self._looked_ns
         due = (since > 0 and since >= self._every_ns) or (self.news and not self._manifest.current)
         if due and self._pace.due:
             self._try()
 
     def passed(self, seconds: float) -> None:
-        """So much time has gone by."""
+        """Advance time."""
         self._pace.passed(seconds)
 
     def finish(self) -> None:
-        """Have the last of what is known count for those that come later."""
+        """Make a last version of everything known, for later runs."""
         self._try()
 
     def confirm(self) -> str:
-        """Make what the map knows now count, also where a version was taken back. Raises StoreError."""
+        """Make a version of the current map, even after one was taken back. Raises StoreError."""
         found, seen = confirmed_surface(self._map)
         self._add(found, seen)
-        return f"surface {self._manifest.current} counts: {len(found)} of {seen} cells seen have changed"
+        return f"surface {self._manifest.current} is in use: {len(found)} of {seen} cells seen have changed"
 
     def take_back(self) -> str:
-        """Make the version before count, and hold it until `confirm`. Raises StoreError."""
+        """Return to the previous version and keep it until `confirm`. Raises StoreError."""
         self._manifest, self._current = self._versions.take_back(), None
         self._tell()
-        now = f"surface {self._manifest.current}" if self._manifest.current else "the terrain as it was given"
-        return f"{now} counts again, and is held until terrain/confirm is called"
+        now = f"surface {self._manifest.current}" if self._manifest.current else "the original terrain"
+        return f"{now} is in use again, until terrain/confirm is called"
 
     def _read(self) -> None:
-        """What counts, from the folder. Where that cannot be, nothing does until a version is made; the node lives."""
+        """Read the version in use from the folder. If that fails, none is in use until one is made; the
+        node continues.
+        """
         try:
             self._manifest, told = self._versions.manifest_of_writer()
         except StoreError as error:
@@ -135,10 +137,10 @@ class Confirmation:
             self._pace.succeeded()
         except StoreError as error:
             self._pace.failed()
-            self._health.trouble(cause_of(error), f"{error}; the surface before still counts")
+            self._health.trouble(cause_of(error), f"{error}; the previous surface stays in use")
 
     def _put_aside_what_is_broken(self) -> None:
-        """Somebody may write into the folder while the node lives."""
+        """Move invalid files aside; other programs may write into the folder while the node runs."""
         manifest, told = self._versions.manifest_of_writer()
         if told:
             self._health.trouble("surfaces", told)
@@ -146,7 +148,7 @@ class Confirmation:
             self._tell()
 
     def _renew(self) -> None:
-        """Make a version where there is anything new; none while one is held."""
+        """Make a version if there is anything new; none while one is held."""
         if self._manifest.held:
             return
         found, seen = confirmed_surface(self._map)
@@ -156,7 +158,7 @@ class Confirmation:
         self.news, self._looked_ns = False, self._map.newest_ns
 
     def _counting(self) -> ConfirmedSurface | None:
-        """What counts now; None where nothing does, or its file is lost: it is then written anew."""
+        """Return the version in use; None without one, or if its file is lost: then it is written again."""
         entry = self._manifest.entry(self._manifest.current)
         if self._current is None and entry is not None:
             try:

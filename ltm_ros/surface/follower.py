@@ -1,4 +1,4 @@
-"""The side of the nodes that trace: the terrain of the version that counts, loaded between frames."""
+"""Load the confirmed surface in the nodes that trace, between frames."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from ltm_ros.runtime.health import Health, cause_of
 
 
 class SurfaceFollower:
-    """Has `take` take each new terrain whole, once it is loaded; until then, and where it cannot be, the one before
-    stays.
+    """Passes each new terrain to `take` once it is loaded; until then, or if that fails, the previous one stays.
 
-    The manifest in the folder says which version counts. A message only tells that it may be another now, so nobody on
-    the wire chooses what is read.
+    The manifest in the folder names the version in use. A message only announces a change, so no sender can choose
+    which file is read.
 
-    Args:
-        folder: that of the site's surfaces, from the graph; empty: the site does not follow them.
-        take: called with each new terrain; what traces begins with the terrain as given, and keeps what it has where
-            this raises.
+    Args: folder: of the site's surfaces, from the graph; empty: the site does not use them. take: called with each new
+    terrain; a tracer starts with the original terrain, and keeps its terrain if this raises.
     """
 
     def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:
@@ -36,12 +33,12 @@ class SurfaceFollower:
         self._follow()
 
     def on_message(self, message: Any) -> None:
-        """Raises MessageError for a message that names no version."""
+        """Handle an announced version. Raises MessageError if it is invalid."""
         msg_to_version(message)
         self._follow()
 
     def tick(self) -> None:
-        """Try again what could not be loaded."""
+        """Try again to load a version that failed."""
         if self._late:
             self._follow()
 
@@ -58,6 +55,6 @@ class SurfaceFollower:
         except (StoreError, RasterError) as error:
             self._late = True
             self._health.trouble(
-                cause_of(error), f"{error}; frames are traced to {self._name or 'the terrain as given'}"
+                cause_of(error), f"{error}; frames are traced to {self._name or 'the original terrain'}"
             )
         self._health.gauge("surface", self._name or "as given")

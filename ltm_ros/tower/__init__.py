@@ -1,1 +1,1 @@
-"""A tower as an installed thing: its releases, the service that runs one of them, upgrades and the way back."""
+"""Manage an installed tower: its releases, its service, upgrades and rollback."""

@@ -1,6 +1,6 @@
-"""Compiles the kernels that a site's nodes need, before they run: `python -m ltm_ros.tower.compile_kernels SITE`.
+"""Compile the kernels that a site's nodes need before they run: `python -m ltm_ros.tower.compile_kernels SITE`.
 
-A new release does this while the former one still works, so that the tower stands still for seconds, not minutes.
+An upgrade does this while the previous release still runs, so that the tower stops for seconds instead of minutes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ KEEPING_NODES = ("fuel_map", "terrain")
 
 def main() -> None:
     begun = time.monotonic()
-    # Every handler as a node makes it, but on empty stores: the tower's own are another process's.
+    # Every handler as a node makes it, but on empty stores: the tower's own are in use.
     with tempfile.TemporaryDirectory() as folder:
         kept = {kind: {"folder": folder} for kind in KEEPING_NODES}
-        # Without sources: a camera may refuse a second one that asks, and an upgrade needs no picture.
+        # Without sources: a camera may reject a second client, and an upgrade needs no image.
         graph = describe(load_site(sys.argv[1]), sys.argv[1], parameters=kept, sources=False)
         OfflineGraph(graph).finish()
-    print(f"kernels of {len(graph)} nodes are compiled: {time.monotonic() - begun:.0f} s")
+    print(f"compiled the kernels of {len(graph)} nodes in {time.monotonic() - begun:.0f} s")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Checks behind `ltm doctor`: what is installed, what is in use and what is missing."""
+"""Run the checks of `ltm doctor`: what is installed, what is in use and what is missing."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ MESSAGE_PACKAGES = (
     "std_srvs",
 )
 SMALLEST_SITE_NODES = 6
-"""Nodes of a site with one camera, and one to watch them."""
+"""Number of nodes of a site with one camera, and one to watch them."""
 LEAST_MEMORY_GB = 4.0
 INSTALL = "pip install"
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
 def examine(site: Path | None = None) -> list[DoctorFinding]:
-    """Everything, in the order in which a person would mend it. `site`: the tower's file; by default the installed
-    one, where there is one."""
+    """Run all checks, in the order in which a user would fix them. `site`: the tower's file. Default: the installed
+    one, if any.
+    """
     return [
         *check_python(),
         *check_packages(),
@@ -59,12 +60,12 @@ def as_json(findings: list[DoctorFinding]) -> str:
 
 
 def healthy(findings: list[DoctorFinding]) -> bool:
-    """Whether nothing required is missing."""
+    """Return whether nothing required is missing."""
     return not any(finding.state is DoctorState.MISSING for finding in findings)
 
 
 def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
-    """The same with the packages of one area that are as they should be in one line."""
+    """Merge the working packages of one area into one line."""
     lines: list[DoctorFinding] = []
     for finding in findings:
         if not finding.area.startswith("packages") or finding.state is not DoctorState.OK:
@@ -79,8 +80,7 @@ def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
 
 
 def requirements() -> dict[str, list[Requirement]]:
-    """The project's requirements by extra; under "" those that it always has. Of the installed package, else of the
-    checkout."""
+    """Return the project's requirements by extra, "" for the basic ones, from the installed package or the checkout."""
     source = Path(ltm_core.__file__).resolve().parents[1] / "pyproject.toml"
     by_extra: dict[str, list[Requirement]] = {"": []}
     if source.is_file():
@@ -114,7 +114,7 @@ def check_packages() -> Iterator[DoctorFinding]:
             area = f"packages [{extra}]" if extra else "packages"
             absent = DoctorState.OPTIONAL if extra else DoctorState.MISSING
             if extra == "ros" and _distribution(requirement.name) is None:
-                # The ROS part looks at what there is instead: it may come from apt.
+                # The ROS part checks what is present instead, because it may come from apt.
                 continue
             yield _package(area, requirement, absent)
 
@@ -145,7 +145,7 @@ def check_ros() -> Iterator[DoctorFinding]:
     place = Path(spec.origin).parent
     wheel = _distribution("ros-jazzy-rclpy")
     from_wheels = wheel is not None and place.is_relative_to(sys.prefix)
-    kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', 'of unknown distribution')}"
+    kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', '(unknown distribution)')}"
     yield DoctorFinding("ros", "rclpy", DoctorState.OK, f"{kind}, {place}")
     absent = [name for name in MESSAGE_PACKAGES if importlib.util.find_spec(name) is None]
     if absent:
@@ -162,11 +162,11 @@ def check_transport() -> Iterator[DoctorFinding]:
     profile = Path(environment[given or PROFILE_VARIABLES[0]])
     if profile.is_file():
         yield DoctorFinding(
-            "transport", "profile", DoctorState.OK, f"{profile} ({f'from {given}' if given else 'our own'})"
+            "transport", "profile", DoctorState.OK, f"{profile} ({f'from {given}' if given else 'default'})"
         )
     else:
         yield DoctorFinding(
-            "transport", "profile", DoctorState.MISSING, f"{given}={profile} is no file", f"unset {given}"
+            "transport", "profile", DoctorState.MISSING, f"{given}={profile} is not a file", f"unset {given}"
         )
     domain, reach = environment.get("ROS_DOMAIN_ID", "0"), environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
     yield DoctorFinding("transport", "discovery", DoctorState.OK, f"domain {domain}, range {reach}")
@@ -174,7 +174,7 @@ def check_transport() -> Iterator[DoctorFinding]:
 
 
 def _participant(environment: Mapping[str, str]) -> DoctorFinding:
-    """Start a real one and ask it."""
+    """Start a real participant and query it."""
     wanted = environment["RMW_IMPLEMENTATION"]
     command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
     try:
@@ -220,7 +220,7 @@ def check_shared_memory() -> Iterator[DoctorFinding]:
             "shared memory",
             str(shared_memory.SHM_FOLDER),
             DoctorState.WARNING,
-            "not there: images go over UDP, slowly",
+            "not available: images use UDP, which is slow",
             "mount -t tmpfs tmpfs /dev/shm",
         )
         return
@@ -255,11 +255,11 @@ def check_models() -> Iterator[DoctorFinding]:
             model = OnnxModel(NetworkManifest.find(name))
         except LtmError as error:
             yield DoctorFinding(
-                "models", name, absent, str(error), "put the file where it was looked for, or set LTM_MODEL_PATH"
+                "models", name, absent, str(error), "put the file at the path above, or set LTM_MODEL_PATH"
             )
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
-        told = f"{model.path}{role}, checksum as its manifest states"
+        told = f"{model.path}{role}, checksum matches its manifest"
         doubt = "" if model.manifest.output.is_depth else doubt_of_photographs(load_calibration(model.manifest))
         yield DoctorFinding("models", name, DoctorState.OK, f"{told}; its labels were {doubt} here" if doubt else told)
 
@@ -271,7 +271,7 @@ def check_machine() -> Iterator[DoctorFinding]:
         "cores",
         DoctorState.OK if cores >= 2 else DoctorState.WARNING,
         f"{cores} for this process",
-        "" if cores >= 2 else "give it two: nodes wait for each other on one",
+        "" if cores >= 2 else "assign two cores: nodes wait for each other on one",
     )
     memory = _memory_gb()
     yield DoctorFinding(
@@ -279,20 +279,20 @@ def check_machine() -> Iterator[DoctorFinding]:
         "memory",
         DoctorState.OK if memory >= LEAST_MEMORY_GB else DoctorState.WARNING,
         f"{memory:.1f} GB for this process",
-        "" if memory >= LEAST_MEMORY_GB else f"give it {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
+        "" if memory >= LEAST_MEMORY_GB else f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
     )
     folder = numba_cache()
     yield DoctorFinding(
         "machine",
         "numba cache",
         DoctorState.OK if folder else DoctorState.WARNING,
-        str(folder) if folder else "no writable folder: kernels are compiled anew at each start",
+        str(folder) if folder else "no writable folder: kernels are compiled again at each start",
         "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
     )
 
 
 def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
-    """Of the site's file, else of the installed one, where there is one."""
+    """Check the tower of the site file, or the installed one if any."""
     if site is not None or INSTALLED_SITE.exists():
         from ltm_ros.tower.health_client import check_health_port  # reads site files: packages may be missing
 
@@ -300,7 +300,7 @@ def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
 
 
 def _memory_gb() -> float:
-    """What this process may take: the machine's, or the container's where that is less."""
+    """Return the memory that this process may use in GB: the machine's, or the container's if that is less."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for limit in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
         try:
@@ -313,7 +313,7 @@ def _memory_gb() -> float:
 
 
 def numba_cache() -> Path | None:
-    """The folder in which numba keeps compiled kernels: its own order of search; None where none is writable."""
+    """Return the folder of numba's compiled kernels, by its own search order; None if none is writable."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(ltm_core.__file__).resolve().parent / "__pycache__"
     fallback = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"

@@ -23,11 +23,11 @@ from ltm_ros.tower.patient_server import read_token
 class DoctorState(StrEnum):
     OK = "ok"
     OPTIONAL = "optional"
-    """Absent, and only some commands need it."""
+    """Missing, and needed only by some commands."""
     WARNING = "warning"
-    """Works, but not well."""
+    """Works with limitations."""
     MISSING = "missing"
-    """The system does not work without it."""
+    """Missing, and the system does not work without it."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class DoctorFinding:
     state: DoctorState
     detail: str
     remedy: str = ""
-    """Command that mends it."""
+    """Command that fixes it."""
 
 
 LARGEST = 16 << 20
 
 
 def ask(config: HealthConfig, path: str) -> Any:
-    """The answer as JSON gives it. The certificate must be the one of the site file. Raises ConfigError."""
+    """Return the JSON answer of a tower. Its certificate must be that of the site file. Raises ConfigError."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.address, config.address)  # nosec B104
     place = f"{host}:{config.port}"
     headers = {"Host": f"[{host}]" if ipaddress.ip_address(host).version == 6 else host}
@@ -53,7 +53,7 @@ def ask(config: HealthConfig, path: str) -> Any:
         connection = http.client.HTTPConnection(host, config.port, timeout=10)
     else:
         context = ssl.create_default_context(cafile=str(secret(config.certificate)))
-        context.check_hostname = False  # it is asked for by its address; who holds the key of that certificate is it
+        context.check_hostname = False  # queried by its address; the certificate identifies it
         connection = http.client.HTTPSConnection(host, config.port, timeout=10, context=context)
     if config.token is not None:
         headers["Authorization"] = f"Bearer {read_token(config.token)}"
@@ -65,13 +65,15 @@ def ask(config: HealthConfig, path: str) -> Any:
             raise ConfigError(f"{place}: {answer.status} {body[:200].decode(errors='replace').strip()}")
         return json.loads(body)
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise ConfigError(f"{place}: no tower answers ({error}): does `ltm run` of this site run?") from error
+        raise ConfigError(
+            f"{place}: no tower answers ({error}): check that `ltm run` of this site is running"
+        ) from error
     finally:
         connection.close()
 
 
 def check_health_port(path: Path) -> Iterator[DoctorFinding]:
-    """Whether the tower of a site file can answer monitoring systems: without that it runs all the same."""
+    """Check that the tower can answer monitoring systems; it runs without that."""
     name = "health port"
     try:
         site = load_site(path)
@@ -83,17 +85,19 @@ def check_health_port(path: Path) -> Iterator[DoctorFinding]:
         return
     taken = bind_error(health.address, health.port)
     if taken is None:
-        yield DoctorFinding("machine", name, DoctorState.OK, f"{health.address}:{health.port} is free: no tower runs")
+        yield DoctorFinding(
+            "machine", name, DoctorState.OK, f"{health.address}:{health.port} is free: no tower is running"
+        )
         return
     try:
         said = ask(health, "/status.json")
-        other = "" if said["site"] == site.name else f"the tower of {said['site']} has it"
+        other = "" if said["site"] == site.name else f"used by the tower of {said['site']}"
     except LtmError as why:
         other = str(why)
     except (TypeError, KeyError):
-        other = "what answers there is no tower"
+        other = "another program answers on this port"
     if other:
-        remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without, and tries again"
+        remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
         yield DoctorFinding("machine", name, DoctorState.WARNING, other, remedy)
     else:
         yield DoctorFinding("machine", name, DoctorState.OK, f"{site.name} answers on {health.address}:{health.port}")

@@ -1,9 +1,7 @@
-"""Keep the last whole frame of each camera and the map as small pictures, while someone views them.
+"""Keep the last complete frame of each camera and the map as small images, while the status page is open.
 
-The last whole frame of each camera, and the map, asked of the graph only while somebody looks at them.
-
-Who listens to images makes the nodes send them: that costs processor time for each frame. So a camera's images are
-listened to until one frame is whole, at the start, and again for `WATCHED_S` after each look.
+A subscription to images makes the nodes send them, which costs processor time for each frame. So the node subscribes to
+a camera's images only until one frame is complete, at the start and for `WATCHED_S` after each request.
 """
 
 from __future__ import annotations
@@ -52,14 +50,14 @@ from ltm_ros.runtime.topics import (
 )
 
 WIDTH = 800
-"""Of a picture at most, pixels."""
+"""Maximum width of an image in pixels."""
 REACH = 3000.0
-"""Of a camera's sector on the map, metres."""
+"""Radius of a camera's sector on the map in metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """One frame with what was made of it: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres."""
+    """One frame with its results: `photo` (H, W, 3), `labels` (H, W), `depth` (H, W) metres."""
 
     name: str
     stamp_ns: int
@@ -70,7 +68,7 @@ class CameraPicture:
     pose: Pose
 
     def small(self) -> CameraPicture:
-        """Every n-th pixel of all, so that they stay in place, and at most `WIDTH` wide; copies."""
+        """Return every n-th pixel of all arrays, at most `WIDTH` wide, as copies."""
         step = max(1, -(-self.photo.shape[1] // WIDTH))
 
         def thin(values: NDArray[Any]) -> NDArray[Any]:
@@ -81,14 +79,14 @@ class CameraPicture:
         )
 
     def pixel(self, across: float, down: float) -> tuple[float, float]:
-        """(u, v) of the camera's own picture, where `across` and `down` are shares of this one's width and height."""
+        """Return (u, v) in the camera's full image; `across` and `down` are shares of this one's width and height."""
         rows, columns = self.photo.shape[:2]
         step = -(-self.camera.width // columns)
         u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
         return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
 
     def jpeg(self, kind: str, palette: ClassPalette) -> bytes:
-        """`kind`: photo, labels or depth. Raises ImageError where sizes disagree."""
+        """Return a JPEG of `kind`: photo, labels or depth. Raises ImageError if sizes differ."""
         if kind == "labels":
             return to_jpeg(overlay_labels(self.photo, self.labels, palette))
         if kind == "depth":
@@ -102,7 +100,7 @@ class CameraPicture:
 
 
 def map_png(classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, cameras: Sequence[MapCamera]) -> bytes:
-    """The part of the life form map that is known, with the cameras; `classes` (H, W), 255 unknown, north up."""
+    """Return the known part of the life form map, with the cameras; `classes` (H, W), 255 unknown, north up."""
     bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, geometry)
     view = view_of(bounds, WIDTH)
     ids = nearest(classes, geometry, view, UNLABELLED)
@@ -116,11 +114,11 @@ def map_png(classes: UInt8Array, geometry: GridGeometry, palette: ClassPalette, 
 
 WATCHED_S = 60.0
 WAITING = 3
-"""Frames of a camera that may wait for their parts."""
+"""Maximum number of incomplete frames of a camera."""
 
 
 class LastPictures:
-    """`look` and the pictures may be asked for from any thread; the rest happens in the node's executor."""
+    """`look` and the images may be requested from any thread; the rest runs in the node's executor."""
 
     def __init__(self, node: Node, site: Site, cameras: Sequence[str], health: Health) -> None:
         self._node, self._site, self._health = node, site, health
@@ -139,28 +137,28 @@ class LastPictures:
         self._looked_s = time.monotonic()
 
     def tick(self) -> None:
-        """Begin and end listening; call it about once a second, in the executor."""
+        """Start and stop subscriptions; call it about once a second, in the executor."""
         watched = time.monotonic() - self._looked_s < WATCHED_S
         for name, camera in self._cameras.items():
             camera.listen(watched or name not in self._kept)
 
     def stamps_s(self) -> dict[str, float]:
-        """Of the frames that there are pictures of."""
+        """Return the stamps of the frames that have images, in seconds."""
         with self._lock:
             return {name: picture.stamp_ns / 1e9 for name, picture in self._kept.items()}
 
     def shown(self, camera: str) -> CameraPicture | None:
-        """None where no frame has come."""
+        """Return the frame; None if none has come."""
         with self._lock:
             return self._kept.get(camera)
 
     def jpeg(self, camera: str, kind: str) -> bytes | None:
-        """None where no frame has come. Raises ImageError."""
+        """Return a JPEG; None if no frame has come. Raises ImageError."""
         picture = self.shown(camera)
         return picture.jpeg(kind, self._labels) if picture is not None else None
 
     def map_png(self) -> bytes | None:
-        """None where no map has come. Raises MessageError."""
+        """Return a PNG; None if no map has come. Raises MessageError."""
         with self._lock:
             message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
         if message is None:
@@ -178,7 +176,7 @@ class LastPictures:
 
 
 class _CameraFrames:
-    """Listens to one camera's frames, or does not."""
+    """Subscription to one camera's frames, on or off."""
 
     def __init__(
         self, node: Node, site: Site, name: str, health: Health, keep: Callable[[CameraPicture], None]
@@ -205,7 +203,7 @@ class _CameraFrames:
                 self._node.destroy_subscription(subscription)
             self._subscriptions, self._join = [], None
             return
-        # What is wrong with frames is the other nodes' to say: here a frame that lacks a part is one less to show.
+        # Other nodes report invalid frames; here an incomplete frame is only not shown.
         self._join = StampJoin(tuple(self._topics), self._whole, self._health, WAITING, give_up=lambda *_: None)
         self._subscriptions = [
             self._node.create_subscription(

@@ -1,4 +1,4 @@
-"""What a tower's machine says of itself: its memory, disks, and the memory of the graph's processes."""
+"""Read the state of a tower's machine: memory, disks, and the memory of the graph's processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 KEPT_S = 5.0
-"""For which the memory of processes is not looked at again."""
+"""Seconds for which the memory of processes is cached."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Disk:
 
 
 def disks(folders: Iterable[str]) -> list[Disk]:
-    """Bytes of the file system of each folder that is there; -1 of one that is not."""
+    """Return total and free bytes of each folder's file system; -1 if the folder does not exist."""
     found = []
     for folder in folders:
         try:
@@ -36,7 +36,7 @@ def disks(folders: Iterable[str]) -> list[Disk]:
 
 
 def memory() -> tuple[int, int]:
-    """Bytes of the machine's memory, and those that are available."""
+    """Return total and available memory of the machine in bytes."""
     sizes = {}
     for line in Path("/proc/meminfo").read_text().splitlines():
         name, _, value = line.partition(":")
@@ -45,7 +45,9 @@ def memory() -> tuple[int, int]:
 
 
 def processes_of(parent: int) -> dict[str, int]:
-    """Resident bytes (proportional where pages are shared) of the nodes' processes that the runner `parent` started."""
+    """Return the resident bytes of the nodes' processes that the runner `parent` started (of shared pages, their
+    share).
+    """
     found: dict[str, int] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -62,8 +64,8 @@ def processes_of(parent: int) -> dict[str, int]:
 
 
 class ProcessMemory:
-    """`processes_of` the runner `parent`, looked at once in `KEPT_S`: the kernel walks all pages of a process for it,
-    and monitoring systems ask often. From any thread.
+    """`processes_of` the runner `parent`, read once in `KEPT_S`, because the kernel walks all pages of a process for
+    it. Thread-safe.
     """
 
     def __init__(self, parent: int) -> None:
@@ -80,7 +82,7 @@ class ProcessMemory:
 
 
 def _label(words: list[str]) -> str:
-    """`depth`, or `north/depth` where its arguments name a namespace."""
+    """Return `depth`, or `north/depth` if its arguments name a namespace."""
     module = words[words.index("ltm_ros.launching.supervised") + 1].rpartition(".")[2]
     space = next((word.partition(":=")[2] for word in words if word.startswith("__ns:=")), "")
     camera = "/".join(space.split("/")[2:])
@@ -96,7 +98,7 @@ def _proportional(folder: Path) -> int:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Of what runs here; a checkout that is not installed says so."""
+    """Return the versions of the running software; marks a checkout that is not installed."""
     found = {"python": platform.python_version(), "kernel": platform.release()}
     for name in ("ltm", "numpy", "numba", "onnxruntime", "ros-rclpy"):
         try:

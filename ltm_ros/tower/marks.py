@@ -1,4 +1,4 @@
-"""What a person clicks on in a camera's picture on the status page goes to `locate`; its places come back."""
+"""Send marks that a user clicks on the status page to `locate`, and return its places."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from ltm_ros.runtime.web_server import WebResponse
 from ltm_ros.tower.last_pictures import CameraPicture
 
 SAME_S = 1e-3
-"""A browser's numbers hold stamps to microseconds."""
+"""Tolerance of stamps in seconds: a browser's numbers hold microseconds."""
 
 
 class PageMark(StrictModel):
-    """Where somebody clicked. `stamp`: seconds, of the picture that was shown; `across`, `down`: shares of its width
-    and height, from its upper left corner."""
+    """A clicked mark. `stamp`: seconds, of the shown image; `across`, `down`: shares of its width and height, from the
+    upper left corner.
+    """
 
     camera: str
     stamp: float
@@ -34,7 +35,7 @@ class PageMark(StrictModel):
 
 
 class _Told(BaseModel):
-    """Part of what `locate/tracks` tells; the rest of it is for others."""
+    """The part of `locate/tracks` that is used here."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -82,7 +83,8 @@ class _Turned(_Told):
             turned = f" Stated azimuths are {abs(self.turned_deg):.1f} degrees too "
             turned += f"{'great' if self.turned_deg > 0 else 'small'} (sigma {self.sigma_deg:.1f})."
         return (
-            f"camera {self.camera} is probably turned ({self.probability:.0%}), by {evidence}.{turned} Check its mount."
+            f"camera {self.camera} is probably misaligned ({self.probability:.0%}), by {evidence}.{turned} Check "
+            "its mount."
         )
 
 
@@ -94,7 +96,7 @@ class _Tracks(_Told):
 class Marks:
     """`take`, `places` and `wrong` may be called from any thread.
 
-    `shown`: the picture of a camera that the page shows; None: there is none.
+    `shown`: the image of a camera on the page; None: there is none.
     """
 
     def __init__(
@@ -118,17 +120,17 @@ class Marks:
         )
 
     def take(self, body: bytes) -> WebResponse:
-        """Of a request: a `PageMark` in JSON. What `locate` makes of it, or why it cannot, is its own to say."""
+        """Take a request, a `PageMark` in JSON, and publish the mark; `locate` reports its result itself."""
         try:
             mark = PageMark.model_validate_json(body)
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
-            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"not a mark: {wrong}")
+            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"invalid mark: {wrong}")
         picture = self._shown(mark.camera) if mark.camera in self._publishers else None
         if picture is None:
-            return WebResponse.error(HTTPStatus.NOT_FOUND, "no picture of such a camera")
+            return WebResponse.error(HTTPStatus.NOT_FOUND, "no image of this camera")
         if abs(picture.stamp_ns / 1e9 - mark.stamp) > SAME_S:
-            return WebResponse.error(HTTPStatus.CONFLICT, "another picture has come meanwhile: mark it there")
+            return WebResponse.error(HTTPStatus.CONFLICT, "a newer image has come: set the mark there")
         u, v = picture.pixel(mark.across, mark.down)
         point = PointStamped(header=make_header(picture.stamp_ns, f"{mark.camera}_optical"))
         point.point.x, point.point.y = u, v
@@ -136,12 +138,12 @@ class Marks:
         return WebResponse.json({"u": round(u, 1), "v": round(v, 1)})
 
     def places(self) -> list[dict[str, Any]]:
-        """The site's tracks, newest first, as `locate` says them."""
+        """Return the site's tracks, newest first, as `locate` published them."""
         with self._lock:
             return self._places
 
     def wrong(self) -> list[str]:
-        """Sentences: of a camera that is named as turned, where one is."""
+        """Return sentences about misaligned cameras, if any."""
         with self._lock:
             return self._wrong
 
@@ -151,7 +153,9 @@ class Marks:
             about = (one.properties for one in told.features)
             found = [_Place.model_validate(one) for one in about if one.get("role") == "place"]
         except ValidationError as error:
-            self._health.drop("message", f"{LOCATE_TRACKS.name}: not what `locate` tells ({error.errors()[0]['msg']})")
+            self._health.drop(
+                "message", f"{LOCATE_TRACKS.name}: invalid message of `locate` ({error.errors()[0]['msg']})"
+            )
             return
         with self._lock:
             self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]

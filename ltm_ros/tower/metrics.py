@@ -1,4 +1,4 @@
-"""A tower's state as metrics, in Prometheus's text format."""
+"""Export a tower's state as metrics in Prometheus's text format."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from ltm_ros.tower.tower_status import OUTBOX_KEYS, TowerStatus
 METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 NODE = ("node", "camera")
 COUNTERS = {
-    "frames_in": "Frames that came",
-    "frames_out": "Frames of which a result went out",
-    "received": "Messages that came",
-    "published": "Messages that went out",
+    "frames_in": "Frames received",
+    "frames_out": "Frames with a published result",
+    "received": "Messages received",
+    "published": "Messages published",
 }
-BY_KIND = {"dropped": ("cause", "Inputs given up, by cause; `shed`: turned away"), "noted": ("event", "What was noted")}
+BY_KIND = {
+    "dropped": ("cause", "Inputs dropped, by cause; `shed`: rejected on arrival"),
+    "noted": ("event", "Events, by name"),
+}
 QUANTILES = {"0.5": "p50", "0.95": "p95"}
 OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS, *OUTBOX_KEYS}
-"""Keys of `/diagnostics` that have metrics of their own; other numbers are `ltm_node_value`."""
+"""Keys of `/diagnostics` with metrics of their own; other numbers are exported as `ltm_node_value`."""
 
 
 class TowerCollector(Collector):
-    """Of one state; a new one for each scrape."""
+    """Metrics of one state; create a new one for each scrape."""
 
     def __init__(self, status: TowerStatus) -> None:
         self._status = status
@@ -40,29 +43,33 @@ class TowerCollector(Collector):
 
     def _tower(self) -> Iterator[Metric]:
         status = self._status
-        build = GaugeMetricFamily("ltm_build_info", "Versions of what runs", labels=("site", *_names(status.versions)))
+        build = GaugeMetricFamily(
+            "ltm_build_info", "Versions of the running software", labels=("site", *_names(status.versions))
+        )
         build.add_metric((status.site, *status.versions.values()), 1)
         yield build
         yield GaugeMetricFamily("ltm_alive", "Whether every node reports (/healthz)", value=status.alive)
-        yield GaugeMetricFamily("ltm_ready", "Whether frames of every camera come too (/readyz)", value=status.ready)
-        yield GaugeMetricFamily("ltm_wrong", "Number of things that are wrong, in words", value=len(status.wrong))
+        yield GaugeMetricFamily(
+            "ltm_ready", "Whether every node reports and every camera sends (/readyz)", value=status.ready
+        )
+        yield GaugeMetricFamily("ltm_wrong", "Number of current problems", value=len(status.wrong))
 
     def _outbox(self) -> Iterator[Metric]:
         outbox = self._status.outbox
         if outbox is None:
             return
-        yield GaugeMetricFamily("ltm_outbox_frames", "Frames that wait for the region's map", value=outbox.frames)
-        yield GaugeMetricFamily("ltm_outbox_bytes", "Of their votes", value=outbox.bytes)
-        yield GaugeMetricFamily("ltm_outbox_age_seconds", "Since the oldest one's stamp", value=outbox.age_s)
-        yield GaugeMetricFamily("ltm_link_up", "Whether the region's map can be reached", value=outbox.link_up)
+        yield GaugeMetricFamily("ltm_outbox_frames", "Frames queued for the region's map", value=outbox.frames)
+        yield GaugeMetricFamily("ltm_outbox_bytes", "Size of their votes", value=outbox.bytes)
+        yield GaugeMetricFamily("ltm_outbox_age_seconds", "Age of the oldest queued frame", value=outbox.age_s)
+        yield GaugeMetricFamily("ltm_link_up", "Whether the region's map is connected", value=outbox.link_up)
 
     def _cameras(self) -> Iterator[Metric]:
-        age = GaugeMetricFamily("ltm_frame_age_seconds", "Since the stamp of the newest frame", labels=("camera",))
-        finished = CounterMetricFamily("ltm_frames_finished", "Frames that all nodes have done", labels=("camera",))
+        age = GaugeMetricFamily("ltm_frame_age_seconds", "Age of the newest frame", labels=("camera",))
+        finished = CounterMetricFamily("ltm_frames_finished", "Frames processed by all nodes", labels=("camera",))
         verdicts = CounterMetricFamily(
-            "ltm_pose_verdicts", "Frames by verdict on their pose", labels=("camera", "verdict")
+            "ltm_pose_verdicts", "Frames by state of their pose", labels=("camera", "verdict")
         )
-        doubted = GaugeMetricFamily("ltm_camera_wrong", "Whether something is amiss with a camera", labels=("camera",))
+        doubted = GaugeMetricFamily("ltm_camera_wrong", "Whether a camera has a problem", labels=("camera",))
         for camera in self._status.cameras:
             if camera.frame_age_s is not None:
                 age.add_metric((camera.name,), camera.frame_age_s)
@@ -84,13 +91,16 @@ class TowerCollector(Collector):
             kind: CounterMetricFamily(f"ltm_{kind}", text, labels=(*NODE, label))
             for kind, (label, text) in BY_KIND.items()
         }
-        rate = GaugeMetricFamily("ltm_rate_hertz", "Messages out a second", labels=NODE)
+        rate = GaugeMetricFamily("ltm_rate_hertz", "Messages published per second", labels=NODE)
         cpu = CounterMetricFamily("ltm_cpu_seconds", "Processor time of a node that shares a process", labels=NODE)
         times = {
             name: GaugeMetricFamily(f"ltm_{name}_seconds", text, labels=(*NODE, "quantile"))
-            for name, text in (("latency", "From a frame's stamp to a result"), ("work", "Work on one message"))
+            for name, text in (
+                ("latency", "Time from a frame's stamp to a result"),
+                ("work", "Processing time of one message"),
+            )
         }
-        values = GaugeMetricFamily("ltm_node_value", "Other numbers that a node states", labels=(*NODE, "name"))
+        values = GaugeMetricFamily("ltm_node_value", "Other numbers that a node reports", labels=(*NODE, "name"))
         for node in self._status.nodes:
             labels = (node.name, node.camera)
             up.add_metric(labels, node.state in ("ok", "troubled"))
@@ -117,32 +127,36 @@ class TowerCollector(Collector):
         status = self._status
         if status.clock.synchronised is not None:
             yield GaugeMetricFamily(
-                "ltm_clock_synchronised", "Whether something keeps the clock right", value=status.clock.synchronised
+                "ltm_clock_synchronised", "Whether the system clock is synchronised", value=status.clock.synchronised
             )
         if status.clock.estimated_error_s is not None:
             yield GaugeMetricFamily(
-                "ltm_clock_error_seconds", "As the kernel estimates it", value=status.clock.estimated_error_s
+                "ltm_clock_error_seconds",
+                "Clock error as the kernel estimates it",
+                value=status.clock.estimated_error_s,
             )
         yield CounterMetricFamily(
-            "ltm_clock_steps", "Times that the clock was set by a second or more", value=status.clock_steps
+            "ltm_clock_steps", "Number of clock steps of a second or more", value=status.clock_steps
         )
-        free = GaugeMetricFamily("ltm_disk_free_bytes", "Free space where something is kept", labels=("folder",))
+        free = GaugeMetricFamily("ltm_disk_free_bytes", "Free space of a storage folder", labels=("folder",))
         total = GaugeMetricFamily("ltm_disk_bytes", "Size of that file system", labels=("folder",))
         for disk in status.disks:
             if disk.total >= 0:
                 free.add_metric((disk.folder,), disk.free)
                 total.add_metric((disk.folder,), disk.total)
         yield from (free, total)
-        yield GaugeMetricFamily("ltm_memory_bytes", "Memory of the machine", value=status.memory_total)
-        yield GaugeMetricFamily("ltm_memory_available_bytes", "Of it, available", value=status.memory_available)
-        used = GaugeMetricFamily("ltm_process_memory_bytes", "Of a process (PSS)", labels=("process",))
+        yield GaugeMetricFamily("ltm_memory_bytes", "Total memory of the machine", value=status.memory_total)
+        yield GaugeMetricFamily(
+            "ltm_memory_available_bytes", "Available memory of the machine", value=status.memory_available
+        )
+        used = GaugeMetricFamily("ltm_process_memory_bytes", "Memory of a process (PSS)", labels=("process",))
         for name, size in status.process_memory.items():
             used.add_metric((name,), size)
         yield used
 
 
 def exposition(status: TowerStatus) -> bytes:
-    """The answer to a scrape."""
+    """Return the answer to a scrape."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(TowerCollector(status))
     return bytes(generate_latest(registry))

@@ -15,13 +15,14 @@ from ltm_ros.runtime.ros_environment import secret
 from ltm_ros.runtime.web_server import Route, WebServer, refusal
 
 RETRY_S: Final = 5.0
-"""Pause between two attempts to open the port: shorter than diagnostics keep an error, so that they always show it."""
+"""Seconds between two attempts to open the port: shorter than diagnostics keep an error, so that they always show it.
+"""
 LEAST_TOKEN: Final = 16
-"""Smallest number of characters of a token."""
+"""Minimum length of a token in characters."""
 
 
 class PortError(ConfigError):
-    """A port cannot be listened on now; later it may be."""
+    """The port cannot be opened now; a later attempt may work."""
 
 
 def read_token(path: Path) -> str:
@@ -78,7 +79,7 @@ class PatientServer:
         warn: Callable[[str], None],
         retry_s: float = RETRY_S,
     ) -> None:
-        """`tell`: a line when it listens; `warn`: when it cannot, the first time; from any thread."""
+        """Serve. `tell`: gets a line when it listens; `warn`: gets one at the first failure; both from any thread."""
         self._config, self._routes = config, routes
         self._health, self._tell, self._warn, self._retry_s = health, tell, warn, retry_s
         self._closing = threading.Event()
@@ -91,7 +92,7 @@ class PatientServer:
 
     @property
     def url(self) -> str | None:
-        """None while it does not listen."""
+        """Return the URL; None while it does not listen."""
         return None if self._server is None else self._server.url
 
     def close(self) -> None:
@@ -105,13 +106,13 @@ class PatientServer:
         try:
             self._server = open_health_server(self._config, self._routes)
         except PortError as error:
-            said = f"{error}; it is tried again every {self._retry_s:g} s"
+            said = f"{error}; retrying every {self._retry_s:g} s"
             self._health.trouble("port", said)
             if not self._refused:
-                self._warn(f"no answers to monitoring systems, all else runs: {said}")
+                self._warn(f"monitoring cannot reach this tower, everything else runs: {said}")
             self._refused = True
             return False
-        self._tell(f"health at {self._server.url}")
+        self._tell(f"health port: {self._server.url}")
         return True
 
     def _try_again(self) -> None:

@@ -17,28 +17,28 @@ _VERSION = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+~-]*")
 
 
 def checked_version(version: str) -> str:
-    """A name that is one folder. Raises ConfigError."""
+    """Return a version that is a valid folder name. Raises ConfigError."""
     if not _VERSION.fullmatch(version):
-        raise ConfigError(f"version {version!r}: expected letters, digits and . + ~ - as Debian has them")
+        raise ConfigError(f"version {version!r}: expected letters, digits and . + ~ - as Debian allows")
     return version
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A release that was switched to and has not been confirmed: `former` returns where it fails."""
+    """A release that is current but not confirmed; `former` returns if it fails."""
 
     former: str
     candidate: str
     copy: str
-    """Folder with the copy of the stores as `former` left them; empty: there was none."""
+    """Folder with the copy of the stores made under `former`; empty: there was none."""
     watched_s: int
-    """From its first start on, after which nobody watches any more whether it gets ready: then the guard looks."""
+    """Seconds from its first start after which the guard must check whether it is ready."""
 
 
 class Releases:
-    """`ROOT/releases/VERSION`, each whole in itself; `ROOT/current` is a link to one.
+    """`ROOT/releases/VERSION` are complete releases; `ROOT/current` links to one.
 
-    A trial outlives a power cut: `ROOT/trial` names it, and the service's start looks there first
+    A trial survives a power cut: `ROOT/trial` names it, and the service's start reads it first
     (`packaging/systemd/release-guard`).
     """
 
@@ -49,19 +49,19 @@ class Releases:
 
     @property
     def current(self) -> str:
-        """Raises ConfigError where this is no installed tower."""
+        """Return the current version. Raises ConfigError if this is no installed tower."""
         link = self.root / "current"
         try:
             return link.readlink().name
         except OSError as error:
             raise ConfigError(
-                f"{link}: {error.strerror}: upgrades and returns are for a tower that was installed from the package "
+                f"{link}: {error.strerror}: upgrade and rollback need a tower installed from the package "
                 "(docs/deployment.md)"
             ) from error
 
     @property
     def installed(self) -> list[str]:
-        """In the order in which they were unpacked."""
+        """Return the versions in the order in which they were unpacked."""
         folders = [path for path in self._folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
         return [path.name for path in sorted(folders, key=lambda path: (path.stat().st_mtime, path.name))]
 
@@ -69,26 +69,28 @@ class Releases:
         return self._folder / checked_version(version)
 
     def program(self, version: str) -> Path:
-        """Raises ConfigError naming the releases there are."""
+        """Return a program of a release. Raises ConfigError that lists the releases."""
         program = self.folder(version) / "bin/ltm"
         if not program.exists():
-            raise ConfigError(f"no release {version} in {self._folder}; there are {', '.join(self.installed)}")
+            raise ConfigError(f"no release {version} in {self._folder}; installed: {', '.join(self.installed)}")
         return program
 
     def other(self) -> str:
-        """The release to return to: the one that ran before, else the newest beside the current one.
+        """Return the release to return to: the one that ran before, else the newest other one.
 
-        Raises ConfigError where there is none.
+        Raises ConfigError if there is none.
         """
         others = [version for version in self.installed if version != self.current]
         if not others:
-            raise ConfigError(f"{self._folder} holds no release but {self.current}: there is nothing to return to")
+            raise ConfigError(
+                f"{self._folder} holds only release {self.current}: there is no other release to return to"
+            )
         link = self.root / "former"
         ran = link.readlink().name if link.is_symlink() else ""
         return ran if ran in others else others[-1]
 
     def switch(self, version: str) -> None:
-        """In one step: after a power cut one or the other is current. Raises ConfigError."""
+        """Switch atomically: after a power cut, either release is current. Raises ConfigError."""
         self.program(version)
         former = self.current
         if former != version:
@@ -103,7 +105,7 @@ class Releases:
         link.replace(self.root / name)
 
     def remove(self, version: str) -> None:
-        """Forget a release that does not run."""
+        """Remove a release that does not run."""
         shutil.rmtree(self.folder(version), ignore_errors=True)
         link = self.root / "former"
         if link.is_symlink() and link.readlink().name == version:
@@ -118,7 +120,7 @@ class Releases:
             return None
 
     def begin_trial(self, trial: Trial) -> None:
-        """Before the switch: from here on a second start of the service is one too many."""
+        """Begin a trial before the switch: a second start of the service during it means failure."""
         self.end_trial()
         self._trial.mkdir(mode=0o755)
         partial = self._trial / ".release"
@@ -147,11 +149,11 @@ def _sync(folder: Path) -> None:
 
 NAME = "ltm"
 ROOM = 1.2
-"""Times the size of a release must be free."""
+"""Required free space, as a multiple of the release's size."""
 
 
 class PackageError(LtmError):
-    """A package that is not ours, or damaged, or for which there is no room."""
+    """The package is not ours or damaged, or the disk is full."""
 
 
 @dataclass(frozen=True)
@@ -159,11 +161,11 @@ class PackageFile:
     path: Path
     version: str
     size: int
-    """Bytes of its files once unpacked."""
+    """Bytes of its unpacked files."""
 
     @classmethod
     def open(cls, path: Path) -> PackageFile:
-        """Raises PackageError."""
+        """Open a package. Raises PackageError."""
         if not path.is_file():
             raise PackageError(f"{path}: no such file")
         fields = dict(_field(path, name) for name in ("Package", "Version", "Architecture", "Installed-Size"))
@@ -171,7 +173,7 @@ class PackageFile:
             raise PackageError(f"{path}: package {fields['Package']!r}, expected {NAME!r}")
         machine = _output("dpkg", "--print-architecture")
         if fields["Architecture"] != machine:
-            raise PackageError(f"{path}: for {fields['Architecture']}, this machine is {machine}")
+            raise PackageError(f"{path}: built for {fields['Architecture']}, but this machine is {machine}")
         size = fields["Installed-Size"]
         try:
             return cls(path.resolve(), checked_version(fields["Version"]), int(size) * 1024 if size.isdecimal() else 0)
@@ -179,14 +181,15 @@ class PackageFile:
             raise PackageError(f"{path}: {error}") from error
 
     def unpack(self, releases: Releases) -> Path:
-        """The release of this package as a folder beside the others; it bears its name only when it is whole.
+        """Unpack the release beside the others; it gets its name only when it is complete.
 
-        Raises PackageError: no room, damaged, or without a release of its own version.
+        Raises PackageError: disk full, damaged, or without a release of its own version.
         """
         free = shutil.disk_usage(releases.root).free
         if free < ROOM * self.size:
             raise PackageError(
-                f"{releases.root}: {free / 1e6:.0f} MB free, {ROOM * self.size / 1e6:.0f} MB are needed: make room"
+                f"{releases.root}: {free / 1e6:.0f} MB free, {ROOM * self.size / 1e6:.0f} MB are needed: free "
+                "some space"
             )
         partial = releases.root / ".unpacked"
         shutil.rmtree(partial, ignore_errors=True)
@@ -194,11 +197,11 @@ class PackageFile:
             _run("dpkg-deb", "--extract", str(self.path), str(partial))
             found = partial / "opt/ltm/releases" / self.version
             if not (found / "bin/ltm").is_file():
-                raise PackageError(f"{self.path}: holds no release {self.version}")
+                raise PackageError(f"{self.path}: contains no release {self.version}")
             target = releases.folder(self.version)
             if target.exists():
                 shutil.rmtree(target)
-            os.utime(found)  # when it came here, not when it was built
+            os.utime(found)  # time of installation, not of the build
             os.sync()
             found.rename(target)
             return target
@@ -218,7 +221,9 @@ def _output(*command: str) -> str:
     try:
         ran = subprocess.run(command, capture_output=True, text=True, errors="replace")  # nosec B603 # no shell
     except FileNotFoundError as error:
-        raise PackageError(f"{command[0]}: not found: packages are installed on Debian and its kin") from error
+        raise PackageError(
+            f"{command[0]}: not found: packages can be installed on Debian and its derivatives"
+        ) from error
     if ran.returncode:
         said = ran.stderr.strip().splitlines()
         raise PackageError(f"{' '.join(command)}: {said[-1] if said else f'exit code {ran.returncode}'}")

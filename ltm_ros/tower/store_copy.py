@@ -1,11 +1,9 @@
-"""Control the service of a tower, and copy its stores before an upgrade.
+"""Control the service of a tower; copy its stores before an upgrade and return them after a failed one.
 
-Copies of a tower's stores, made before a release is changed, and what to do with them on the way back.
+A release may migrate a store's schema forward, never back. On the way back, a store stays if its schema is still that
+of the copy, so that no frame is lost; otherwise the copy returns and the newer store is moved aside.
 
-A release may move a store's schema forward, never back. On the way back the store is taken as it is where the schema is
-still the one of the copy, so that no frame is lost; else the copy returns and the newer store is put aside.
-
-Root does this in folders that the service's user owns, who reads what cameras send. So no link is followed there.
+Root does this in folders of the service's user, who processes data from cameras. So links are not followed there.
 """
 
 from __future__ import annotations
@@ -29,22 +27,23 @@ LOOK_S = 0.5
 
 
 class ServiceError(LtmError):
-    """A service that cannot be asked, stopped or started."""
+    """The service cannot be queried, stopped or started."""
 
 
 @dataclass(frozen=True)
 class ServiceState:
     ready: bool
-    """All its nodes have been up since it was started."""
+    """All its nodes have been ready since its start."""
     failed: bool
-    """It has ended by itself since it was started, whether it is started again or not."""
+    """It has ended by itself since its start, whether or not it is restarted."""
     said: str
-    """Its own word, for a person."""
+    """Its own status line."""
 
 
 class Service(Protocol):
-    """Start returns at once; `state` says how that goes. Stop kills what has not ended after `patience_s` seconds;
-    None: after the time that the unit itself gives."""
+    """A service. `start` returns at once; `state` reports progress. `stop` kills what has not ended after `patience_s`
+    seconds; None: after the unit's own time.
+    """
 
     def stop(self, patience_s: float | None = None) -> None: ...
 
@@ -54,7 +53,7 @@ class Service(Protocol):
 
 
 class SystemdService:
-    """By systemctl, whose word on Type=notify is the service's own READY=1."""
+    """Service control by systemctl; with Type=notify, ready means the service's READY=1."""
 
     def stop(self, patience_s: float | None = None) -> None:
         if patience_s is not None:
@@ -70,7 +69,7 @@ class SystemdService:
         return _systemctl("show", UNIT, "--property=ActiveState", "--value").strip() not in ("inactive", "failed")
 
     def start(self) -> None:
-        _systemctl("reset-failed", UNIT, check=False)  # also sets the number of restarts to 0
+        _systemctl("reset-failed", UNIT, check=False)  # also resets the number of restarts
         _systemctl("start", "--no-block", UNIT)
 
     def state(self) -> ServiceState:
@@ -91,25 +90,23 @@ def _systemctl(*arguments: str, check: bool = True) -> str:
             ["systemctl", *arguments], capture_output=True, text=True, errors="replace", timeout=300
         )
     except (FileNotFoundError, subprocess.TimeoutExpired) as error:
-        raise ServiceError(
-            f"systemctl {' '.join(arguments)}: {error}: the tower's service runs under systemd"
-        ) from error
+        raise ServiceError(f"systemctl {' '.join(arguments)}: {error}: the tower's service needs systemd") from error
     if check and ran.returncode:
         raise ServiceError(f"systemctl {' '.join(arguments)}: {ran.stderr.strip() or f'exit code {ran.returncode}'}")
     return ran.stdout
 
 
 COPIES = 3
-"""Of each kind that are kept, the newest."""
+"""Number of copies of each kind that are kept."""
 SUFFIXES = (".ltm", ".sqlite")
 ROOM = 1.1
-"""Times the stores' size that must be free."""
+"""Required free space, as a multiple of the stores' size."""
 
 
 def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
-    """A folder below `copies` with every store of `state`, as the release `version` left them; None: there are none.
+    """Copy every store of `state` to a new folder below `copies`; return it, None without stores.
 
-    Whole even where a store is written to meanwhile (SQLite's backup). Raises StoreError.
+    The copy is consistent even if a store is written meanwhile (SQLite's backup). Raises StoreError.
     """
     stores = stores_of(state)
     if not stores:
@@ -121,10 +118,10 @@ def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
     size, free = sum(store.stat().st_size for store in stores), shutil.disk_usage(copies).free
     if free < ROOM * size:
         raise StoreError(
-            f"{copies}: {free / 1e6:.0f} MB free, a copy of the stores takes {size / 1e6:.0f} MB: make room"
+            f"{copies}: {free / 1e6:.0f} MB free, a copy of the stores needs {size / 1e6:.0f} MB: free some space"
         )
     target = copies / f"{time.strftime('%Y%m%d-%H%M%S')}-{version}"
-    partial = copies / ".partial"  # of one name, so that what a power cut leaves goes with the next copy
+    partial = copies / ".partial"  # one name, so that the next copy replaces what a power cut leaves
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     for store in stores:
@@ -144,13 +141,13 @@ def stores_of(state: Path) -> list[Path]:
 
 
 def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
-    """Put back the stores of `copy` whose schema has changed since; the newer ones go to the folder `aside`.
+    """Put back the stores of `copy` whose schema has changed; newer stores go to the folder `aside`.
 
-    Returns what was put back. Nothing may write the stores meanwhile. Raises StoreError that names those which could
-    not be (no room, a copy that is damaged or gone); all others are back then.
+    Returns what was put back. The stores must not be written meanwhile. Raises StoreError with the stores that could
+    not be restored (disk full, copy damaged or missing); all others are restored.
     """
     if not copy.is_dir():
-        raise StoreError(f"{copy}: the copy of the stores is not there")
+        raise StoreError(f"{copy}: the copy of the stores does not exist")
     failed = []
     changed = [store for store in stores_of(copy) if schema_of(state / store.name) != schema_of(store)]
     for store in changed:
@@ -163,7 +160,7 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
                     former.replace(aside / former.name)
             _copy(store, partial)
             partial.replace(state / store.name)
-            # Before the release is switched, on another disk perhaps: it must not find the newer store after a cut.
+            # Synced before the release is switched: after a power cut it must not find the newer store.
             for folder in (aside, state):
                 _sync(folder)
         except OSError as error:
@@ -171,13 +168,14 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
     if failed:
-        raise StoreError(f"{copy}: cannot be put back: {', '.join(failed)}")
+        raise StoreError(f"{copy}: cannot restore {', '.join(failed)}")
     return changed
 
 
 def schema_of(store: Path) -> tuple[int, tuple[str, ...]]:
-    """SQLite's user_version, every table as it is declared, and what a map's store says of its tiles, whose fields may
-    grow in tables that stay; (-1, ()) of what is no store any more."""
+    """Return SQLite's user_version, the declarations of all tables, and the description of a map's tiles; (-1, ()) for
+    a file that is no store.
+    """
     try:
         with contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
@@ -202,15 +200,15 @@ def _backup(store: Path, target: Path) -> None:
 
 
 def _make_own(folder: Path) -> None:
-    """Raises OSError where it cannot be made, and where it is a link or somebody else's."""
+    """Make a folder of its own. Raises OSError if it cannot be made, or is a link or owned by another user."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o750)
     stated = folder.lstat()
     if not stat.S_ISDIR(stated.st_mode) or stated.st_uid != os.geteuid():
-        raise OSError(errno.EPERM, "a link, or a folder of somebody else's: move it away")
+        raise OSError(errno.EPERM, "a link, or a folder of another user: move it away")
 
 
 def _copy(store: Path, target: Path) -> None:
-    """A file of its own, on the disk, with the store's owner and rights. Raises OSError."""
+    """Copy to a new file, synced, with the store's owner and permissions. Raises OSError."""
     target.unlink(missing_ok=True)
     descriptor = os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with open(descriptor, "wb") as file, store.open("rb") as source:  # noqa: PTH123 # of a descriptor

@@ -1,7 +1,6 @@
-"""The state of a tower at one moment, made of what its nodes say on `/diagnostics`; pure data, no ROS.
+"""Compute the state of a tower from its nodes' reports on `/diagnostics`; pure data, no ROS.
 
-Metrics, `ltm status`, the status page and the two yes-or-no questions of a monitoring system are read from it alone, so
-they cannot contradict each other.
+Metrics, `ltm status`, the status page and the health checks all use it, so they cannot contradict each other.
 """
 
 from __future__ import annotations
@@ -15,26 +14,26 @@ from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.tower.machine import Disk
 
 SILENT_S = 10.0
-"""A node sends its diagnostics once a second; after that long without one it is taken for dead."""
+"""Seconds without diagnostics after which a node counts as dead; diagnostics come once a second."""
 KEYS = 300
-"""Values of one node that are kept, and"""
+"""Maximum number of values kept per node, and"""
 LENGTH = 400
-"""characters of each: what is named on a topic may be anybody's."""
+"""maximum characters of each: any program may publish on the topic."""
 LARGEST_COUNT = 2.0**53
-"""What a number of JSON and of Prometheus holds to the last unit."""
+"""Largest integer that JSON and Prometheus represent exactly."""
 OUTBOX_KEYS = ("outbox_frames", "outbox_bytes", "outbox_age_s", "link_up")
-"""What the node `uplink` states of its outbox."""
+"""Keys of the outbox in the reports of node `uplink`."""
 LEAST_FREE = 0.05
-"""Share of a disk; less is worth a word."""
+"""Free share of a disk below which a warning is given."""
 
 
 class StatedValues:
-    """Reads what a node states, by key, as numbers."""
+    """Reads the values of a node's report by key, as numbers."""
 
     values: Mapping[str, str]
 
     def number(self, key: str) -> float | None:
-        """A value that is a finite number."""
+        """Return a value that is a finite number."""
         try:
             value = float(self.values[key])
         except (KeyError, ValueError):
@@ -42,7 +41,7 @@ class StatedValues:
         return value if math.isfinite(value) else None
 
     def counts(self, prefix: str) -> dict[str, int]:
-        """`dropped.` -> {"shed": 3, ...}."""
+        """Return counters by prefix: `dropped.` -> {"shed": 3, ...}."""
         found = {}
         for key in self.values:
             count = self.number(key) if key.startswith(prefix) else None
@@ -53,7 +52,7 @@ class StatedValues:
 
 @dataclass(frozen=True)
 class NodeReport(StatedValues):
-    """One node's last word. `heard_s`: by a clock that nobody sets."""
+    """The last report of a node. `heard_s`: by a monotonic clock."""
 
     name: str
     troubled: bool
@@ -66,9 +65,9 @@ class NodeReport(StatedValues):
 class NodeState(StatedValues):
     name: str
     camera: str
-    """Empty: of the whole site."""
+    """Empty: a node of the whole site."""
     state: str
-    """`ok`, `troubled` (something was dropped in the last ten seconds), `silent`, `missing` (never heard)."""
+    """`ok`, `troubled` (dropped something in the last ten seconds), `silent` or `missing` (never reported)."""
     said: str
     age_s: float | None
     values: Mapping[str, str]
@@ -78,37 +77,37 @@ class NodeState(StatedValues):
 class CameraStatus:
     name: str
     frame_age_s: float | None
-    """Since the stamp of its newest frame; None: none has come."""
+    """Seconds since the stamp of its newest frame; None: no frame yet."""
     frames_in: int
     finished: int
-    """Frames that all nodes have done."""
+    """Frames that all nodes have processed."""
     dropped: Mapping[str, int]
-    """By cause, of all its nodes; `shed`: turned away at the door."""
+    """Drops by cause, of all its nodes; `shed`: rejected on arrival."""
     latency_s: float | None
-    """From a frame's stamp to its last result, median of the slowest node."""
+    """Seconds from a frame's stamp to its last result, median of the slowest node."""
     pose: str
-    """Verdict on its newest pose; empty: nothing judges it."""
+    """State of its newest pose; empty: poses are not checked."""
     wrong: str
-    """What is amiss, in words; empty: nothing."""
+    """Problem in words; empty: none."""
 
 
 @dataclass(frozen=True)
 class OutboxState:
-    """Votes that the map of the region has not yet answered for."""
+    """Votes that the map of the region has not acknowledged yet."""
 
     frames: int
     bytes: int
     age_s: float
-    """Of the oldest, since its stamp; 0: nothing waits."""
+    """Age of the oldest in seconds, since its stamp; 0: none."""
     link_up: bool
-    """Whether the broker answers and the region's map is there."""
+    """Whether the broker and the region's map answer."""
 
 
 @dataclass(frozen=True)
 class TowerStatus:
     site: str
     time_s: float
-    """By the machine's clock."""
+    """Time by the system clock."""
     versions: Mapping[str, str]
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraStatus]
@@ -122,16 +121,16 @@ class TowerStatus:
     outbox: OutboxState | None = None
     """None: the site belongs to no region, or its node `uplink` has not reported."""
     wrong: Sequence[str] = field(default_factory=tuple)
-    """Sentences, the gravest first."""
+    """Problems as sentences, the most severe first."""
 
     @property
     def alive(self) -> bool:
-        """Whether every node reports: the answer of `/healthz`."""
+        """Return whether every node reports: the answer of `/healthz`."""
         return all(node.state in ("ok", "troubled") for node in self.nodes)
 
     @property
     def ready(self) -> bool:
-        """Whether every node reports and every camera's frames come: the answer of `/readyz`."""
+        """Return whether every node reports and every camera sends: the answer of `/readyz`."""
         return self.alive and all(_fresh(camera, self.frame_limit_s) for camera in self.cameras)
 
     def as_dict(self) -> dict[str, Any]:
@@ -143,12 +142,10 @@ def _fresh(camera: CameraStatus, limit_s: float) -> bool:
 
 
 class TowerWatch:
-    """Remembers the last word of each node that is expected; what others say is not listened to.
+    """Keeps the last report of each expected node; other reports are ignored.
 
-    Args:
-        site: its name.
-        expected: full names of the graph's nodes, such as `/ridge/north/depth`.
-        frame_limit_s: age of a camera's newest frame from which that is said to be wrong.
+    Args: site: its name. expected: full names of the graph's nodes, such as `/ridge/north/depth`. frame_limit_s: age in
+    seconds from which a camera's newest frame is reported as too old.
     """
 
     def __init__(self, site: str, expected: Sequence[str], frame_limit_s: float) -> None:
@@ -176,7 +173,7 @@ class TowerWatch:
         memory: tuple[int, int],
         process_memory: Mapping[str, int],
     ) -> TowerStatus:
-        """`now_s`: by the clock of `hear`; `time_s`: by the one that stamps frames."""
+        """Return the status. `now_s`: by the clock of `hear`; `time_s`: by the clock that stamps frames."""
         nodes = [self._node(name, now_s) for name in self._expected]
         names = dict.fromkeys(node.camera for node in nodes if node.camera)
         cameras = [self._camera(name, time_s) for name in names]
@@ -211,10 +208,10 @@ class TowerWatch:
         report = self._reports.get(name)
         camera = camera_of(name)
         if report is None:
-            return NodeState(name, camera, "missing", "has not reported yet", None, {})
+            return NodeState(name, camera, "missing", "no report yet", None, {})
         age_s = now_s - report.heard_s
         if age_s > SILENT_S:
-            return NodeState(name, camera, "silent", f"no word for {age_s:.0f} s", age_s, report.values)
+            return NodeState(name, camera, "silent", f"no report for {age_s:.0f} s", age_s, report.values)
         return NodeState(name, camera, "troubled" if report.troubled else "ok", report.message, age_s, report.values)
 
     def _camera(self, name: str, time_s: float) -> CameraStatus:
@@ -243,19 +240,19 @@ class TowerWatch:
 
     def _camera_wrong(self, name: str, age_s: float | None, pose: str, judge: NodeReport | None) -> str:
         if age_s is None:
-            return f"camera {name}: no frame has come since the start; is it on, does it send to its topics?"
+            return f"{name}: no frame since the start; check that the camera is on and publishes to its topics"
         if age_s > self._frame_limit_s:
-            return f"camera {name}: its newest frame is {_time(age_s)} old"
+            return f"{name}: no new frame for {_time(age_s)}"
         if age_s < -self._frame_limit_s:
-            return f"camera {name}: its clock is {_time(-age_s)} ahead of this machine's"
+            return f"{name}: the camera's clock is {_time(-age_s)} ahead of the system clock"
         if "pose_suspected" in pose or "slipped" in pose:
             why = judge.values.get("last_verdict", "") if judge else ""
-            return f"camera {name}: its pose is doubted{f' ({why})' if why else ''}; has the mount moved?"
+            return f"{name}: the pose is uncertain{f' ({why})' if why else ''}; check whether the mount has moved"
         return ""
 
 
 def camera_of(name: str) -> str:
-    """Of a node's full name, `/ridge/north/depth`; empty for a node of the site."""
+    """Return the camera of a node's full name, `/ridge/north/depth`; empty for a node of the site."""
     parts = name.strip("/").split("/")
     return parts[1] if len(parts) > 2 else ""
 
@@ -270,16 +267,16 @@ def _sentences(
     said = [f"{node.name} {node.said}" for node in nodes if node.state in ("silent", "missing")]
     said += [camera.wrong for camera in cameras if camera.wrong]
     if clock.synchronised is False:
-        said.append("the machine's clock is kept right by nothing: frames of other towers will not agree with its own")
+        said.append("The system clock is not synchronised (no NTP). Frames from different towers may not line up.")
     for disk in disks:
         if disk.total < 0:
-            said.append(f"{disk.folder}: not there")
+            said.append(f"{disk.folder}: does not exist")
         elif disk.free < LEAST_FREE * disk.total:
             said.append(f"{disk.folder}: {disk.free / 1e9:.1f} GB free of {disk.total / 1e9:.0f} GB")
     if outbox is not None and outbox.frames and not outbox.link_up:
         said.append(
-            f"the region's map cannot be reached: {outbox.frames} frames wait in the outbox, the oldest of "
-            f"{_time(outbox.age_s)} ago"
+            f"no connection to the region's map: {outbox.frames} frames are queued in the outbox, the oldest for "
+            f"{_time(outbox.age_s)}"
         )
     said += [f"{node.name}: {node.said}" for node in nodes if node.state == "troubled"]
     return said

@@ -1,8 +1,8 @@
-"""Changes the release that a tower runs, and goes back by itself where the new one does not come up.
+"""Change the release that a tower runs, and return to the previous one if the new one does not start.
 
-The order: unpack beside the others; ask the new release whether it finds what it needs, takes the site file and can
-compile its kernels, while the former one still works; stop; copy the stores; switch; start; wait for READY. What fails
-before the switch changes nothing. What fails after it brings the former release back.
+Steps: unpack the release beside the others; let it check its installation and the site file and compile its kernels,
+while the current release runs; stop; copy the stores; switch; start; wait for READY. A failure before the switch
+changes nothing. A failure after it brings the previous release back.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from ltm_ros.tower.store_copy import Service, copy_stores, return_stores
 
 LOOK_S = 0.5
 CHECK_S = 1800.0
-"""For each question to a new release; compiling its kernels takes minutes on a slow tower."""
+"""Seconds for each check by a new release; compiling its kernels takes minutes on a slow tower."""
 WATCHED_S = 300.0
-"""Longer than that this program takes to judge a release once its time is up: then it is gone itself."""
+"""Seconds after a trial's time limit within which this program decides; after that it has died."""
 STOP_S = 25.0
-"""For a release that is not taken, to stop in order; then it is killed. The runner gives its processes 10 s."""
+"""Seconds for a rejected release to stop in order, before it is killed. The runner gives its processes 10 s."""
 RETURN_S = 600.0
-"""For the former release to be ready again; its kernels are compiled."""
+"""Seconds for the previous release to be ready again; its kernels are compiled."""
 
 
 class UpgradeError(LtmError):
-    """A release that was not taken; the former one runs, or is said not to."""
+    """The release was not accepted. The previous one runs, unless the message says otherwise."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """Of an installed tower."""
+    """Paths of an installed tower."""
 
     site: Path = Path("/etc/ltm/site.yaml")
     state: Path = Path("/var/lib/ltm/state")
     copies: Path = Path("/var/lib/ltm/copies")
     user: str = "ltm"
-    """Who runs the service; questions to a new release are asked as this user, where it is there and we are root."""
+    """User of the service; as root, the checks of a new release run as this user, if it exists."""
 
 
 class Upgrade:
@@ -55,36 +55,36 @@ class Upgrade:
         self._ready_s = ready_s
 
     def install(self, package: PackageFile) -> None:
-        """Run the release of `package`. Raises UpgradeError or another LtmError; then the former one runs."""
+        """Run the release of `package`. Raises UpgradeError or another LtmError; then the previous one runs."""
         former = self._releases.current
         if package.version == former:
-            raise UpgradeError(f"{package.path}: release {former} runs already")
+            raise UpgradeError(f"{package.path}: release {former} is running already")
         self._say(f"unpacking {package.version} ({package.size / 1e6:.0f} MB) beside {former}")
         new = package.version not in self._releases.installed
         package.unpack(self._releases)
         try:
             self._ask(package.version)
             self._change(former, package.version)
-        except BaseException:  # somebody's Ctrl-C among them
+        except BaseException:  # a user's Ctrl-C among them
             if new and self._releases.current == former:
                 self._releases.remove(package.version)  # else the next `ltm rollback` would go to it
             raise
         self._say(f"{package.version} is ready")
 
     def go_back(self, version: str = "") -> str:
-        """Run the former release (or `version`) again; which that is. Raises UpgradeError or another LtmError."""
+        """Run the previous release (or `version`) again; return it. Raises UpgradeError or another LtmError."""
         former = self._releases.current
         target = version or self._releases.other()
         if target == former:
-            raise UpgradeError(f"release {target} runs already")
+            raise UpgradeError(f"release {target} is running already")
         self._releases.program(target)
         self._change(former, target)
         self._say(f"{target} is ready")
         return target
 
     def return_unconfirmed(self) -> str | None:
-        """What the service's start asks for when a release on trial is started a second time: the former one is made
-        current again; which that is, or None where nothing is on trial. The service is not touched.
+        """Return to the previous release if a release on trial is started a second time; return its version, None
+        without a trial. The service is not touched.
         """
         trial = self._releases.trial
         if trial is None:
@@ -106,7 +106,7 @@ class Upgrade:
         except (LtmError, OSError, KeyboardInterrupt) as error:
             self._service.start()
             why = str(error) or "interrupted"
-            raise UpgradeError(f"{target} was not taken: {why}; {former} is started again") from error
+            raise UpgradeError(f"{target} was rejected: {why}; restarting {former}") from error
         try:
             self._releases.switch(target)
             self._say(f"starting {target}")
@@ -118,51 +118,52 @@ class Upgrade:
             wrong = "interrupted"
         if not wrong:
             self._releases.end_trial()
-            self._say(f"the tower stood still for {time.monotonic() - begun:.0f} s")
+            self._say(f"the tower was down for {time.monotonic() - begun:.0f} s")
             return
-        self._say(f"{target}: {wrong}; going back to {former}")
+        self._say(f"{target}: {wrong}; returning to {former}")
         try:
             try:
                 self._service.stop(STOP_S)
             except LtmError as error:
-                # Whatever is left of it: to stand still for good is worse for a tower than to be started once more.
+                # Start it whatever is left: for a tower, another start is better than staying down.
                 self._say(f"{target} cannot be stopped in order ({error})")
             self.return_unconfirmed()
         finally:
-            # Also after a second Ctrl-C, or on a full disk: this start returns to the former one as well, by the guard.
+            # Also after a second Ctrl-C, or on a full disk: the guard then returns to the previous release at this
+            # start.
             self._service.start()
         again = self._wait_until_ready(former, RETURN_S)
         self._say(
             f"{former} {'is not ready' if again else 'is ready'} {time.monotonic() - begun:.0f} s after it was stopped"
         )
-        state = f"{former} does not come up either ({again}): see `journalctl --namespace=ltm`"
-        raise UpgradeError(f"{target} was not taken: {wrong}; {state if again else f'{former} runs again'}")
+        state = f"{former} does not start either ({again}): see `journalctl --namespace=ltm`"
+        raise UpgradeError(f"{target} was rejected: {wrong}; {state if again else f'{former} runs again'}")
 
     def _put_back(self, trial: Trial) -> None:
-        # The stores first: where that is cut short, the candidate is still current, and all of it is done again.
+        # The stores first: if this is interrupted, the candidate is still current, and everything is repeated.
         if trial.copy:
             aside = self._places.copies.parent / f"stores-of-{trial.candidate}"
             try:
                 for store in return_stores(self._places.state, Path(trial.copy), aside):
                     self._say(
-                        f"{store.name}: {trial.candidate} had changed its schema; the copy is back, the other in "
-                        f"{aside}"
+                        f"{store.name}: {trial.candidate} had changed its schema; restored the copy, moved the "
+                        f"other to {aside}"
                     )
             except (LtmError, OSError) as error:
-                # A tower that begins with an empty map is more than one that stands still: nothing is deleted.
+                # A tower with an empty map is better than one that is down. Nothing is deleted.
                 self._say(
-                    f"{error}; {trial.former} starts without what is missing. To have it again: stop the service, copy "
-                    f"what lies in {trial.copy} to {self._places.state}, start it"
+                    f"{error}; {trial.former} starts without the missing stores. To restore them: stop the "
+                    f"service, copy the files in {trial.copy} to {self._places.state}, start it"
                 )
         self._releases.switch(trial.former)
 
     def _wait_until_ready(self, version: str, limit_s: float) -> str:
-        """Why it did not come up; empty: it did."""
+        """Return why it did not start; empty: it did."""
         deadline = time.monotonic() + limit_s
         said = ""
         while time.monotonic() < deadline:
             if self._releases.current != version:
-                return "ended by itself and was taken back by the service's start"
+                return "ended by itself, and the service's start returned to the previous release"
             state = self._service.state()
             if state.ready:
                 return ""
@@ -173,7 +174,7 @@ class Upgrade:
         return f"not ready within {limit_s:.0f} s{f' ({said})' if said else ''}"
 
     def _ask(self, version: str) -> None:
-        """Raises UpgradeError with what the new release says is wrong; nothing has been changed then."""
+        """Run a check of the new release. Raises UpgradeError with its output; nothing has been changed then."""
         program = self._releases.program(version)
         python = program.with_name("python")
         site = str(self._places.site)
@@ -196,15 +197,15 @@ class Upgrade:
                     env=environment,
                 )
             except (OSError, subprocess.TimeoutExpired) as error:
-                raise UpgradeError(f"{version} is not taken: {what}: {error}; nothing was changed") from error
+                raise UpgradeError(f"{version} was rejected: {what}: {error}; nothing was changed") from error
             lines = [line for line in (ran.stdout + ran.stderr).splitlines() if line.strip()]
             if ran.returncode:
                 said = "; ".join(lines[-3:]) or f"exit code {ran.returncode}"
-                raise UpgradeError(f"{version} is not taken: {what}: {said}; nothing was changed")
-            self._say(f"{version} finds {what} as it should be ({time.monotonic() - begun:.0f} s)")
+                raise UpgradeError(f"{version} was rejected: {what}: {said}; nothing was changed")
+            self._say(f"{version} accepts {what} ({time.monotonic() - begun:.0f} s)")
 
     def _as_user(self) -> tuple[list[str], dict[str, str]]:
-        """What goes before a command so that the service's user runs it, and the environment."""
+        """Return the command prefix and environment to run a command as the service's user."""
         environment = {name: value for name, value in os.environ.items() if name in ("PATH", "LANG", "LC_ALL", "HOME")}
         environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         try:

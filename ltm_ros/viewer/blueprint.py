@@ -1,4 +1,4 @@
-"""The layout (blueprint) of the Rerun view.
+"""Define the layout (blueprint) of the Rerun view.
 
 It is always explicit: an automatic one would add map views, which fetch tiles from the network.
 """
@@ -26,18 +26,20 @@ class MapWindow:
 
 @dataclass(frozen=True)
 class Tabs:
-    """What differs from site to site: tabs only with a depth network (`fusion`), a living surface (`terrain`)."""
+    """Optional tabs: with a depth network (`fusion`), with an updated surface (`terrain`)."""
 
     fusion: bool = False
     terrain: bool = False
     tall: bool = False
-    """The fuel grid is about as high as wide, or higher: its maps fit a wide screen best in one row."""
+    """Whether the fuel grid is about as high as wide, or higher: then its maps fit a wide screen best in one row."""
 
 
 def site_blueprint(
     site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
 ) -> rrb.Blueprint:
-    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, `tabs`, the graph's health."""
+    """Return the tabs: the site (terrain, fuel grid, a camera's images, latencies), all cameras, `tabs`, the graph's
+    health.
+    """
     tabs = tabs or Tabs()
     overview = rrb.Vertical(
         rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
@@ -59,7 +61,7 @@ def site_blueprint(
         ),
         rrb.Horizontal(
             _plot("Waiting messages", "/health/queue", named=False),
-            # A node has one colour in all plots, so names in one do; this is the one whose lines seldom leave zero.
+            # A node has the same colour in all plots; this is the one whose lines are rarely zero.
             _plot("Dropped messages", "/health/dropped"),
             rrb.TextLogView(origin="/log", name="Log"),
         ),
@@ -79,7 +81,7 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="/map",
         name="Terrain",
-        # Labels lie under their camera for the 2D view; here they would cover the photo in its frustum.
+        # Labels are below their camera for the 2D view; here they would cover the photo in its frustum.
         contents=["+ $origin/**", *(f"- $origin/cameras/{camera}/labels" for camera in cameras)],
         background=(226, 234, 242),
         line_grid=False,
@@ -102,23 +104,25 @@ def _bounds(window: MapWindow) -> rrb.VisualBounds2D:
 
 
 def _changes(window: MapWindow) -> rrb.Spatial2DView:
-    """Over the relief and beside the cameras of the fuel map, in its cells, so that nothing moves as it grows."""
+    """Return the view of changes over the relief and the fuel map's cameras, in its cells, so that nothing moves as it
+    grows.
+    """
     return rrb.Spatial2DView(
         origin="/terrain",
         contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
-        name="Surface: red removed, green grown, violet lowered, yellow as it was",
+        name="Surface: red removed, green grown, violet lowered, yellow unchanged",
         visual_bounds=_bounds(window),
     )
 
 
 def _fuel_layers(columns: int) -> rrb.Grid:
-    """What the fuel map knows of each cell besides what covers it."""
+    """Return the views of the fuel map's further layers."""
     views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
     return rrb.Grid(*views, grid_columns=columns, name="Fuel")
 
 
 def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
-    """Image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
+    """Return image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
     origin = f"/map/cameras/{camera}"
     views: list[rrb.View] = [
         rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
@@ -131,7 +135,7 @@ def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
 
 
 def _depth_row(camera: str) -> rrb.Horizontal:
-    """What the terrain says, what the network says, what both make, and how far that is from the terrain."""
+    """Return the traced, network and fused depth, and the difference of fused and traced depth."""
     parts = {"traced": "traced", "network": "network", "fused": "fused", "difference": "fused - traced"}
     views = [rrb.Spatial2DView(origin=f"/fusion/{camera}/{p}", name=f"{camera}: {name}") for p, name in parts.items()]
     return rrb.Horizontal(*views, name=camera)

@@ -29,38 +29,38 @@ MAX_WIDTH = 960
 
 
 def shown_size(width: int, height: int) -> tuple[int, int]:
-    """(width, height) at which an image of the given size is shown."""
+    """Return (width, height) at which an image of the given size is shown."""
     scale = min(1.0, MAX_WIDTH / width)
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def photo(rgb: RgbImage) -> rr.EncodedImage:
-    """The camera's image (H, W, 3)."""
+    """Return the camera's image (H, W, 3)."""
     return rr.EncodedImage(contents=to_jpeg(_shrunk(rgb, cv2.INTER_AREA), 80), media_type="image/jpeg")
 
 
 def depth_picture(depth: Float32Array, scale: RangeScale) -> rr.EncodedImage:
-    """Depth (H, W), metres, in colours of `scale`, over its legend."""
-    # Nearest: a mean over a ridge line would show a depth at which there is nothing.
+    """Draw depth (H, W), metres, in colours of `scale`, over its legend."""
+    # Nearest neighbour: a mean over a ridge line would show a depth that does not exist.
     colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
     picture = with_legend(colors, range_legend(colors.shape[1], scale))
     return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
 
 
 def difference_picture(depth: Float32Array, other: Float32Array) -> rr.EncodedImage:
-    """How far two depths (H, W) lie apart, metres, over the legend."""
+    """Draw the difference of two depths (H, W), metres, over the legend."""
     colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
     picture = with_legend(colors, error_legend(colors.shape[1]))
     return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
 
 
 def label_image(labels: UInt8Array) -> rr.SegmentationImage:
-    """Class ids (H, W), drawn over the photo."""
+    """Return class ids (H, W), to be drawn over the photo."""
     return rr.SegmentationImage(_shrunk(labels, cv2.INTER_NEAREST), opacity=0.55, draw_order=1.0)
 
 
 def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
-    """The camera as the 3D view draws it, with its image `image_plane` metres ahead; distortion is not drawn."""
+    """Return the camera for the 3D view, with its image `image_plane` metres ahead; distortion is not drawn."""
     width, height = shown_size(camera.width, camera.height)
     sx, sy = width / camera.width, height / camera.height
     # Rerun counts pixels from the image's corner, we from the first pixel's centre.
@@ -77,12 +77,12 @@ def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
 
 
 def stand(pose: Pose) -> tuple[rr.Transform3D, rr.TransformAxes3D]:
-    """Optical frame to map; without the arrows of its axes, which the viewer draws unless told not to."""
+    """Return the transform from optical frame to map, without the axis arrows that the viewer draws by default."""
     return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation), rr.TransformAxes3D(0.0)
 
 
 def mesh(textured: TexturedMesh) -> rr.Mesh3D:
-    """Without normals: the texture holds the shade already."""
+    """Return the mesh without normals, because the texture contains the shading."""
     return rr.Mesh3D(
         vertex_positions=textured.vertices,
         triangle_indices=textured.triangles,
@@ -92,7 +92,7 @@ def mesh(textured: TexturedMesh) -> rr.Mesh3D:
 
 
 def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
-    """Names and colours of the classes; unlabelled is clear."""
+    """Return names and colours of the classes; unlabelled is transparent."""
     classes: list[tuple[int, str, tuple[int, ...]]] = [
         (label, str(name), tuple(int(c) for c in np.asarray(palette.colors[label])))
         for label, name in enumerate(palette.names)
@@ -101,7 +101,7 @@ def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
 
 
 def distinct_color(index: int) -> tuple[int, int, int]:
-    """The index-th of a row of bright colours: each hue lies where the row so far leaves the widest gap."""
+    """Return the index-th of a series of bright colours: each hue is in the widest gap of the previous ones."""
     golden = (5**0.5 - 1) / 2
     red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, (0.35, 0.65, 1.0)[index % 3], 0.95)
     return round(red * 255), round(green * 255), round(blue * 255)
@@ -114,16 +114,16 @@ def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
 
 
 TITLES = {
-    "life_form": "Life form; outlined: no longer the prior map's",
+    "life_form": "Life form. Outlined: cells that differ from the prior map.",
     "code": "Fuel model",
     "entropy": "Doubt: entropy",
-    "seen_by": "Cameras that see a cell",
+    "seen_by": "Number of cameras that see a cell",
 }
-"""By the last part of the entity `fuel_layers/...`."""
+"""Titles by the last part of the entity `fuel_layers/...`."""
 
 
 _ROOM = 0.1
-"""Share of its size by which a window is larger than what is seen, so that it is not drawn anew for every cell."""
+"""Margin of a window as a share of its size, so that it is not redrawn for every new cell."""
 _SLACK = 60
 """Pixels by which the axes and legends of two windows may differ."""
 
@@ -131,8 +131,8 @@ Bounds = tuple[float, float, float, float]
 
 
 class FuelMaps:
-    """Over one fuel grid, of the part around what cameras have touched, and of all of it before they have touched any.
-    The relief is made once a window, cameras are where they stood at first.
+    """Draws layers over one fuel grid: the part with evidence, or all of it without any. The relief is made once per
+    window, with the cameras' first positions.
     """
 
     def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[CameraMark]) -> None:
@@ -141,12 +141,12 @@ class FuelMaps:
         self._canvas = FuelCanvas(geometry, dem, places)
         self._whole = self._canvas.view
         self.window: Bounds | None = None
-        """West, south, east and north of what is drawn; None: everything."""
+        """West, south, east and north of the window; None: everything."""
         self._size: tuple[int, int] | None = None
 
     def draw(self, rasters: Mapping[str, NDArray[Any]]) -> dict[str, rr.EncodedImage]:
-        """A picture by each name of TITLES. `rasters`: (H, W) `life_form` (255 where nothing is told of the cell),
-        `code`, `entropy`, `changed` and `seen_by`.
+        """Return an image for each name of TITLES. `rasters`: (H, W) `life_form` (255 unknown), `code`, `entropy`,
+        `changed` and `seen_by`.
         """
         self._follow((rasters["seen_by"] > 0) | (rasters["changed"] > 0))
         canvas, told = self._canvas, rasters["life_form"] != 255
@@ -165,7 +165,7 @@ class FuelMaps:
         }
 
     def _follow(self, touched: BoolArray) -> None:
-        """Draw the part around the touched cells (H, W); another one only when they have grown out of the present."""
+        """Draw the part around the touched cells (H, W); a new one only when they exceed the present."""
         if not touched.any():
             return
         needed = seen_window(self.geometry, touched, self._places)
@@ -179,7 +179,7 @@ def _within(inner: Bounds, outer: Bounds) -> bool:
 
 
 def _shaped(bounds: Bounds, view: GridGeometry) -> Bounds:
-    """Bounds with room around, inside `view` and as high for their width, so that all pictures have one size."""
+    """Return bounds with a margin, inside `view` and of its shape, so that all images have one size."""
     west, south, east, north = bounds
     x_min, y_min, x_max, y_max = view.bounds
     share = min(max((east - west) / (x_max - x_min), (north - south) / (y_max - y_min)) * (1 + _ROOM), 1.0)
@@ -190,7 +190,7 @@ def _shaped(bounds: Bounds, view: GridGeometry) -> Bounds:
 
 
 def _framed(picture: RgbImage, size: tuple[int, int]) -> RgbImage:
-    """On paper of one size: the viewer takes a row of JPEGs for a video, which may not change its size."""
+    """Draw on paper of one size: the viewer treats a series of JPEGs as a video, whose size is constant."""
     height, width = size
     paper = np.full((height, width, 3), PAPER, np.uint8)
     paper[: len(picture), : picture.shape[1]] = picture[:height, :width]
@@ -198,20 +198,20 @@ def _framed(picture: RgbImage, size: tuple[int, int]) -> RgbImage:
 
 
 PICTURE_PIXELS = 1600
-"""Longer side of the picture of changes."""
+"""Longer side of the image of changes in pixels."""
 MAX_POINTS = 60_000
-"""Changed cells in the 3D view."""
+"""Maximum number of changed cells in the 3D view."""
 _COLORS = np.array([CHANGE_COLORS[kind] for kind in ChangeKind], np.uint8)
 
 
 @dataclass(eq=False)
 class ChangeLayer:
-    """The changed cells so far; each update says which cells have another kind now."""
+    """The changed cells so far; each update has cells with a new kind."""
 
     _cells: dict[tuple[int, int], tuple[float, float, float, int]] = field(default_factory=dict)
 
     def update(self, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> rr.Points3D:
-        """Take cells (N, 2) row, col with their places (N, 3) and kinds (N,), and draw all that differ by now."""
+        """Take cells (N, 2) row, col with their places (N, 3) and kinds (N,), and draw all changed cells."""
         for (row, col), place, kind in zip(cells.tolist(), points.tolist(), kinds.tolist(), strict=True):
             if kind == ChangeKind.NONE:
                 self._cells.pop((row, col), None)
@@ -228,37 +228,37 @@ class ChangeLayer:
 
 @dataclass(frozen=True, eq=False)
 class ChangePicture:
-    """Kinds of change, thinned for the screen, and where they lie on the grid under them."""
+    """Kinds of change, thinned for the screen, and their place on the grid below."""
 
     kinds: UInt8Array
-    """(h, w) ChangeKind, 255 where independent views have not looked."""
+    """(h, w) ChangeKind, 255 without independent views."""
     corner: tuple[float, float]
-    """x, y of its north-west corner, in cells of the grid under it."""
+    """x, y of its north-west corner, in cells of the grid below."""
     pixel: float
     """Side of a pixel in such cells."""
 
     @classmethod
     def over(cls, kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
-        """`kinds` (H, W) of a window of the terrain's grid."""
+        """Thin `kinds` (H, W) of a window of the terrain's grid."""
         step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
         corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
         return cls(_thinned(kinds, step), corner, geometry.resolution * step / under.resolution)
 
     def archetypes(self) -> tuple[rr.Transform3D, rr.SegmentationImage]:
-        """Class ids, not a JPEG: the viewer takes a row of JPEGs for a video, and a video cannot grow."""
+        """Return class ids, not a JPEG: the viewer treats a series of JPEGs as a video, whose size is constant."""
         place = rr.Transform3D(translation=(*self.corner, 0.0), scale=(self.pixel, self.pixel, 1.0))
         return place, rr.SegmentationImage(self.kinds, opacity=1.0, draw_order=1.0)
 
 
 def change_classes() -> rr.AnnotationContext:
-    """Colours of the kinds of change; ground that was looked at and has not changed is veiled."""
+    """Return colours of the kinds of change; observed ground without change is dimmed."""
     classes = [(kind, kind.name.lower(), (*CHANGE_COLORS[kind], 230)) for kind in ChangeKind]
-    classes[ChangeKind.NONE] = (ChangeKind.NONE, "looked at", (255, 215, 100, 100))
-    return rr.AnnotationContext([*classes, (UNLABELLED, "not looked at", (0, 0, 0, 0))])
+    classes[ChangeKind.NONE] = (ChangeKind.NONE, "observed", (255, 215, 100, 100))
+    return rr.AnnotationContext([*classes, (UNLABELLED, "not observed", (0, 0, 0, 0))])
 
 
 def _thinned(kinds: UInt8Array, step: int) -> UInt8Array:
-    """Every pixel a block of `step` x `step` cells; a change in any cell of a block stands for the block."""
+    """Return one pixel per block of `step` x `step` cells, changed if any of its cells is."""
     height, width = kinds.shape
     padded = np.full((-(-height // step) * step, -(-width // step) * step), UNLABELLED, np.uint8)
     padded[:height, :width] = kinds

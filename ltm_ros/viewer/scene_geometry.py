@@ -1,4 +1,4 @@
-"""Geometry of the 3D scene: terrain mesh, fuel layer draped on it, and initial viewpoint."""
+"""Build the geometry of the 3D scene: terrain mesh, fuel layer draped on it, and initial viewpoint."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class TexturedMesh:
 
 
 def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
-    """Every n-th height, so that two triangles between four neighbours stay within `max_triangles`."""
+    """Return every n-th height, so that the triangles stay within `max_triangles`."""
     height, width = dem.elevation.shape
     step = max(1, math.ceil(math.sqrt(2 * height * width / max_triangles)))
     step = min(step, height - 1, width - 1)
@@ -52,7 +52,7 @@ def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
 
 
 def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
-    """The terrain with tinted relief as its texture; no triangle touches a cell without height."""
+    """Return the terrain with tinted relief as its texture; no triangle touches a cell without height."""
     coarse = decimated(dem, max_triangles)
     rows, cols = coarse.elevation.shape
     row, col = np.mgrid[:rows, :cols]
@@ -84,7 +84,9 @@ def _texture(dem: Dem) -> RgbImage:
 
 @dataclass(frozen=True, eq=False)
 class FuelTile:
-    """The seen cells of one tile of the fuel layer: four `vertices` and two `triangles` a cell, a colour a vertex."""
+    """The cells with evidence of one tile of the fuel layer: four `vertices` and two `triangles` per cell, a colour per
+    vertex.
+    """
 
     name: str
     vertices: Float32Array
@@ -93,7 +95,7 @@ class FuelTile:
 
 
 class FuelLayer:
-    """Fuel cells as flat coloured quads just above the drawn terrain, tile by tile, only what has changed."""
+    """Fuel cells as flat coloured quads just above the drawn terrain; only changed tiles are returned."""
 
     def __init__(
         self, dem: Dem, geometry: GridGeometry, palette: ClassPalette, max_triangles: int = MAX_TRIANGLES
@@ -106,7 +108,7 @@ class FuelLayer:
         self._shown = np.full(geometry.shape, UNLABELLED, np.uint8)
 
     def changed(self, classes: UInt8Array) -> Iterator[FuelTile]:
-        """The tiles that differ from the last call. Raises RasterError on classes of another shape."""
+        """Return the tiles that differ from the last call. Raises RasterError for classes of another shape."""
         if classes.shape != self._geometry.shape:
             raise RasterError(f"classes of shape {classes.shape} do not fit a fuel grid of {self._geometry.shape}")
         rows, cols = np.nonzero(classes != self._shown)
@@ -133,17 +135,17 @@ class FuelLayer:
 
 @dataclass(frozen=True)
 class Eye:
-    """Where the 3D view starts from, and at what it looks (map frame)."""
+    """Viewpoint and target of the 3D view (map frame)."""
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]
 
 
 def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, reach: float) -> Eye:
-    """An eye that sees all cameras and the ground before them, from behind the cameras and above.
+    """Return a viewpoint behind and above the cameras that shows all of them and the ground before them.
 
-    `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM goes; with
-    no camera, the whole DEM from the south.
+    `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM extends;
+    without a camera, the whole DEM from the south.
     """
     g = dem.geometry
     if len(positions):
@@ -164,13 +166,13 @@ def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, 
     if not math.isfinite(ground):
         ground = float(np.nanmean(dem.elevation))
     x, y = centre + behind * radius * 1.4
-    # Over a mountain behind the cameras the eye must not start inside it.
+    # The viewpoint must not be inside a mountain behind the cameras.
     under = float(dem.elevation_at(x, y))
     height = max(ground + radius * 0.9, under + radius * 0.2 if math.isfinite(under) else -math.inf)
     return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
 
 
 def thinned(points: NDArray[np.floating], most: int) -> IndexArray:
-    """Indices of at most `most` finite points (N, 3), evenly strided."""
+    """Return indices of at most `most` finite points (N, 3), evenly strided."""
     finite = np.nonzero(np.isfinite(points).all(axis=1))[0]
     return finite[:: max(1, math.ceil(len(finite) / most))]

@@ -1,8 +1,7 @@
 """Take a screenshot of an .rrd file in the Rerun viewer, without a screen.
 
-Selects the front tab of a Rerun blueprint, in the form in which a running viewer reports it.
-
-The form is a nested mapping: entity path -> archetype -> field.
+The front tab is selected in the blueprint that a running viewer reports: a nested mapping entity path -> archetype ->
+field.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from ltm_ros.viewer.server import LOOPBACK, RerunProcess, grpc_url
 
 
 def with_tab(blueprint: dict[str, Any], tab: str) -> dict[str, Any]:
-    """The blueprint with another tab in front, by its name, whatever its case; a copy.
+    """Return a copy of the blueprint with another tab in front, by its name, ignoring case.
 
-    Raises ConfigError, with the names that there are, on a tab that it lacks, or where it has none.
+    Raises ConfigError that lists the tabs, if the tab does not exist.
     """
     chosen = copy.deepcopy(blueprint)
     viewport = chosen.get("/viewport", {}).get("ViewportBlueprint", {})
@@ -39,7 +38,7 @@ def with_tab(blueprint: dict[str, Any], tab: str) -> dict[str, Any]:
 
 
 def _name(blueprint: dict[str, Any], part: str) -> str:
-    """What a tab is called; `part` is container/ID or view/ID."""
+    """Return the name of a tab; `part` is container/ID or view/ID."""
     fields = blueprint.get(f"/{part}", {})
     named = fields.get("ContainerBlueprint") or fields.get("ViewBlueprint") or {}
     return str(named.get("display_name", part))
@@ -47,7 +46,7 @@ def _name(blueprint: dict[str, Any], part: str) -> str:
 
 T = TypeVar("T")
 SETTLE_S = 3.0
-"""Between opening and the picture: the viewer loads meshes and images while it draws."""
+"""Seconds between opening and the screenshot: the viewer loads meshes and images while it draws."""
 
 
 def screenshot(
@@ -57,15 +56,15 @@ def screenshot(
     tab: str | None = None,
     timeout: float = 60.0,
 ) -> None:
-    """Write `picture` (PNG, `size` pixels) of the last moment of `recording`; of `tab`, or of the first one.
+    """Write `picture` (PNG, `size` pixels) of the last moment of `recording`, of `tab`, or of the first one.
 
-    Needs a Vulkan driver, which may be Mesa's software one (Debian: mesa-vulkan-drivers). Raises RecordingError where
-    the file cannot be opened or nothing can be drawn, ConfigError on a tab that it lacks.
+    Needs a Vulkan driver, which may be Mesa's software one (Debian: mesa-vulkan-drivers). Raises RecordingError if the
+    file cannot be opened or nothing can be drawn, ConfigError for an unknown tab.
     """
     if not recording.is_file():
         raise RecordingError(f"{recording}: no such recording")
     if picture.suffix != ".png":
-        raise RecordingError(f"{picture}: the viewer writes PNG; name the picture .png")
+        raise RecordingError(f"{picture}: the viewer writes PNG; use a name that ends in .png")
     picture.parent.mkdir(parents=True, exist_ok=True)
     picture.unlink(missing_ok=True)
     from rerun.experimental import ViewerClient
@@ -88,7 +87,7 @@ def screenshot(
     finally:
         viewer.stop()
     if cv2.imread(str(picture)) is None:
-        raise RecordingError(f"{picture}: the viewer wrote no picture")
+        raise RecordingError(f"{picture}: the viewer wrote no image")
 
 
 def _shown(client: object) -> None:
@@ -97,15 +96,17 @@ def _shown(client: object) -> None:
 
 
 def _retry(action: Callable[[], T], viewer: RerunProcess, deadline: float, recording: Path) -> T:
-    """The viewer refuses requests until it has drawn its first frame, and slow machines need a while for that."""
+    """Repeat a request: the viewer rejects requests until it has drawn its first frame, which is slow on
+    some machines.
+    """
     while True:
         try:
             return action()
         except Exception as error:
             if not viewer.running() or time.monotonic() > deadline:
                 raise RecordingError(
-                    f"{recording}: no picture ({error}); without a screen the viewer needs a Vulkan driver "
-                    "(Debian: apt-get install mesa-vulkan-drivers libgl1-mesa-dri)"
+                    f"{recording}: no image ({error}); without a screen the viewer needs a Vulkan driver (Debian: "
+                    "apt-get install mesa-vulkan-drivers libgl1-mesa-dri)"
                 ) from error
             time.sleep(0.2)
 

@@ -1,4 +1,4 @@
-"""Starts Rerun's viewer and server processes, on loopback only, and ends them with all their children."""
+"""Start Rerun's viewer and server processes, on loopback only, and end them with all their children."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from ltm_core.base.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
-"""Of the page, and of what feeds it, unless others are named."""
+"""Default ports of the page and of its data."""
 LIVE_MEMORY = "384MiB"
-"""Of what is shown that the server of a live view keeps for those who look later; the oldest goes. While somebody looks
-on, the server takes up to twice that."""
+"""Memory limit for the data that the server of a live view keeps for later viewers; the oldest goes first. While a
+viewer is open, the server uses up to twice that.
+"""
 OPEN_MEMORY = "1GiB"
-"""Likewise of a window, and of the server of a recording. Rerun's own bound for a window is 75 % of the machine."""
+"""Memory limit of a window, and of the server of a recording. Rerun's own limit for a window is 75 % of the machine."""
 _PR_SET_PDEATHSIG = 1
 
 
 def rerun_binary() -> Path:
-    """The viewer itself: the `rerun` script is a wrapper that leaves it running when killed.
+    """Return the viewer's binary: the `rerun` script is a wrapper that leaves it running when killed.
 
-    Raises ConfigError where rerun-sdk is not installed.
+    Raises ConfigError if rerun-sdk is not installed.
     """
     spec = find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or []) if spec else []:
@@ -50,12 +51,12 @@ def grpc_url(port: int) -> str:
 
 
 def web_url(web_port: int, grpc_port: int) -> str:
-    """The page that shows what the gRPC server at `grpc_port` holds."""
+    """Return the page that shows the data of the gRPC server at `grpc_port`."""
     return f"http://{LOOPBACK}:{web_port}/?url={quote(grpc_url(grpc_port), safe='')}"
 
 
 class RerunProcess:
-    """A running Rerun binary in a process group of its own, which ends when this process does."""
+    """A running Rerun binary in its own process group, which ends when this process does."""
 
     def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
         sink = subprocess.DEVNULL if quiet else None
@@ -72,9 +73,9 @@ class RerunProcess:
     def serve(
         cls, web_port: int, grpc_port: int, recording: Path | None = None, memory_limit: str = OPEN_MEMORY
     ) -> RerunProcess:
-        """A gRPC server that keeps what it is sent (and `recording`) for late viewers, and the web viewer's page.
+        """Start a gRPC server that keeps its data (and `recording`) for late viewers, and the web viewer's page.
 
-        Raises ConfigError where a port is taken or the server does not come up.
+        Raises ConfigError if a port is in use or the server does not start.
         """
         for port in (web_port, grpc_port):
             _refuse_taken(port)
@@ -94,14 +95,14 @@ class RerunProcess:
         return self._process.pid
 
     def wait(self) -> int:
-        """Until the viewer is closed; its exit status."""
+        """Wait until the viewer is closed; return its exit status."""
         return self._process.wait()
 
     def running(self) -> bool:
         return self._process.poll() is None
 
     def wait_until_listening(self, port: int, timeout: float = 20.0) -> None:
-        """Raises ConfigError when the process ends or `timeout` seconds pass first."""
+        """Wait for the port. Raises ConfigError if the process ends or `timeout` seconds pass first."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
             if not self.running():
@@ -109,7 +110,7 @@ class RerunProcess:
             if listens(port):
                 return
             time.sleep(0.05)
-        raise ConfigError(f"the Rerun server does not answer on {LOOPBACK}:{port} after {timeout:g} s")
+        raise ConfigError(f"the Rerun server does not respond on {LOOPBACK}:{port} after {timeout:g} s")
 
     def stop(self, grace: float = 3.0) -> None:
         """End the process and all its children."""
@@ -122,7 +123,7 @@ class RerunProcess:
 
 
 def listens(port: int) -> bool:
-    """Whether something accepts connections at a loopback port."""
+    """Return whether a process accepts connections at a loopback port."""
     with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
         return True
     return False
@@ -134,11 +135,11 @@ def _refuse_taken(port: int) -> None:
         try:
             probe.bind((LOOPBACK, port))
         except OSError as error:
-            raise ConfigError(f"port {port} on {LOOPBACK} is taken ({error.strerror}): choose another one") from error
+            raise ConfigError(f"port {port} on {LOOPBACK} is in use ({error.strerror}): choose another one") from error
 
 
 def _end_with_parent() -> Callable[[], None] | None:
-    """Linux: let the kernel end the child when this process dies, even by SIGKILL, so that its port comes free."""
+    """Let the kernel (Linux) end the child when this process dies, even by SIGKILL, so that its port becomes free."""
     if sys.platform != "linux":
         return None
     libc = ctypes.CDLL(None, use_errno=True)

@@ -1,4 +1,4 @@
-"""Shows the graph's results in Rerun: live on loopback, or written to an .rrd file, or both."""
+"""Show the graph's results in Rerun: live on loopback, or written to an .rrd file, or both."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from ltm_ros.viewer.fuel_maps import ChangeLayer, ChangePicture, FuelMaps, chang
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
-"""Points of one depth image in the 3D view."""
+"""Maximum points of one depth image in the 3D view."""
 RELIEF_PIXELS = 2048
-"""Longer side of the relief under the fuel grid."""
+"""Longer side of the relief under the fuel grid in pixels."""
 CAMERA_COLOR = (235, 40, 135)
 NAME_COLOR = (255, 225, 240)
-"""The viewer writes a label in its point's colour on dark grey: camera colours would hardly be read."""
+"""The viewer writes a label in its point's colour on dark grey, where camera colours would be unreadable."""
 
 
 class RerunView:
-    """One site in Rerun. Methods may be called from any thread.
+    """One site in Rerun; thread-safe.
 
     `save`: .rrd file to write; `serve`: a web viewer on loopback at `web_port`, fed from `grpc_port`. Stamps are
-    nanoseconds. Raises ConfigError where a port is taken.
+    nanoseconds. Raises ConfigError if a port is in use.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class RerunView:
         if serve:
             sinks.append(rr.GrpcSink(grpc_url(grpc_port)))
         for name, config in site.cameras.items():
-            # A camera whose pose or calibration comes by topic is placed when it first shows itself.
+            # A camera whose pose or calibration is a topic is placed at its first message.
             if config.pose and config.calibration:
                 with contextlib.suppress(PoseError):
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
@@ -91,14 +91,18 @@ class RerunView:
         self._log_scene()
 
     def log_image(self, camera: str, stamp_ns: int, rgb: RgbImage) -> None:
-        """The camera's image, (H, W, 3) uint8."""
+        """Log the camera's image, (H, W, 3) uint8."""
         with self._at(stamp_ns):
             self._recording.log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
 
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
-        """Depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError on another size."""
+        """Log depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError for
+        another size.
+        """
         if depth.shape != (model.height, model.width):
-            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration says {model.height} x {model.width}")
+            raise ImageError(
+                f"depth of {camera} is {depth.shape}, but its calibration is for {model.height} x {model.width}"
+            )
         with self._at(stamp_ns):
             self._recording.log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
 
@@ -110,8 +114,8 @@ class RerunView:
         traced: Float32Array,
         network: Float32Array | None = None,
     ) -> None:
-        """Fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
-        another size. Raises ImageError where fused and traced differ in size.
+        """Log fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
+        another size. Raises ImageError if fused and traced differ in size.
         """
         if fused.shape != traced.shape:
             raise ImageError(f"fused depth of {camera} is {fused.shape}, its traced depth {traced.shape}")
@@ -121,17 +125,17 @@ class RerunView:
             self._recording.log(f"{entity}/fused", archetypes.depth_picture(fused, self._scale))
             self._recording.log(f"{entity}/difference", archetypes.difference_picture(fused, traced))
             if network is not None:
-                # At the size of the others, so that all lie side by side.
+                # At the size of the others, so that all are side by side.
                 grown = np.asarray(cv2.resize(network, fused.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
                 self._recording.log(f"{entity}/network", archetypes.depth_picture(grown, self._scale))
 
     def log_labels(self, camera: str, stamp_ns: int, labels: UInt8Array) -> None:
-        """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
+        """Log class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
         with self._at(stamp_ns):
             self._recording.log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
 
     def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
-        """Where the camera stands. Where the site file does not say it, the first pose moves the view there."""
+        """Log the camera's pose. Without one in the site file, the first pose moves the view there."""
         with self._at(stamp_ns):
             entity = f"map/cameras/{camera}"
             self._recording.log(entity, *archetypes.stand(pose), archetypes.pinhole(model, self._reach * 0.15))
@@ -147,7 +151,7 @@ class RerunView:
     def log_points(
         self, camera: str, stamp_ns: int, points: NDArray[np.floating], colors: UInt8Array | None = None
     ) -> None:
-        """Points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
+        """Log points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
         kept = scene_geometry.thinned(points, MAX_POINTS)
         with self._at(stamp_ns):
             self._recording.log(
@@ -160,7 +164,7 @@ class RerunView:
             )
 
     def log_fuel_map(self, stamp_ns: int, classes: UInt8Array, geometry: GridGeometry) -> None:
-        """The fuel map (H, W) of class ids, 255 unseen, map frame. Raises RasterError where shapes disagree."""
+        """Log the fuel map (H, W) of class ids, 255 not seen, map frame. Raises RasterError if shapes differ."""
         with self._at(stamp_ns):
             if geometry != self._fuel_geometry:
                 self._fuel_geometry = geometry
@@ -176,7 +180,7 @@ class RerunView:
                 self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
     def log_fuel_layers(self, stamp_ns: int, rasters: Mapping[str, NDArray[Any]]) -> None:
-        """What is known of the cells of the fuel map besides their life form: as of `FuelMaps.draw`."""
+        """Log the fuel map's layers besides the life form, as in `FuelMaps.draw`."""
         with self._at(stamp_ns):
             if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
                 places = [CameraMark(name, *camera.position) for name, camera in self._cameras.items()]
@@ -185,18 +189,20 @@ class RerunView:
                 self._recording.log(f"fuel_layers/{name}", picture)
 
     def log_change(self, stamp_ns: int, kinds: UInt8Array, geometry: GridGeometry) -> None:
-        """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""
+        """Log kinds of change (H, W) of a window of the terrain's grid, 255 not observed, map frame."""
         with self._at(stamp_ns):
             picture = ChangePicture.over(kinds, geometry, self._fuel_geometry)
             self._recording.log("terrain/change", *picture.archetypes())
 
     def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
-        """Cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the map."""
+        """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the
+        map.
+        """
         with self._at(stamp_ns):
             self._recording.log("map/change", self._change.update(cells, points, kinds))
 
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
-        """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""
+        """Log a node's measures by name, as in `/diagnostics`: rate_hz, latency_p95_ms, dropped, ..."""
         with self._at(stamp_ns):
             node = node_name.strip("/")
             color = self._node_colors.setdefault(node, archetypes.distinct_color(len(self._node_colors)))
@@ -208,7 +214,7 @@ class RerunView:
                 self._recording.log(entity, rr.Scalars(value))
 
     def log_text(self, level: str, text: str) -> None:
-        """A line for the log, at the time of what was logged before."""
+        """Log a line of text, at the time of the last logged data."""
         with self._lock:
             self._recording.log("log", rr.TextLog(text, level=level))
 
@@ -243,7 +249,7 @@ class RerunView:
         return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:
-        """Around the cameras and the ground before them, as far as the fuel grid goes."""
+        """Return a window around the cameras and the ground before them, within the fuel grid."""
         g = self._fuel_geometry
         outline = [camera.sector() for camera in self._cameras.values()]
         corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
@@ -265,7 +271,7 @@ class RerunView:
                 log.log("terrain", change_classes(), static=True)
 
     def _log_relief(self) -> None:
-        """The relief under the fuel grid, finer than the cells, in units of cells."""
+        """Log the relief under the fuel grid, finer than the cells, in units of cells."""
         g = self._fuel_geometry
         finer = max(1, RELIEF_PIXELS // max(g.shape))
         view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
@@ -285,7 +291,7 @@ class RerunView:
         )
 
     def _log_on_map(self, camera: str) -> None:
-        """The camera's place and sector on the fuel grid."""
+        """Log the camera's place and sector on the fuel grid."""
         placed = self._cameras[camera]
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
@@ -300,7 +306,7 @@ class RerunView:
         self._recording.log(f"{entity}/name", name)
 
     def _log_name(self, camera: str) -> None:
-        """The camera's name in the 3D view, where its own entity shows nothing but the frustum."""
+        """Log the camera's name in the 3D view, where its own entity shows only the frustum."""
         here = rr.Points3D(
             [self._poses[camera].position], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(4.0)
         )

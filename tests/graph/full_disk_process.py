@@ -63,7 +63,7 @@ def stopped_while_full(disk: Path, site_path: Path) -> dict[str, Any]:
     return {
         "status": graph.returncode,
         "console": lines,
-        "restarts": [line for line in lines if re.search(r"starts again in", line)],
+        "restarts": [line for line in lines if re.search(r"restarting in", line)],
         "lost": [line for line in lines if "frames are lost" in line],
         "counted": counted,
         "recorded": images,

@@ -113,7 +113,7 @@ def test_kills_under_load_lose_nothing_that_was_told_of(living: Living) -> None:
         wait_for(lambda stamps=new: living.told() & stamps, "an update")
         living.runner.kill("fuel_map")
         told = living.told()
-        wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
+        wait_for(lambda n=starts: process.starts == n + 1 and process.running, "restart the node")
         living.bystander.forget()
         living.bystander.wait_for_wiring(1)
         # The cameras send again what nobody told them of, and some more.
@@ -218,7 +218,7 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
 
         runner.kill("fuel_map")
         process = runner.processes["fuel_map"]
-        wait_for(lambda: process.starts == 2 and process.running, "the node again")
+        wait_for(lambda: process.starts == 2 and process.running, "restart the node")
         bystander.heard[maps].clear()
         wait_for(lambda: bystander.heard[maps], "the map")  # the terrain's latched message comes again
         region = PolygonStamped()

@@ -24,7 +24,7 @@ def test_a_site_lives_through_a_full_disk_and_ends_in_order(
     assert not any("Traceback" in line or "Logging error" in line for line in said["console"])
     of_logs = [line for line in said["console"] if ".log cannot be written" in line]
     assert len(of_logs) == len(set(of_logs)), "each log once"
-    stops = [line for line in said["console"] if "recording stops" in line]
+    stops = [line for line in said["console"] if "recording stopped" in line]
     assert len(stops) == 1
     assert said["dropped"] > 0
     assert said["counted"] == said["recorded"] > 0, "what was counted is in the bag"

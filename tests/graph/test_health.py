@@ -82,7 +82,7 @@ def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_di
     wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
     status, words = tower.get("/readyz")
     assert status == 503
-    assert "camera tower: no frame has come since the start" in words
+    assert "tower: no frame since the start" in words
 
     update = site_topic(NAME, FUEL_MAP_UPDATE)
     with Bystander() as bystander:
@@ -142,9 +142,9 @@ def test_the_page_shows_pictures_map_and_words(tower: Tower, tmp_path: Path) -> 
     wait_for(lambda: tower.get("/picture/tower/labels.jpg")[0] == 200, "a picture", tower.said)
     wait_for(lambda: tower.get("/map.png")[0] == 200, "the map", tower.said)
     page = browse(tower, tmp_path, "--dump-dom")
-    assert re.search(r'<img alt="Last picture of tower: photo" src="/picture/tower/photo\.jpg\?\d+', page), page
-    assert "all nodes report, all cameras send" in page
-    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames came, 3 are finished", page), page
+    assert re.search(r'<img alt="Last image of tower: photo" src="/picture/tower/photo\.jpg\?\d+', page), page
+    assert "All nodes are healthy and all cameras are sending" in page
+    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames received, 3 processed", page), page
     assert f"<td>/{NAME}/fuel_map</td>" in page
     shot = tmp_path / "page.png"
     browse(tower, tmp_path, f"--screenshot={shot}")
@@ -211,7 +211,7 @@ def test_a_person_reads_the_same_and_learns_what_is_down(tower: Tower) -> None:
     pid = int(last.rpartition(" ")[2])
     os.kill(pid, signal.SIGSTOP)
     wait_for(lambda: tower.get("/healthz")[0] == 503, "the node to be missed", lambda: tower.get("/healthz"))
-    assert f"/{NAME}/fuel_map no word for" in tower.get("/healthz")[1]
+    assert f"/{NAME}/fuel_map no report for" in tower.get("/healthz")[1]
     ran = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert ran.returncode == 1
     assert "silent" in ran.stdout

@@ -52,7 +52,7 @@ def test_a_tower_starts_without_its_port_and_answers_once_it_is_free(
                     console.read_text,
                     patience_s=180.0,
                 )
-                said = f"port: 127.0.0.1:{port} cannot be listened on (Address already in use): end what uses it"
+                said = f"port: 127.0.0.1:{port} cannot be opened (Address already in use)"
                 wait_for(
                     lambda: bystander.summaries[f"/{NAME}/health"]["last_error"].startswith(said),
                     "the node's word of it",

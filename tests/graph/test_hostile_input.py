@@ -307,7 +307,7 @@ def test_parameters_are_fixed_while_a_node_runs(living: Living) -> None:
     results = answer.result().results
     assert [result.successful for result in results] == [False] * 3
     assert [result.reason for result in results[:2]] == [
-        f"{name}: fixed while the node runs; change the site file" for name in ("max_wait", "pose_tolerance")
+        f"{name}: cannot be changed while the node runs" for name in ("max_wait", "pose_tolerance")
     ]
 
 

@@ -219,7 +219,7 @@ def test_signal_to_the_runner_ends_everything(ros_domain: int, tmp_path: Path, n
     runner = _run_in_process(tmp_path, 2, pids)
     assert runner.stdout is not None
     # Only lines of the runner itself have no label.
-    assert next(line for line in runner.stdout if line.startswith("--")) == "-- all 2 nodes are up\n"
+    assert next(line for line in runner.stdout if line.startswith("--")) == "-- all 2 nodes are ready\n"
     runner.send_signal(number)
     output, _ = runner.communicate(timeout=30)
     assert runner.returncode == 0
@@ -232,7 +232,7 @@ def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int, tmp_pa
     runner.terminate()
     output, _ = runner.communicate(timeout=30)
     assert runner.returncode == 0
-    assert "nodes are up" not in output
+    assert "nodes are ready" not in output
     assert "not ready" not in output
     assert processes_of_domain(ros_domain) == []
 
@@ -281,7 +281,7 @@ def test_a_cleanup_process_that_dies_is_started_again_and_told_of_all(
     (first,) = part_of(ros_domain, "orphan_cleanup")
     os.kill(first, signal.SIGKILL)
     assert runner.stdout is not None
-    assert any("the cleanup process has died" in line for line in runner.stdout)
+    assert any("the cleanup process died" in line for line in runner.stdout)
     wait_for(lambda: part_of(ros_domain, "orphan_cleanup") not in ([], [first]), "another")
     runner.kill()
     runner.communicate()

@@ -53,7 +53,7 @@ def test_the_manager_hears_all_of_a_life_and_no_camera_matters(
         wait_for(lambda: manager.of("READY"), "READY", told, patience_s=180.0)
         assert any(status.startswith("starting") for status in manager.of("STATUS"))
         assert manager.of("EXTEND_TIMEOUT_USEC"), "more time was asked for"
-        assert "nodes are up" in (tmp_path / "console").read_text()
+        assert "nodes are ready" in (tmp_path / "console").read_text()
         # No camera sends anything, ever: the service lives.
         wait_for(lambda: signs_of_life() >= 5, "signs of life", told)
         status = Path(f"/proc/{graph.pid}/status").read_text()

@@ -76,11 +76,11 @@ def test_a_stopped_node_comes_back_and_its_camera_delivers_again(
             "depths of both after the restart",
         )
         assert meanwhile not in bystander.stamps(depths["tower"]), "that one hung with the node"
-        hung = [line for line in lines if "hangs: " in line]
+        hung = [line for line in lines if "hung: " in line]
         assert len(hung) == 1
-        assert hung[0].startswith("[tower/depth] -- hangs: no sign of life for ")
-        assert hung[0].endswith("it is stopped (SIGSTOP); killed, the 1. time")
-        assert "hangs: " in (tmp_path / "tower.depth.log").read_text()
+        assert hung[0].startswith("[tower/depth] -- hung: no heartbeat for ")
+        assert hung[0].endswith("it is stopped (SIGSTOP); killed, for the 1. time")
+        assert "hung: " in (tmp_path / "tower.depth.log").read_text()
         assert (victim.hangs, victim.pid != pids["tower/depth"]) == (1, True)
         others = {label: p for label, p in runner.processes.items() if label != "tower/depth"}
         assert {label: (p.pid, p.hangs) for label, p in others.items()} == {label: (pids[label], 0) for label in others}
@@ -120,9 +120,9 @@ def test_a_worker_that_stands_is_noticed_though_its_node_answers(
             assert {message.frame_id for message in said} == {"well"}
             process = runner.processes[node.label]
             assert process.hangs == 1
-            told = [line for line in lines if line.startswith(f"[{node.label}] -- hangs: ")]
+            told = [line for line in lines if line.startswith(f"[{node.label}] -- hung: ")]
             assert len(told) == 1
-            assert "echo worker: Header has not come to an end in " in told[0]
+            assert "echo worker: Header has not finished in " in told[0]
     # And where it stood.
     text = "\n".join(lines)
     assert text.count('handler_for_tests.py", line') >= 2
@@ -148,7 +148,7 @@ def test_a_node_that_hears_nothing_of_the_others_is_started_again_and_hears_them
         said = f"{echo.namespace}/{SAID.name}"
         bystander.listen(said, SAID.type, latched=True)
         wait_for(lambda: bystander.heard[said], "what it passes on", lambda: lines, 120.0)
-        told = [line for line in lines if "hangs: " in line]
-        assert told[0].startswith("[echo] -- hangs: it has heard none of ")
-        assert told[0].endswith(f"most of them on /{NAME}/{HEARD.name}; killed, the 1. time")
+        told = [line for line in lines if "hung: " in line]
+        assert told[0].startswith("[echo] -- hung: received 0 of ")
+        assert told[0].endswith(f"most of them on /{NAME}/{HEARD.name}; killed, for the 1. time")
         assert runner.processes["talker"].starts == 1, "what nobody speaks to is not deaf"

@@ -285,7 +285,7 @@ def test_a_store_that_a_node_went_on_from_is_not_written_over(options: ArchiveOp
     reprocessed(options)
     with (Path(options.out) / STORE_FILE).open("ab") as store:
         store.write(b"more")
-    with pytest.raises(ArchiveError, match="a node may have gone on from it"):
+    with pytest.raises(ArchiveError, match="a node may have continued from it"):
         reprocessed(options)
 
 
@@ -518,7 +518,7 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
     assert not (tmp_path / "out" / STORE_FILE).exists()
     done = CliRunner().invoke(cli, [*command, "--workers", "0"], env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    assert "12 frames worked now, 12 in the map, 0 failed" in done.output
+    assert "12 frames processed now, 12 in the map, 0 failed" in done.output
     assert expected in done.output.replace("\n", "")
 
 

@@ -105,7 +105,7 @@ def test_what_a_store_keeps_refusing_is_named_and_no_result(
         max_failed=1.0,
         cache=CacheConfig(str(tmp_path / "cache")),
     )
-    with pytest.raises(ArchiveError, match=rf"1 recordings could not be read.*{recording} cannot be read just now"):
+    with pytest.raises(ArchiveError, match=rf"1 recordings could not be read.*{recording} cannot be read now"):
         reprocessed(options)
     assert store.seen[request] == files.TRIES
     (failure,) = json.loads((tmp_path / "out/run.json").read_text())["failures"]
@@ -126,7 +126,7 @@ def test_a_disk_that_fails_for_a_while_is_no_result(
     options = ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"), max_failed=1.0)
     with monkeypatch.context() as patched:
         patched.setattr(Chunk, "read", failing)
-        with pytest.raises(ArchiveError, match=r"cannot be read just now: .*Input/output error"):
+        with pytest.raises(ArchiveError, match=r"cannot be read now: .*Input/output error"):
             reprocessed(options)
     planned = look_through(options, lambda done, total: None)
     with monkeypatch.context() as patched:

@@ -167,7 +167,7 @@ def test_live_nodes_go_on_from_both_stores(
     for node in ("fuel_map", "terrain"):
         assert summaries[f"/{NAME}/{node}"]["dropped.duplicate"] == str(FRAMES)
     assert digests(out) == expected
-    with pytest.raises(ArchiveError, match="a node may have gone on from it"):
+    with pytest.raises(ArchiveError, match="a node may have continued from it"):
         reprocessed(options)
 
 
@@ -181,7 +181,7 @@ def test_workers_give_them_too(options: ArchiveOptions, expected: tuple[str, str
     ("change", "said"),
     [
         (lambda site: site.pop("terrain"), "has no section `terrain`"),
-        (lambda site: site.pop("depth_model"), "needs what a depth network measures"),
+        (lambda site: site.pop("depth_model"), "needs depth from a network"),
         (lambda site: site["terrain"].update(trace_confirmed=True), "traces depth to the confirmed surface"),
     ],
 )

@@ -51,7 +51,7 @@ def test_a_node_that_is_stopped_on_a_full_disk_writes_all(states: States) -> Non
 
 def test_what_is_lost_is_said_once(states: States) -> None:
     stopped, restarted = states["lost"]
-    assert stopped["said"].startswith("27 frames are lost, which nobody was told are stored")
+    assert stopped["said"].startswith("27 unacknowledged frames are lost")
     assert "SQLITE_FULL" in stopped["said"]
     assert (stopped["frames"], stopped["updates"]) == (3, 3)
     assert restarted["frames"] == 3

@@ -138,7 +138,7 @@ def test_a_dropped_image_is_named_by_camera_stamp_and_recording(small_site: Smal
     result = CliRunner().invoke(cli, [*command, "--offline"], env={"COLUMNS": "1000"})
     assert result.exit_code == 0, result.output
     said = next(line for line in result.output.splitlines() if line.startswith("tower/capture dropped by image"))
-    assert "image of tower is 180 x 320 pixels, its calibration is for 320 x 180" in said
+    assert "image of tower is 180 x 320 pixels, but its calibration is for 320 x 180" in said
     assert f"/{NAME}/tower/" in said
     assert f"stamp 2023-11-14T22:13:20.250Z ({stamp} ns), {tmp_path / 'odd'}" in said
 

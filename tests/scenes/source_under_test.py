@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.site.source_config import SourceConfig
-from ltm_ros.cameras.camera_source import CameraSource, Frame, Gaze
+from ltm_ros.cameras.camera_source import CameraDirection, CameraSource, Frame
 from ltm_ros.cameras.opening import open_reader
 from ltm_ros.runtime.health import Health
 
@@ -56,7 +56,7 @@ class Sourced:
     config: Any
     clock: Any
     calibration: Camera = CALIBRATION
-    gaze: Gaze = field(default_factory=Gaze)
+    gaze: CameraDirection = field(default_factory=CameraDirection)
     reader: Any = None
     """Instead of the one that the configuration asks for."""
     frames: list[Frame] = field(default_factory=list)

@@ -1,1 +1,1 @@
-"""What cameras speak: HTTP, MJPEG, RTSP, folders and lists, with exposure times and directions."""
+"""Implement camera protocols: HTTP, MJPEG, RTSP, folders and lists, with exposure times and directions."""

@@ -14,26 +14,26 @@ from ltm_ros.runtime.ros_environment import FOLDER_VARIABLE, service_credential
 
 
 class SourceError(LtmError):
-    """A camera did not give what it was asked for; it is asked again, after a while."""
+    """A camera did not answer a request as expected; the request is repeated later."""
 
 
 class UnauthorisedError(SourceError):
-    """A camera refuses the user or the password: to ask again soon would lock the account."""
+    """A camera rejected the user or password; early retries would lock the account."""
 
 
 class StuckPtzError(SourceError):
-    """A PTZ head was sent elsewhere and does not go there."""
+    """A PTZ head did not follow a command."""
 
 
 class PictureError(SourceError):
-    """What a camera gave is no picture that can be used; the connection is well."""
+    """An image is not usable; the connection works."""
 
 
 LONGEST = 4096
 
 
 class Secret:
-    """A value that no print, format or log shows."""
+    """A value that is never printed, formatted or logged."""
 
     __slots__ = ("_value",)
 
@@ -50,8 +50,9 @@ class Secret:
 
 
 def read_secret(config: SecretConfig) -> Secret:
-    """Read anew at each connection, so that a changed password needs no restart. Raises UnauthorisedError that names
-    the place."""
+    """Read the password again for each connection, so that a change needs no restart. Raises UnauthorisedError that
+    names the place.
+    """
     if config.environment is not None:
         value = os.environ.get(config.environment)
         if not value:
@@ -62,10 +63,10 @@ def read_secret(config: SecretConfig) -> Secret:
         with path.open(encoding="utf-8") as file:
             value = file.read(LONGEST).rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise UnauthorisedError(f"{config.place} cannot be read ({why}): put the password there") from None
+        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise UnauthorisedError(f"{config.place} cannot be read ({why}): store the password there") from None
     if not value:
-        raise UnauthorisedError(f"{config.place} is empty: put the password there")
+        raise UnauthorisedError(f"{config.place} is empty: store the password there")
     return Secret(value)
 
 
@@ -75,14 +76,14 @@ def _path(config: SecretConfig) -> Path:
     found = service_credential(config.credential or "")
     if found is None:
         raise UnauthorisedError(
-            f"{config.place} was not given to this process ({FOLDER_VARIABLE}): put the file into "
-            f"/etc/ltm/credentials and restart the service, or name it in a LoadCredential= of its own"
+            f"{config.place} was not passed to this process ({FOLDER_VARIABLE}): put the file into "
+            "/etc/ltm/credentials and restart the service, or add a LoadCredential="
         )
     return found
 
 
 class Login:
-    """A camera's user and password, and text without them."""
+    """A camera's user and password, and texts without them."""
 
     def __init__(self, user: str | None, password: Secret | None) -> None:
         self.user, self.password = user, password
@@ -90,16 +91,16 @@ class Login:
 
     @classmethod
     def of(cls, settings: NetworkSettings) -> Login:
-        """Raises UnauthorisedError where the password cannot be read."""
+        """Return the login. Raises UnauthorisedError if the password cannot be read."""
         return cls(settings.user, None if settings.password is None else read_secret(settings.password))
 
     def filled(self, url: str) -> str:
-        """`url` with the user and the password in their places: a secret from here on."""
+        """Return `url` with user and password inserted; the result is secret."""
         password = self.password.reveal() if self.password is not None else ""
         return url.replace("{user}", quote(self.user or "", safe="")).replace("{password}", quote(password, safe=""))
 
     def redact(self, text: object) -> str:
-        """What another library said, without the password in any spelling, and without what looks like one."""
+        """Return a message of another library without the password in any encoding, and without similar secrets."""
         said = str(text)
         for spelling in self._hidden:
             said = said.replace(spelling, HIDDEN)
@@ -107,7 +108,7 @@ class Login:
 
 
 def _spellings(user: str, password: str) -> tuple[str, ...]:
-    """The password as it stands in URLs, headers and reprs, the longest first."""
+    """Return the encodings of the password in URLs, headers and reprs, the longest first."""
     basic = base64.b64encode(f"{user}:{password}".encode()).decode()
     found = {password, quote(password, safe=""), quote(password), quote_plus(password), repr(password)[1:-1], basic}
     return tuple(sorted(found, key=len, reverse=True))

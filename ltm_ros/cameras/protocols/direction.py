@@ -1,4 +1,4 @@
-"""Where a camera looks, as its PTZ head tells it: what a source asks before and after each picture."""
+"""Define readings of PTZ heads, which a source requests before and after each image."""
 
 from __future__ import annotations
 
@@ -11,54 +11,56 @@ from ltm_core.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class PtzReading:
-    """What the encoders of a PTZ head said. Signs and zeros are the adapter's; `PoseModel` knows them."""
+    """A reading of a PTZ head's encoders. Signs and zeros are the adapter's; `PoseModel` converts them."""
 
     pan_deg: float
     tilt_deg: float
     zoom: float
-    """In the camera's own measure, such as 1 to 9999 of VAPIX."""
+    """Zoom in the camera's own unit, such as 1 to 9999 for VAPIX."""
     moving: bool | None
-    """Whether the PTZ head says that it moves; None: it does not say."""
+    """Whether the PTZ head reports motion; None: it does not report it."""
     at: float
-    """When it was said: seconds of `time.monotonic`."""
+    """Time of the reading in seconds of `time.monotonic`."""
 
 
 class Direction(Protocol):
-    """Reads a PTZ head's encoders, over the network: may block for as long as its time limit."""
+    """Reads a PTZ head's encoders over the network; may block up to its time limit."""
 
     def read(self) -> PtzReading:
-        """Raises `SourceError` (`ltm_ros.cameras.protocols.credentials`) where the camera does not tell."""
+        """Return a reading. Raises `SourceError` (`ltm_ros.cameras.protocols.credentials`) without an answer."""
         ...
 
     def close(self) -> None:
-        """End the connection; `read` makes a new one."""
+        """Close the connection; `read` opens a new one."""
         ...
 
 
 class Patrol(Protocol):
-    """Drives a PTZ head from preset to preset."""
+    """Moves a PTZ head from preset to preset."""
 
     def advance(self) -> None:
-        """Go to the next preset, and come back when the PTZ head rests there. Raises SourceError; StuckPtzError where
-        it does not come there."""
+        """Go to the next preset and wait until it rests there. Raises SourceError; StuckPtzError if it does
+        not arrive.
+        """
         ...
 
 
 class PoseModel(Protocol):
-    """Makes a camera's pose of what its PTZ head says."""
+    """Computes a camera's pose from readings of its PTZ head."""
 
     def pose(self, reading: PtzReading) -> tuple[Pose, Float64Array]:
-        """The pose of the optical frame in `map`, and its (6, 6) covariance: position in metres, then rotation about
-        the map's axes in radians."""
+        """Return the pose of the optical frame in `map`, and its (6, 6) covariance: position in metres, then rotation
+        about the map's axes in radians.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """By how much two readings of a PTZ head at rest may differ."""
+    """Maximum differences between two readings of a PTZ head at rest."""
 
     angle_deg: float = 0.05
-    """Of pan, and of tilt: encoders flicker by their last digit."""
+    """Degrees of pan and tilt: the last digit of encoders flickers."""
     zoom: float = 1.0
 
 
@@ -68,7 +70,7 @@ def difference_deg(first: float, second: float) -> float:
 
 
 def at_rest(before: PtzReading, after: PtzReading, tolerance: Tolerance) -> bool:
-    """Whether the PTZ head stood still from one reading to the other, as far as they tell."""
+    """Return whether the PTZ head was at rest between two readings, as far as they show it."""
     return not (
         before.moving
         or after.moving

@@ -1,4 +1,4 @@
-"""Compute when a photo was taken, from EXIF, the camera's clock and its offset."""
+"""Estimate when an image was taken, from EXIF, the camera's clock and its offset."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 from ltm_ros.recordings.importing.exif import exif_facts
 
 DRIFT = 1e-4
-"""By which a clock's rate is off at most: crystals of cameras keep a tenth of that, in frost and sun too."""
+"""Maximum relative clock drift; camera crystals are ten times better, even in frost and sun."""
 KEPT = 64
-"""Observations of which bounds are made."""
+"""Number of observations kept for the bounds."""
 WINDOW_S = 60.0
-"""In which the fastest picture of a stream counts,"""
+"""Seconds in which a stream's fastest image is searched,"""
 LEAST = 20
-"""and of slow streams so many at least."""
+"""and minimum number of images for slow streams."""
 STEP_S = 0.5
-"""By which all pictures of a stream come later than the fastest where its clock was set back,"""
+"""Seconds by which all images come later than the fastest if the camera's clock was set back,"""
 STEP_AFTER = 10
-"""so many in a row."""
+"""for this number of consecutive images."""
 
 
 class OffsetBounds:
-    """An offset of which each observation says that it lies in an interval: all of them together make it narrow, for a
-    clock of whole seconds is asked at all phases of its second."""
+    """A clock offset bounded by observed intervals. Their intersection is narrow, because a clock with whole seconds is
+    observed at all phases of its second.
+    """
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
@@ -40,8 +41,9 @@ class OffsetBounds:
         return bool(self._seen)
 
     def add(self, low: float, high: float, now: float) -> bool:
-        """The offset was within [low, high] at `now`. True where that contradicts what was known: the clock was set,
-        and all before is forgotten."""
+        """Add the observation that the offset was within [low, high] at `now`. Returns True if it contradicts earlier
+        ones: then the clock was set, and they are dropped.
+        """
         contradicts = False
         if self._seen:
             known_low, known_high = self.at(now)
@@ -52,10 +54,10 @@ class OffsetBounds:
         return contradicts
 
     def at(self, now: float) -> tuple[float, float]:
-        """The interval in which it lies now."""
+        """Return the interval that contains the offset now."""
         low = max(low - DRIFT * (now - then) for low, _, then in self._seen)
         high = min(high + DRIFT * (now - then) for _, high, then in self._seen)
-        # Two clocks that drift apart more than they may leave nothing between them.
+        # Two clocks that drift faster than assumed can leave an empty interval.
         return (low, high) if low <= high else ((low + high) / 2,) * 2
 
     def middle(self, now: float) -> float:
@@ -64,17 +66,19 @@ class OffsetBounds:
 
 
 class FastestArrival:
-    """Of a stream with times to the millisecond: the running minimum of arrival less stated time. The fastest picture
-    shows the offset, less what it took itself."""
+    """For a stream with millisecond times: running minimum of arrival minus stated time. The fastest image gives the
+    offset, apart from its own delay.
+    """
 
     def __init__(self) -> None:
         self._delays: deque[tuple[float, float]] = deque()
         self.count = 0
 
     def add(self, stated: float, arrived: float, *, begins: bool = False) -> bool:
-        """True where what came lately is so late that the clock must have been set back: only that counts then.
+        """Add an image. Returns True if recent images are so late that the clock must have been set back; then only
+        they count.
 
-        `begins`: whether it is the first picture of a connection, which alone shows that.
+        `begins`: whether it is the first image of a connection, which shows this at once.
         """
         self.count += 1
         self._delays.append((arrived, arrived - stated))
@@ -88,7 +92,7 @@ class FastestArrival:
         return False
 
     def offset(self) -> float:
-        """Without what the fastest picture took."""
+        """Return the offset without the delay of the fastest image."""
         return -self._fastest()
 
     def _fastest(self) -> float:
@@ -96,22 +100,22 @@ class FastestArrival:
 
 
 STREAM_UNCERTAINTY_S = 0.05
-"""Of a stream's times: what the fastest picture took from exposure to arrival is not known better."""
+"""Uncertainty of a stream's times in seconds: the delay of the fastest image is not known better."""
 UNKNOWN_DELAY_S = 0.5
-"""By which a stream's first pictures may be late: the fastest is not known yet."""
+"""Seconds by which a stream's first images may be late, before the fastest is known."""
 TRUSTED_UNCERTAINTY_S = 0.02
-"""Of a clock that NTP keeps over a local network, as ours."""
+"""Uncertainty in seconds of a clock synchronised by NTP over a local network."""
 SETTLED = 20
-"""Pictures after which it is."""
+"""Number of images after which the fastest is known."""
 PLAUSIBLE_S = 5.0
-"""By which a picture may be older than `oldest` says, as its EXIF has it, before that clock is taken for another than
-the one that answers."""
+"""Seconds by which an image may be older than `oldest` before its EXIF clock counts as different from the camera's."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """`at`: seconds of the monotonic clock. `uncertainty`: the true time is within it in 95 of 100 cases. `by`: what
-    told it."""
+    """`at`: seconds of the monotonic clock. `uncertainty`: half width of the 95 % interval in seconds. `by`: source of
+    the time.
+    """
 
     at: float
     uncertainty: float
@@ -119,7 +123,7 @@ class Exposure:
 
 
 class ExposureClock:
-    """The clocks of one camera, learnt over its pictures."""
+    """The clocks of one camera, learned from its images."""
 
     def __init__(self) -> None:
         self._answers = OffsetBounds()
@@ -127,22 +131,22 @@ class ExposureClock:
         self._reports = FastestArrival()
         self._stream: FastestArrival | None = None
         self._reported = False
-        """Whether this connection's stream has had a sender report."""
+        """Whether this connection's stream has sent a sender report."""
         self._offset: float | None = None
-        """Camera's epoch seconds less monotonic ones."""
+        """Camera's epoch seconds minus monotonic seconds."""
         self.resets = 0
-        """How often a camera's clock was found set."""
+        """Number of times a camera's clock was found to be set."""
 
     def offset(self, wall_less_monotonic: float) -> float | None:
-        """By how many seconds the camera's clock is ahead of this computer's; None: not known."""
+        """Return the seconds by which the camera's clock is ahead of this computer's; None: unknown."""
         return None if self._offset is None else self._offset - wall_less_monotonic
 
     def connected(self) -> None:
-        """A stream begins anew, and with it the count of its times."""
+        """Restart the estimate for a new connection, whose stream counts time from zero."""
         self._stream, self._reported = None, False
 
     def estimate(self, timing: Timing, wall_less_monotonic: float) -> Exposure:
-        """The best that is known of one picture; call it for each, in order."""
+        """Return the best estimate for one image; call it for each image, in order."""
         if timing.answered is not None and timing.asked is not None:
             self._learn(self._answers, timing.answered.epoch, timing.answered.resolution, timing.asked, timing.arrived)
             self._offset = self._answers.middle(timing.arrived)
@@ -156,8 +160,9 @@ class ExposureClock:
         return _arrival(timing) if timing.taken is None else self._of_clock(timing, timing.taken)
 
     def _of_stream(self, timing: Timing, stream: float) -> Exposure:
-        """By the stream's own count, or by the clock of its sender reports where more of these were seen: it goes on
-        over connections."""
+        """Use the stream's own time, or the clock of its sender reports if more of these were seen, because it
+        continues over connections.
+        """
         if self._stream is None:
             self._stream = FastestArrival()
         self.resets += self._stream.add(stream, timing.arrived)
@@ -174,14 +179,14 @@ class ExposureClock:
         return Exposure(at, STREAM_UNCERTAINTY_S + unknown, told_by)
 
     def _of_clock(self, timing: Timing, taken: CameraTime) -> Exposure:
-        """A time with a resolution, such as whole seconds, of a camera that answers or drops files."""
+        """Use a time with a resolution, such as whole seconds, of a camera that answers requests or writes files."""
         first = (timing.arrived if timing.asked is None else timing.asked) - timing.oldest
         own = self._own.setdefault(taken.told_by, OffsetBounds())
         self._learn(own, taken.epoch, taken.resolution, first, timing.arrived)
         bounds = own
         if self._answers.known:
-            # A clock that is not the one that answers (EXIF in local time, a picture that passed a recorder) puts the
-            # picture hours away; one that is only some seconds old is what it says.
+            # Another clock (EXIF in local time, an image from a recorder) differs by hours; an image only seconds old
+            # has a correct time.
             low, high = self._answers.at(timing.arrived)
             if taken.epoch - high <= timing.arrived and taken.epoch + taken.resolution - low >= first - PLAUSIBLE_S:
                 bounds = self._answers
@@ -193,23 +198,23 @@ class ExposureClock:
         return Exposure((earliest + latest) / 2, (latest - earliest) / 2, taken.told_by)
 
     def _learn(self, bounds: OffsetBounds, epoch: float, resolution: float, first: float, last: float) -> None:
-        """The clock read [epoch, epoch + resolution] at some moment of [first, last]."""
+        """Learn that the clock read [epoch, epoch + resolution] at some moment of [first, last]."""
         if bounds.add(epoch - last, epoch + resolution - first, last):
             self.resets += 1
 
 
 def _arrival(timing: Timing) -> Exposure:
-    """Without any clock of the camera's: at some moment from the oldest that it may be to its arrival."""
+    """Use only the arrival: the image was taken between its greatest possible age and its arrival."""
     first = (timing.arrived if timing.asked is None else timing.asked) - timing.oldest
     return Exposure((first + timing.arrived) / 2, (timing.arrived - first) / 2, "arrival")
 
 
 _HEAD = 64 << 10
-"""EXIF stands in a JPEG's first segment, which holds no more."""
+"""EXIF is in a JPEG's first segment, at most this many bytes."""
 
 
 def exif_time(data: bytes, zone: tzinfo = UTC) -> CameraTime | None:
-    """By the camera's clock; None where none is stated. `zone`: of one that states no zone."""
+    """Return the EXIF time by the camera's clock; None if there is none. `zone`: for times without a zone."""
     if b"Exif\0\0" not in data[:_HEAD]:
         return None
     try:
@@ -220,5 +225,5 @@ def exif_time(data: bytes, zone: tzinfo = UTC) -> CameraTime | None:
     if taken is None:
         return None
     moment = taken if taken.tzinfo is not None else taken.replace(tzinfo=zone)
-    # Thousandths, where the camera states a fraction; it says nothing of how exact that is.
+    # Milliseconds if the camera gives a fraction; this says nothing about its accuracy.
     return CameraTime(moment.timestamp(), 0.001 if taken.microsecond else 1.0, "exif")

@@ -26,38 +26,39 @@ from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, 
 from ltm_ros.runtime.clocks import Clock
 
 MOST_FILES = 20_000
-"""Young enough to be taken, that are looked at more closely: a camera gone mad shall not fill the memory."""
+"""Maximum number of recent files that are checked, so that a faulty camera cannot fill the memory."""
 
 
 @dataclass(frozen=True)
 class _FileState:
-    """A file at one look; one that is being written has another size or time at the next."""
+    """State of a file at one check; a file in progress changes its size or time until the next."""
 
     size: int
     modified_ns: int
 
 
 class FolderReader:
-    """Gives the files one by one in the order in which they were written, each once, when it is whole: unchanged since
-    the look before, and closed by an end-of-image marker."""
+    """Returns files once each, in order of writing, when they are complete: unchanged since the previous check, with an
+    end-of-image marker.
+    """
 
     def __init__(self, config: FolderConfig, most_bytes: int, clock: Clock) -> None:
         self.pause = config.every
         self._config, self._most_bytes, self._clock = config, most_bytes, clock
         self._folder = config.path
         if not is_folder(self._folder):
-            raise SourceError(f"{self._folder} is no folder that can be read: make it, or mend path")
+            raise SourceError(f"{self._folder} is not a readable folder: create it, or correct path")
         try:
             self._zone = ZoneInfo(config.zone)
         except (ZoneInfoNotFoundError, ValueError, OSError):
-            raise SourceError(f"zone {config.zone!r} is not known; write one such as America/Los_Angeles") from None
+            raise SourceError(f"unknown zone {config.zone!r}; give one such as America/Los_Angeles") from None
         self._waiting: dict[Path, tuple[_FileState, float]] = {}
         self._done: dict[Path, _FileState] = {}
 
     def read(self) -> CameraImage | Nothing:
         now, wall = self._clock.monotonic(), self._clock.wall()
         files = self._look(wall)
-        # What is gone is forgotten, so that a name may come again.
+        # Deleted files are forgotten, so that a name can be used again.
         self._done = {path: seen for path, seen in self._done.items() if path in files}
         self._waiting = {path: entry for path, entry in self._waiting.items() if path in files}
         new = [(seen.modified_ns, path, seen) for path, seen in files.items() if self._done.get(path) != seen]
@@ -73,12 +74,12 @@ class FolderReader:
         return Nothing.YET
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing; no file is open."""
 
     def _look(self, wall: float) -> dict[Path, _FileState]:
         try:
             if not is_folder(self._folder):
-                raise SourceError(f"{self._folder} is gone: mount it, or mend path")
+                raise SourceError(f"{self._folder} does not exist any more: mount it, or correct path")
             return dict(itertools.islice(self._files(wall), MOST_FILES))
         except OSError as error:
             raise SourceError(f"{self._folder} cannot be read: {error.strerror}") from None
@@ -88,24 +89,24 @@ class FolderReader:
         for path in self._folder.glob(self._config.pattern):
             with contextlib.suppress(OSError):
                 state = path.lstat()
-                # First, for most files of a folder that nobody clears are old.
+                # First, because most files of a folder that is never cleared are old.
                 if wall - state.st_mtime > self._config.oldest and path not in self._waiting:
                     continue
-                # A link may lead anywhere, and a camera may write links.
+                # A camera might write links, which could point anywhere.
                 if stat.S_ISREG(state.st_mode) and path.resolve().is_relative_to(home):
                     yield path, _FileState(state.st_size, state.st_mtime_ns)
 
     def _whole(self, path: Path, seen: _FileState, waited: float) -> bytes | None:
-        """The file's bytes; None where it may still grow. Raises PictureError where it will not be whole."""
+        """Return the file's bytes; None if it may still grow. Raises PictureError if it will never be complete."""
         if seen.size > self._most_bytes:
             self._finish(path, seen)
-            raise PictureError(f"{path.name} has {seen.size} bytes, at most {self._most_bytes} are taken")
+            raise PictureError(f"{path.name} has {seen.size} bytes; the maximum is {self._most_bytes}")
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
             with open(descriptor, "rb") as file:  # noqa: PTH123 # of a descriptor, so that no link is followed
                 data = file.read(self._most_bytes + 1)
         except OSError:
-            return None  # moved or taken away meanwhile; the next look says
+            return None  # moved or deleted meanwhile; the next check shows it
         if data[:3] == b"\xff\xd8\xff" and data.rstrip(b"\0\r\n")[-2:] == b"\xff\xd9":
             return data
         if data[:8] == b"\x89PNG\r\n\x1a\n" and b"IEND" in data[-16:]:
@@ -114,7 +115,7 @@ class FolderReader:
             return None
         self._finish(path, seen)
         raise PictureError(
-            f"{path.name} has {len(data)} bytes and no end of a picture after {waited:.0f} s: its upload broke off"
+            f"{path.name} has {len(data)} bytes and no end of image after {waited:.0f} s: its upload was interrupted"
         )
 
     def _finish(self, path: Path, seen: _FileState) -> None:
@@ -140,7 +141,7 @@ class FolderReader:
         try:
             moment = datetime.strptime(path.name, pattern)
         except ValueError:
-            raise PictureError(f"{path.name} does not read as {pattern}: mend name_time") from None
+            raise PictureError(f"{path.name} does not match {pattern}: correct name_time") from None
         if moment.tzinfo is None:
             moment = moment.replace(tzinfo=self._zone)
         return CameraTime(moment.timestamp(), 0.001 if "%f" in pattern else 1.0, "name")
@@ -148,12 +149,13 @@ class FolderReader:
 
 _MOST_ENTRIES = 100_000
 _MILLISECONDS = 1e11
-"""An epoch beyond it is stated in milliseconds."""
+"""Epoch values above this are milliseconds."""
 
 
 class CameraListReader:
-    """Reads the list, the picture, and the list again: where the list has another direction by then, the camera is
-    taken to have moved. A list that has not changed is not sent again."""
+    """Reads the list, the image, and the list again; if the direction has changed, the camera counts as moving. An
+    unchanged list is not transferred again.
+    """
 
     def __init__(self, config: CameraListConfig, most_bytes: int) -> None:
         self.pause = config.every
@@ -163,7 +165,7 @@ class CameraListReader:
         self._tag: dict[str, str] = {}
         self._entry: dict[str, Any] = {}
         self._given: object = None
-        """The time of the picture that was given last."""
+        """Time of the image that was returned last."""
 
     def read(self) -> CameraImage | Nothing:
         entry = self._listed()
@@ -176,7 +178,7 @@ class CameraListReader:
         entry = self._listed()
         after = reading_of(entry, self._config)
         if entry.get(self._config.time_key) != stated:
-            raise PictureError("the list has a newer picture than the one that was read; the next one will be taken")
+            raise PictureError("the list already has a newer image than the one read; the next one is used")
         self._given = stated
         direction = after
         if before is not None and after is not None and not at_rest(before, after, Tolerance()):
@@ -194,7 +196,7 @@ class CameraListReader:
         self._client.close()
 
     def _listed(self) -> dict[str, Any]:
-        """The camera's entry. Raises SourceError where the list is none, or does not have it."""
+        """Return the camera's entry. Raises SourceError if the list is invalid or lacks it."""
         answer = self._client.get(self._config.url, self._tag)
         if answer.status == 304:
             return self._entry
@@ -205,12 +207,13 @@ class CameraListReader:
 
 
 def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
-    """The camera's entry of a list, of a mapping that holds one (`cameras`, GeoJSON's `features`), or of a mapping by
-    id. Raises SourceError where there is none."""
+    """Return the camera's entry in a list, in a mapping with a list (`cameras`, GeoJSON's `features`), or in a mapping
+    by id. Raises SourceError if it is missing.
+    """
     try:
         content = json.loads(body)
     except (ValueError, RecursionError):
-        raise SourceError("the list of cameras is no JSON") from None
+        raise SourceError("the list of cameras is not valid JSON") from None
     if isinstance(content, dict):
         if isinstance(own := content.get(config.id), dict):
             return own
@@ -220,11 +223,11 @@ def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
             entry = item.get("properties", item) if isinstance(item, dict) else None
             if isinstance(entry, dict) and str(entry.get(config.id_key)) == config.id:
                 return entry
-    raise SourceError(f"the list of cameras has none whose {config.id_key} is {config.id!r}")
+    raise SourceError(f"the list of cameras has no entry with {config.id_key} = {config.id!r}")
 
 
 def reading_of(entry: dict[str, Any], config: CameraListConfig) -> PtzReading | None:
-    """Where the list says that the camera looks; None where it does not say."""
+    """Return the viewing direction in the list; None if it is missing."""
     pan, tilt, zoom = (stated_number(entry.get(key)) for key in (config.pan_key, config.tilt_key, config.zoom_key))
     if pan is None or tilt is None:
         return None
@@ -232,8 +235,9 @@ def reading_of(entry: dict[str, Any], config: CameraListConfig) -> PtzReading | 
 
 
 def time_of(value: Any) -> CameraTime | None:
-    """Epoch seconds or milliseconds, or ISO 8601, which without a zone is UTC; whole seconds unless a fraction is
-    stated."""
+    """Parse epoch seconds or milliseconds, or ISO 8601 (UTC without a zone); the resolution is 1 s without
+    a fraction.
+    """
     number = None if isinstance(value, bool) else stated_number(value)
     if number is not None:
         epoch = number / 1000 if number > _MILLISECONDS else number

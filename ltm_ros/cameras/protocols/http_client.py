@@ -1,4 +1,6 @@
-"""HTTP to a camera: authentication, certificates, bounds of size and time; what goes wrong as SourceError, redacted."""
+"""Send HTTP requests to a camera: authentication, certificates, limits of size and time; errors become SourceError
+without secrets.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +24,22 @@ from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceErr
 from ltm_ros.cameras.protocols.picture import CameraTime
 
 REFUSED = (401, 403, 423)
-"""Of these a camera answers when the user, the password or the account is not to its liking."""
+"""HTTP statuses with which a camera rejects the user, the password or the account."""
 TAKEN = (200, 304)
 WHOLE_FACTOR = 3
-"""Times the limit for each part of an answer: what a whole one may take, however slowly it drips."""
+"""Maximum time of a whole answer, as a multiple of the limit for each part."""
 KEEP_S = 75.0
-"""For which a connection is kept: of snapshots a minute apart too."""
+"""Seconds for which a connection is kept, enough for one snapshot per minute."""
 
 
-# They tell each request's URL, which may hold a password, at INFO.
+# They log each request's URL at INFO, which may contain a password.
 for _name in ("httpx", "httpcore"):
     logging.getLogger(_name).setLevel(logging.WARNING)
 
 
 @dataclass(frozen=True)
 class HttpResponse:
-    """`asked`, `arrived`: monotonic seconds of the request and of the answer's head."""
+    """`asked`, `arrived`: monotonic seconds of the request and of the answer's header."""
 
     status: int
     headers: Mapping[str, str]
@@ -47,7 +49,9 @@ class HttpResponse:
 
 
 class AutomaticAuth(httpx.Auth):
-    """Digest where the camera offers it, else basic; asks what it offers once a connection, without a password."""
+    """Digest authentication if the camera offers it, else basic; queries the offer once per connection, without a
+    password.
+    """
 
     def __init__(self, user: str, password: str) -> None:
         self._digest = httpx.DigestAuth(user, password)
@@ -65,21 +69,22 @@ class AutomaticAuth(httpx.Auth):
 
 
 class HttpClient:
-    """A connection to one camera, for one thread. Raises UnauthorisedError where the password cannot be read,
-    SourceError where the certificates cannot."""
+    """A connection to one camera, for one thread. Raises UnauthorisedError if the password cannot be read, SourceError
+    if the certificates cannot.
+    """
 
     def __init__(self, settings: HttpSettings, *, most_bytes: int) -> None:
         self._login = Login.of(settings)
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
         self._sockets: list[socket.socket] = []
-        """Of its connections, the last ones."""
+        """Sockets of its newest connections."""
         self._late = threading.Event()
         self._client = httpx.Client(
             auth=self._auth(settings),
             verify=_certificates(settings),
             timeout=settings.timeout,
-            # A camera that sends elsewhere would take the password there.
+            # A redirect would send the password to another host.
             follow_redirects=False,
             trust_env=False,
             limits=httpx.Limits(max_connections=2, keepalive_expiry=KEEP_S),
@@ -90,8 +95,9 @@ class HttpClient:
         self._client.close()
 
     def get(self, url: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
-        """The whole answer of status 200 or 304. Raises SourceError, UnauthorisedError, PictureError where it is too
-        large."""
+        """Return the whole answer with status 200 or 304. Raises SourceError, UnauthorisedError, PictureError if it is
+        too large.
+        """
         return self.send("GET", url, headers)
 
     def send(
@@ -102,7 +108,7 @@ class HttpClient:
         body: bytes | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> HttpResponse:
-        """As `get`; `accepted`: statuses that are no error."""
+        """Like `get`; `accepted`: statuses that are no errors."""
         with (
             self.within(self._whole_s),
             self.stream(url, headers, method, body, accepted) as (response, asked, arrived),
@@ -112,8 +118,8 @@ class HttpClient:
                 whole += part
                 if len(whole) > self._most_bytes:
                     raise PictureError(
-                        f"answer of more than {self._most_bytes} bytes: have the camera send smaller pictures, or "
-                        "raise image_bytes under `limits:` in the site file"
+                        f"answer of more than {self._most_bytes} bytes: configure smaller images in the camera, "
+                        "or raise image_bytes under `limits:` in the site file"
                     )
             return HttpResponse(response.status_code, response.headers, bytes(whole), asked, arrived)
 
@@ -126,9 +132,11 @@ class HttpClient:
         body: bytes | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> Iterator[tuple[httpx.Response, float, float]]:
-        """An answer whose body is yet to come, when it was asked for, and when its head came. Raises as `get`."""
+        """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
+        `get`.
+        """
         with self._said(), contextlib.ExitStack() as stack:
-            # When the last request of a challenge and its answer went out: that one is what gives the picture.
+            # Time of the last request after a challenge: its answer holds the image.
             asked = time.monotonic()
 
             def note(_: httpx.Request) -> None:
@@ -151,17 +159,16 @@ class HttpClient:
             yield response, asked, arrived
 
     def parts(self, response: httpx.Response, until: float) -> Iterator[bytes]:
-        """The body as it comes. Raises SourceError once it is later than `until`."""
+        """Yield the body as it arrives. Raises SourceError after `until`."""
         for part in response.iter_bytes():
             yield part
             if time.monotonic() > until:
-                raise SourceError(f"the camera took more than {self._whole_s:g} s for one picture")
+                raise SourceError(f"the camera took more than {self._whole_s:g} s for one image")
 
     @contextlib.contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """What is done in here ends with SourceError after so many seconds. A limit for each part of an answer does not
-        do: of a head that comes letter by letter httpx waits for the end, and all cameras share a process, which the
-        watchdog would end.
+        """Raise SourceError in the body after the given seconds. A limit for each part is not enough: httpx waits for
+        the end of a header that comes letter by letter, and the watchdog would end the process of all cameras.
         """
         late = threading.Event()
 
@@ -178,7 +185,7 @@ class HttpClient:
             yield
         except (SourceError, httpx.HTTPError, httpx.StreamError, OSError) as error:
             if late.is_set() and not isinstance(error, UnauthorisedError):
-                raise SourceError(f"the camera took more than {seconds:g} s for one picture") from None
+                raise SourceError(f"the camera took more than {seconds:g} s for one image") from None
             raise
         finally:
             timer.cancel()
@@ -186,7 +193,7 @@ class HttpClient:
                 self._late.clear()
 
     def _trace(self, event: str, told: Mapping[str, Any]) -> None:
-        """Of httpcore: connections that are made."""
+        """Record new connections of httpcore."""
         if event in ("connection.connect_tcp.complete", "connection.start_tls.complete"):
             made = told["return_value"].get_extra_info("socket")
             self._sockets = [*[one for one in self._sockets if one.fileno() >= 0][-2:], made]
@@ -206,29 +213,29 @@ class HttpClient:
         if status in accepted:
             return
         if status in REFUSED:
-            who = f"the user {self._login.user}" if self._login.user else "a request without user and password"
-            raise UnauthorisedError(f"the camera refuses {who} (HTTP {status}): mend user and password")
+            who = f"user {self._login.user}" if self._login.user else "a request without user and password"
+            raise UnauthorisedError(f"the camera rejected {who} (HTTP {status}). Check the user name and password")
         if 300 <= status < 400:
             place = self._login.redact(response.headers.get("location", "elsewhere"))
-            raise SourceError(f"the camera sends to {place} (HTTP {status}): write that address as url")
-        raise SourceError(f"the camera answers HTTP {status} {response.reason_phrase}".rstrip())
+            raise SourceError(f"the camera redirects to {place} (HTTP {status}): set this address as url")
+        raise SourceError(f"the camera answered HTTP {status} {response.reason_phrase}".rstrip())
 
     @contextlib.contextmanager
     def _said(self) -> Iterator[None]:
-        """What httpx raises, as SourceError without secrets."""
+        """Return an httpx error as SourceError without secrets."""
         try:
             yield
         except httpx.TimeoutException as error:
             what = "the connection" if isinstance(error, httpx.ConnectTimeout) else "an answer"
             raise SourceError(
-                f"the camera is silent: no {what.removeprefix('the ').removeprefix('an ')} in time"
+                f"the camera does not respond: no {what.removeprefix('the ').removeprefix('an ')} in time"
             ) from None
         except httpx.ConnectError as error:
             raise SourceError(f"no connection: {self._login.redact(error)}") from None
         except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
             kind = type(error).__name__
             raise SourceError(
-                f"the camera breaks off or answers no HTTP ({kind}): {self._login.redact(error)}"
+                f"the camera closed the connection or did not answer HTTP ({kind}): {self._login.redact(error)}"
             ) from None
 
 
@@ -238,7 +245,7 @@ def _hang_up(connection: socket.socket) -> None:
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
-    """A time in a header; None where there is none, or it is none. Whole seconds, as RFC 9110 has them."""
+    """Return a time from a header; None if missing or invalid. Whole seconds, as in RFC 9110."""
     try:
         return CameraTime(parsedate_to_datetime(headers[name]).timestamp(), 1.0, name.lower())
     except (KeyError, TypeError, ValueError, OverflowError):
@@ -246,7 +253,9 @@ def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
 
 
 def _certificates(settings: HttpSettings) -> ssl.SSLContext:
-    """One for all connections that trust the same: to read the system's certificates takes longer than to connect."""
+    """Return one SSL context for all connections with the same certificates, because reading the system's takes longer
+    than connecting.
+    """
     try:
         changed = None if settings.ca is None else settings.ca.stat().st_mtime_ns
         return _context(settings.ca, changed, settings.check_name)

@@ -15,11 +15,11 @@ from ltm_ros.cameras.protocols.http_client import WHOLE_FACTOR, HttpClient, Http
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
 
 _SHOWN = 16
-"""Bytes of an answer that is no picture that an error shows."""
+"""Number of bytes of an invalid answer that an error shows."""
 
 
 class SnapshotReader:
-    """Asks on the condition that the picture has changed (ETag, Last-Modified), as far as the camera knows of that."""
+    """Requests the image if it has changed (ETag, Last-Modified), as far as the camera supports it."""
 
     def __init__(self, config: SnapshotConfig, most_bytes: int) -> None:
         self.pause = config.every
@@ -52,7 +52,7 @@ class SnapshotReader:
 
     def _remember(self, answer: HttpResponse) -> None:
         modified = answer.headers.get("last-modified")
-        # Some servers state when they were started, or another constant, beside pictures that change.
+        # Some servers send their start time, or another constant, with changing images.
         if modified is not None and modified == self._modified and hash(answer.body) != self._body and self.pause > 1:
             self._modified_tells = False
         self._modified, self._body = modified, hash(answer.body)
@@ -70,20 +70,20 @@ class SnapshotReader:
 
 
 def check_begins_as_picture(answer: HttpResponse) -> None:
-    """Raises PictureError for a log-in page, an error in words, nothing at all."""
+    """Check that it is an image. Raises PictureError for a log-in page, an error text or an empty answer."""
     if answer.body[:3] != b"\xff\xd8\xff" and answer.body[:8] != b"\x89PNG\r\n\x1a\n":
-        kind = answer.headers.get("content-type", "of no stated type")
+        kind = answer.headers.get("content-type", "of unknown type")
         begins = answer.body[:_SHOWN].hex(" ") or "nothing"
         raise PictureError(
-            f"the camera answers {kind[:60]} of {len(answer.body)} bytes that begin with {begins}: that is neither "
-            "JPEG nor PNG; check the url"
+            f"the camera answered {kind[:60]} of {len(answer.body)} bytes that begin with {begins}: that is "
+            "neither JPEG nor PNG; check the url"
         )
 
 
 _OLDEST_S = 0.3
-"""Of a picture that is sent when it has been taken."""
+"""Maximum age in seconds of an image that is sent right after its exposure."""
 _HEAD_BYTES = 4 << 10
-"""Of a part's head, at most."""
+"""Maximum bytes of a part's header."""
 _BEGIN = b"\xff\xd8\xff"
 
 
@@ -104,12 +104,12 @@ class MjpegReader:
         self._due = 0.0
 
     def read(self) -> CameraImage | Nothing:
-        """Waits for the next picture that is due; others are read and forgotten."""
+        """Return the next due image; earlier ones are read and dropped."""
         head, body, arrived = self._next()
         if arrived < self._due:
             return Nothing.YET
         if not body.startswith(_BEGIN):
-            raise PictureError(f"a part of {len(body)} bytes of the stream is no JPEG")
+            raise PictureError(f"a part of the stream with {len(body)} bytes is not a JPEG")
         self._due = arrived + self._every
         return CameraImage(timing_of(head, arrived), jpeg=body)
 
@@ -123,38 +123,39 @@ class MjpegReader:
             with self._client.within(self._whole_s):
                 return next(self._parts)
         except StopIteration:
-            raise SourceError("the camera has ended its stream") from None
+            raise SourceError("the camera ended its stream") from None
         except httpx.TimeoutException:
-            raise SourceError(f"the camera is silent: no picture for {self._silent_s:g} s") from None
+            raise SourceError(f"the camera does not respond: no image for {self._silent_s:g} s") from None
         except (httpx.HTTPError, httpx.StreamError, OSError) as error:
-            raise SourceError(f"the camera breaks off ({type(error).__name__})") from None
+            raise SourceError(f"the camera closed the connection ({type(error).__name__})") from None
 
     def _split(self, response: httpx.Response, boundary: bytes) -> Iterator[tuple[dict[str, str], bytes, float]]:
-        """Each part's head, its body, and when its last byte came."""
+        """Yield each part's header, its body, and the arrival time of its last byte."""
         parts, until = PartSplitter(boundary, self._most_bytes), time.monotonic() + self._whole_s
         for chunk in response.iter_bytes():
             for head, body in parts.feed(chunk):
                 until = time.monotonic() + self._whole_s
                 yield head, body, time.monotonic()
             if time.monotonic() > until:
-                raise SourceError(f"no whole picture for {self._whole_s:g} s")
+                raise SourceError(f"no complete image for {self._whole_s:g} s")
 
 
 class PartSplitter:
-    """Cuts a multipart answer into its parts, by the length that a part states or by the boundary. Source: RFC 2046,
-    5.1; cameras leave out half of it."""
+    """Splits a multipart answer into its parts, by the stated length or by the boundary. Source: RFC 2046, 5.1; cameras
+    implement half of it.
+    """
 
     def __init__(self, boundary: bytes, most_bytes: int) -> None:
         self._boundary, self._most_bytes = boundary, most_bytes
         self._buffer = bytearray()
 
     def feed(self, chunk: bytes) -> Iterator[tuple[dict[str, str], bytes]]:
-        """Head and body of each part that is whole now. Raises SourceError where none can be any more."""
+        """Return header and body of each completed part. Raises SourceError if no part can be completed."""
         self._buffer += chunk
         while (found := self._take()) is not None:
             yield found
         if len(self._buffer) > self._most_bytes + _HEAD_BYTES:
-            raise SourceError(f"a picture of more than {self._most_bytes} bytes, or a stream without boundaries")
+            raise SourceError(f"an image of more than {self._most_bytes} bytes, or a stream without boundaries")
 
     def _take(self) -> tuple[dict[str, str], bytes] | None:
         buffer = self._buffer
@@ -170,7 +171,7 @@ class PartSplitter:
         elif 0 < length <= self._most_bytes:
             end = start + int(length)
         else:
-            raise SourceError(f"a picture of {length:g} bytes is announced, at most {self._most_bytes} are taken")
+            raise SourceError(f"an image of {length:g} bytes is announced; the maximum is {self._most_bytes}")
         if end < 0 or len(buffer) < end:
             return None
         body = bytes(buffer[start:end])
@@ -179,7 +180,7 @@ class PartSplitter:
 
 
 def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
-    """Of a part by its head; some cameras count seconds there."""
+    """Return the timing of a part from its header; some cameras count seconds there."""
     return Timing(arrived=arrived, oldest=_OLDEST_S, stream=stated_number(head.get("x-timestamp")))
 
 
@@ -187,7 +188,7 @@ def _boundary(response: httpx.Response) -> bytes:
     kind: str = response.headers.get("content-type", "")
     _, found, boundary = kind.partition("boundary=")
     if "multipart" not in kind.lower() or not found:
-        raise SourceError(f"the camera answers {kind[:60] or 'without a type'}, not a stream of JPEGs; check the url")
+        raise SourceError(f"the camera answered {kind[:60] or 'no type'}, not a stream of JPEGs; check the url")
     return b"--" + boundary.split(";")[0].strip().strip('"').removeprefix("--").encode()
 
 

@@ -1,4 +1,4 @@
-"""Hold an image as a camera sent it, and detect stuck and dark images by its thumbnail."""
+"""Hold an image as a camera sent it, and detect stuck and dark images by their thumbnails."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ltm_ros.cameras.protocols.direction import PtzReading, difference_deg
 
 @dataclass(frozen=True)
 class CameraTime:
-    """When the picture was taken by the camera's clock: within [`epoch`, `epoch` + `resolution`] seconds."""
+    """Exposure time by the camera's clock: within [`epoch`, `epoch` + `resolution`] seconds."""
 
     epoch: float
     resolution: float
@@ -27,38 +27,38 @@ class CameraTime:
 
 @dataclass(frozen=True)
 class Timing:
-    """All times but the camera's are seconds of this computer's monotonic clock."""
+    """All times except the camera's are seconds of this computer's monotonic clock."""
 
     arrived: float
-    """When its first byte came, or of a stream its last."""
+    """Arrival of its first byte, or for a stream of its last byte."""
     asked: float | None = None
-    """When it was asked for; None: it came by itself."""
+    """Time of the request; None: sent without a request."""
     oldest: float = 1.0
-    """How long before it was asked for, or before it arrived by itself, it may have been taken."""
+    """Maximum age in seconds at the request, or at the arrival without a request."""
     taken: CameraTime | None = None
     answered: CameraTime | None = None
     """The camera's clock while it answered: HTTP `Date`."""
     stream: float | None = None
-    """Of a stream: seconds by its own count, which begins anew with each connection."""
+    """Seconds by a stream's own count, which starts again with each connection."""
     least_delay: float = 0.0
-    """From the exposure to the arrival, of the fastest picture of a stream."""
+    """Seconds from exposure to arrival of a stream's fastest image."""
     trusted: bool = False
-    """Whether `taken` is of a clock that is as right as ours."""
+    """Whether `taken` is from a clock as accurate as ours."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
     timing: Timing
     jpeg: bytes | None = None
-    """The camera's own bytes, JPEG or PNG; None: it sent a video, see `rgb`."""
+    """The camera's own bytes, JPEG or PNG; None: it sent video, see `rgb`."""
     rgb: UInt8Array | None = None
-    """(H, W, 3), of a video."""
+    """(H, W, 3), for video."""
     direction: PtzReading | None = None
-    """Where it came with the picture."""
+    """Viewing direction, if it came with the image."""
 
 
 def stated_number(value: object) -> float | None:
-    """A number as a camera states one, in text or not; None where it is none, or not finite."""
+    """Return a number from a camera, text or not; None if invalid or not finite."""
     try:
         number = float(value)  # type: ignore[arg-type] # what it cannot take, it refuses
     except (TypeError, ValueError, OverflowError):
@@ -67,56 +67,58 @@ def stated_number(value: object) -> float | None:
 
 
 class Nothing(Enum):
-    """What there is instead of a picture."""
+    """Reason why there is no image."""
 
     UNCHANGED = auto()
-    """The camera says that its picture is the one it gave before."""
+    """The camera reports that its image has not changed."""
     YET = auto()
-    """None has come; ask again."""
+    """No image yet; try again."""
 
 
 class CameraReader(Protocol):
-    """A connection to one camera; used by one thread."""
+    """A connection to one camera, for one thread."""
 
     pause: float
-    """Seconds from one call of `read` to the next; 0: `read` waits for the camera itself."""
+    """Seconds between calls of `read`; 0: `read` waits for the camera itself."""
 
     def read(self) -> CameraImage | Nothing:
-        """Blocks for some seconds at most. Raises SourceError where the connection must be made anew, PictureError
-        where it need not."""
+        """Return an image; may block for a few seconds. Raises SourceError if the connection must be reopened, else
+        PictureError.
+        """
         ...
 
     def close(self) -> None: ...
 
 
 DARK = 24
-"""Grey level below which nothing is seen; cameras' black is 16."""
+"""Grey level below which the image is dark; cameras' black is 16."""
 BRIGHT_SHARE = 0.02
-"""Of the pixels, that are brighter at night too: lamps, the moon, a caption."""
+"""Share of the pixels that are bright at night, too: lamps, the moon, a caption."""
 GREY = 3
-"""Difference of colour channels that compression makes of none."""
+"""Difference of colour channels that compression alone causes."""
 HASH_SIZE = 8
 
 
 def thumbnail_of_bytes(data: bytes) -> UInt8Array:
-    """(H / 8, W / 8, 3) BGR of a JPEG or PNG; of a JPEG a tenth of the work that decoding takes. Raises PictureError
-    where it cannot be decoded."""
+    """Return a thumbnail (H / 8, W / 8, 3) in BGR of a JPEG or PNG, for a JPEG at a tenth of the decoding cost. Raises
+    PictureError.
+    """
     try:
         small = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
-        raise PictureError(f"picture of {len(data)} bytes cannot be decoded: {error.err}") from None
+        raise PictureError(f"image of {len(data)} bytes cannot be decoded: {error.err}") from None
     if small is None:
-        raise PictureError(f"picture of {len(data)} bytes is corrupt: it cannot be decoded")
+        raise PictureError(f"image of {len(data)} bytes is corrupt: it cannot be decoded")
     return np.asarray(small, np.uint8)
 
 
 def thumbnail_of_rgb(rgb: UInt8Array) -> UInt8Array:
-    """As `thumbnail_of_bytes`, of every eighth pixel."""
+    """Like `thumbnail_of_bytes`, from every eighth pixel."""
     return np.ascontiguousarray(rgb[4::8, 4::8, ::-1]) if min(rgb.shape[:2]) >= 8 else rgb[..., ::-1]
 
 
 def is_night(thumbnail: UInt8Array) -> bool:
-    """Whether all but some lamps is dark, or nothing has a colour, as under infrared light."""
+    """Return whether the image is dark apart from some lamps, or has no colour (infrared)."""
     brightest = thumbnail.max(axis=2)
     if (brightest > DARK).mean() <= BRIGHT_SHARE:
         return True
@@ -125,23 +127,25 @@ def is_night(thumbnail: UInt8Array) -> bool:
 
 
 def difference_hash(thumbnail: UInt8Array) -> int:
-    """64 bits: whether each of 8 x 8 places is brighter than its left neighbour. Pictures that look the same differ in
-    few bits (Krawetz's dHash)."""
+    """Return 64 bits: whether each of 8 x 8 cells is brighter than its left neighbour. Similar images differ in few
+    bits (Krawetz's dHash).
+    """
     grey = cv2.resize(_grey(thumbnail), (HASH_SIZE + 1, HASH_SIZE), interpolation=cv2.INTER_AREA)
     bits = np.packbits(grey[:, 1:] > grey[:, :-1])
     return int.from_bytes(bits.tobytes(), "big")
 
 
 def same_share(first: UInt8Array, second: UInt8Array) -> float:
-    """Of two thumbnails, the share of pixels that are equal to the last digit: between two exposures, noise and light
-    change most; 0 where the sizes differ."""
+    """Return the share of exactly equal pixels of two thumbnails; noise and light change most pixels between exposures.
+    0 if sizes differ.
+    """
     if first.shape != second.shape:
         return 0.0
     return float((first == second).all(axis=2).mean())
 
 
 def contrast(thumbnail: UInt8Array) -> float:
-    """Standard deviation of grey levels: fog and darkness have next to none."""
+    """Return the standard deviation of grey levels: close to zero in fog and darkness."""
     return float(_grey(thumbnail).std())
 
 
@@ -150,21 +154,20 @@ def _grey(thumbnail: UInt8Array) -> UInt8Array:
 
 
 SAME_SHARE = 0.99
-"""Of a thumbnail's pixels that are equal to the digit: a caption's clock may run on in a frozen picture."""
+"""Share of exactly equal thumbnail pixels in a frozen image, whose caption may still change."""
 LEAST_CONTRAST = 4.0
-"""Below it (fog, darkness) a picture that stays the same says nothing."""
+"""Contrast below which (fog, darkness) an unchanged image proves nothing."""
 TURNED_DEG = 5.0
-"""By which a PTZ head has turned for its picture to change."""
+"""Degrees of a PTZ turn after which the image must change."""
 SAME_BITS = 4
-"""Of 64 of a difference hash, in which two pictures of one view differ at most."""
+"""Maximum of differing bits (of 64) in the hashes of two images of one view."""
 
 
 class StuckPicture:
-    """Compares each picture with the first that looked as it does, from which the light of a living one soon departs,
-    and after a turn with the one before the turn.
+    """Compares each image with the first equal one, and after a turn with the one before the turn. The light of a live
+    image soon changes.
 
-    Args:
-        after_s: for how long the same picture may come again.
+    Args: after_s: seconds for which the same image may repeat.
     """
 
     def __init__(self, after_s: float) -> None:
@@ -175,7 +178,7 @@ class StuckPicture:
         self._turns_unseen = 0
 
     def look(self, thumbnail: UInt8Array, direction: PtzReading | None, now: float) -> None:
-        """Take a picture, of a PTZ head at rest in `direction` where it has one."""
+        """Take an image, with the PTZ head's `direction` at rest, if any."""
         telling = contrast(thumbnail) >= LEAST_CONTRAST
         if self._first is None or not telling or same_share(self._first, thumbnail) < SAME_SHARE:
             self._first, self._same_since = thumbnail, now
@@ -183,16 +186,16 @@ class StuckPicture:
             self._compare_turn(difference_hash(thumbnail), direction)
 
     def repeated(self, now: float) -> None:
-        """The camera sent the very bytes of before, or says that nothing has changed."""
+        """Record that the camera sent the same bytes, or reported no change."""
         if self._same_since is None:
             self._same_since = now
 
     def said(self, now: float) -> str:
-        """Why it is stuck; empty: it is not."""
+        """Return why the image is stuck; empty: it is not."""
         if self._turns_unseen >= 2:
-            return f"the PTZ head says that it turned by {TURNED_DEG:g} deg or more, and the picture stays the same"
+            return f"the PTZ head reports a turn of {TURNED_DEG:g} deg or more, but the image stays the same"
         if self._same_since is not None and now - self._same_since >= self._after_s:
-            return f"the same picture for {now - self._same_since:.0f} s"
+            return f"the same image for {now - self._same_since:.0f} s"
         return ""
 
     def _compare_turn(self, bits: int, direction: PtzReading) -> None:

@@ -13,36 +13,36 @@ from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceErr
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
 
 TURN_S = 2.0
-"""After which a call returns without a picture, so that its caller can end."""
+"""Seconds after which a call returns without an image, so that its caller can stop."""
 _HELD_BACK = ("h264", "hevc")
-"""Codecs of which FFmpeg knows that a picture is whole only when the next one begins: a picture began to arrive when
-the one before was handed out, a period before it is handed out itself."""
+"""Codecs for which FFmpeg detects a complete image only when the next one begins: an image began to arrive when the
+previous one was returned, one period before it is returned itself.
+"""
 
 
 class VideoOrigin(Protocol):
-    """Where a video comes from."""
+    """The source of a video."""
 
     def opened(self, av: Any) -> Any:
-        """A container of PyAV. Raises SourceError."""
+        """Open a container of PyAV. Raises SourceError."""
         ...
 
     def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
-        """Of a picture that began to arrive at `arrived`. `stream`: its time as the video counts it, seconds; `begun`:
-        when that was 0, seconds since the epoch; None: not told."""
+        """Return the timing of an image that began to arrive at `arrived`. `stream`: its time in the video, seconds;
+        `begun`: epoch seconds of time 0; None: unknown.
+        """
         ...
 
     def said(self, error: BaseException) -> str:
-        """An error of FFmpeg in words, without a secret."""
+        """Return an error of FFmpeg in words, without secrets."""
         ...
 
 
 class VideoReader:
-    """Raises SourceError where PyAV is missing, and what `origin` raises.
+    """Raises SourceError if PyAV is missing, and what `origin` raises.
 
-    Args:
-        keys_only: pictures that are whole in themselves, each decoded alone.
-        every: seconds from one picture to the next; 0: all.
-        stall_s: without a picture, while packets come, after which the video is of no use.
+    Args: keys_only: use only key frames, each decoded alone. every: seconds between images; 0: all. stall_s: seconds
+    without an image, while packets come, after which the video is given up.
     """
 
     def __init__(self, origin: VideoOrigin, keys_only: bool, every: float, stall_s: float) -> None:
@@ -52,9 +52,9 @@ class VideoReader:
         self._container = origin.opened(self._av)
         try:
             if not self._container.streams.video:
-                raise SourceError("the stream has no video")
+                raise SourceError("the stream contains no video")
             video = self._container.streams.video[0]
-            # With more threads a picture comes out as many pictures later.
+            # Each additional thread delays the output by one image.
             video.codec_context.thread_count = 1
             self._codec = video.codec_context
             self._packets: Iterator[Any] = self._container.demux(video)
@@ -63,10 +63,10 @@ class VideoReader:
             raise
         self._held_back = self._codec.name in _HELD_BACK
         self._began: float | None = None
-        """When the picture that is handed out next began to arrive."""
+        """Time when the image that is returned next began to arrive."""
         self._due = 0.0
         self._whole = False
-        """Whether a key frame has come, without which the others show nothing."""
+        """Whether a key frame has come; other frames need one."""
         self._last = time.monotonic()
 
     def read(self) -> CameraImage | Nothing:
@@ -82,7 +82,7 @@ class VideoReader:
                 self._last = arrived
                 return picture
             if arrived - self._last > self._stall_s:
-                raise SourceError(f"packets, but no picture for {arrived - self._last:.0f} s")
+                raise SourceError(f"packets, but no image for {arrived - self._last:.0f} s")
             if arrived > until:
                 return Nothing.YET
 
@@ -95,10 +95,10 @@ class VideoReader:
         except StopIteration:
             packet = None
         except (self._av.error.FFmpegError, OSError) as error:
-            raise SourceError(f"the stream breaks off: {self._origin.said(error)}") from None
-        # FFmpeg ends a stream whose server is gone without a word, with a packet that holds nothing.
+            raise SourceError(f"the stream was interrupted: {self._origin.said(error)}") from None
+        # FFmpeg ends a stream whose server vanished with an empty packet.
         if packet is None or (packet.dts is None and packet.size == 0):
-            raise SourceError("the stream has ended: the camera is gone, or has closed it")
+            raise SourceError("the stream has ended: the camera closed it or is not reachable")
         return packet
 
     def _picture(self, packet: Any, arrived: float) -> CameraImage | None:
@@ -111,7 +111,7 @@ class VideoReader:
             return None
         frame = frames[-1]
         if packet.is_corrupt or frame.is_corrupt:
-            raise PictureError("a picture of the stream is damaged")
+            raise PictureError("an image of the stream is corrupt")
         self._due = arrived + self._every
         stream = None if frame.pts is None else float(frame.pts * frame.time_base)
         begun = self._container.start_time_realtime
@@ -121,11 +121,11 @@ class VideoReader:
         try:
             frames = list(self._codec.decode(packet))
             if alone:
-                # What is whole in itself need not wait for what follows, in case of pictures out of order.
+                # Key frames need not wait for later frames that are out of order.
                 frames += self._codec.decode(None)
                 self._codec.flush_buffers()
         except (self._av.error.FFmpegError, ValueError) as error:
-            raise PictureError(f"a picture of the stream cannot be decoded: {self._origin.said(error)}") from None
+            raise PictureError(f"an image of the stream cannot be decoded: {self._origin.said(error)}") from None
         return frames
 
 
@@ -134,7 +134,7 @@ def _pyav() -> Any:
         import av
     except ImportError:
         raise SourceError('video needs PyAV: pip install "ltm[rtsp]"') from None
-    av.logging.set_level(None)  # its lines hold URLs
+    av.logging.set_level(None)  # its log lines contain URLs
     return av
 
 
@@ -144,12 +144,12 @@ def _rgb(frame: Any) -> UInt8Array:
 
 
 _READ_S = 5.0
-"""Without a packet, after which FFmpeg gives a stream up: cameras send some each second."""
+"""Seconds without a packet after which FFmpeg gives a stream up; cameras send several per second."""
 _ANALYSE_US = "1000000"
 
 
 class RtspReader(VideoReader):
-    """Raises SourceError where PyAV is missing, UnauthorisedError where the password is wrong or cannot be read."""
+    """Raises SourceError if PyAV is missing, UnauthorisedError if the password is wrong or cannot be read."""
 
     def __init__(self, config: RtspConfig) -> None:
         super().__init__(_Stream(config), config.frames == "key", config.every, config.stall_s)
@@ -175,13 +175,13 @@ class _Stream:
             )
         except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError):
             raise UnauthorisedError(
-                f"the camera refuses the user {self._config.user or '(none)'}: mend user and password"
+                f"the camera rejected user {self._config.user or '(none)'}. Check the user name and password"
             ) from None
         except (av.error.FFmpegError, OSError, ValueError) as error:
             raise SourceError(f"no stream: {self.said(error)}") from None
 
     def _address(self) -> str:
-        """A secret from here on."""
+        """Return the address with the password; the result is secret."""
         url = self._login.filled(self._config.url)
         if self._config.user is None or "{password}" in self._config.url:
             return url
@@ -208,14 +208,14 @@ class _Stream:
 
 
 class V4l2Reader(VideoReader):
-    """Raises SourceError where PyAV or the device is missing, or belongs to others."""
+    """Raises SourceError if PyAV or the device is missing, or the device is in use."""
 
     def __init__(self, config: V4l2Config) -> None:
         super().__init__(_Device(config), keys_only=True, every=config.every, stall_s=config.stall_s)
 
 
 class _Device:
-    """The `VideoOrigin` of a device. Its pictures carry times of a clock that nobody sets, as a stream's do."""
+    """The `VideoOrigin` of a device. Its image times are from a monotonic clock, like a stream's."""
 
     def __init__(self, config: V4l2Config) -> None:
         self._config = config
@@ -231,9 +231,9 @@ class _Device:
         try:
             return av.open(str(config.device), format="v4l2", options=options)
         except PermissionError:
-            raise SourceError(f"{config.device} may not be read: add the user to the group video") from None
+            raise SourceError(f"{config.device} is not readable: add the user to the group video") from None
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            asked_for = "".join(f"; {name} {value} was asked for" for name, value in options.items())
+            asked_for = "".join(f"; requested {name} {value}" for name, value in options.items())
             raise SourceError(f"{config.device}: {self.said(error)}{asked_for}") from None
 
     def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:

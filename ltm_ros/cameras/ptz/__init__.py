@@ -1,1 +1,1 @@
-"""PTZ heads of pan-tilt-zoom cameras: what they say of their direction, by maker."""
+"""Read the directions of pan-tilt-zoom (PTZ) heads, by maker."""

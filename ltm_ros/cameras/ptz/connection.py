@@ -1,4 +1,4 @@
-"""One connection to a PTZ head: HTTP with the camera's user and password, and XML within bounds."""
+"""Connect to a PTZ head: HTTP with the camera's user and password, and XML with limits."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.http_client import TAKEN, HttpClient, HttpResponse
 
 MOST_BYTES = 512 << 10
-"""Of an answer: 256 presets of ONVIF have 120 kB."""
+"""Maximum bytes of an answer: 256 presets of ONVIF have 120 kB."""
 
 _DTD = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
-    """With what the section `ptz` leaves out taken from the camera's `source`."""
+    """Return the section `ptz`, completed from the camera's `source`."""
     url, user, password, ca, check_name = ptz.url, ptz.user, ptz.password, ptz.ca, ptz.check_name
     if isinstance(source, NetworkSettings):
         if url is None:
             parts = urlsplit(source.url)
-            # A stream's port is not that of its camera's pages.
+            # A stream's port is not that of the camera's web pages.
             place = parts.netloc if parts.scheme in ("http", "https") else (parts.hostname or "")
             url = f"{'https' if parts.scheme == 'https' else 'http'}://{place}"
         if user is None:
@@ -31,7 +31,7 @@ def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
     if isinstance(source, HttpSettings) and ca is None:
         ca, check_name = source.ca, source.check_name
     if url is None:
-        raise SourceError("the PTZ head has no address: write it as ptz.url in the site file")
+        raise SourceError("the PTZ head has no address: set ptz.url in the site file")
     return HttpSettings(
         url=url.rstrip("/"),
         user=user,
@@ -44,7 +44,7 @@ def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
 
 
 class Connection:
-    """For one thread."""
+    """A connection for one thread."""
 
     def __init__(self, settings: HttpSettings) -> None:
         self.settings = settings
@@ -61,45 +61,45 @@ class Connection:
         headers: Mapping[str, str] | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> HttpResponse:
-        """Raises SourceError, UnauthorisedError."""
+        """Send a request. Raises SourceError, UnauthorisedError."""
         url = path if path.startswith(("http://", "https://")) else self.settings.url + path
         return self._client.send(method, url, headers, body, accepted)
 
 
 def parsed_xml(body: bytes) -> ElementTree.Element:
-    """Raises SourceError for what is no XML, and for XML that defines entities, which can grow without bounds."""
-    # In UTF-16 one would not be seen.
+    """Parse XML. Raises SourceError if it is invalid or defines entities, which can expand without limit."""
+    # In UTF-16, a DTD would go unnoticed.
     if _DTD.search(body.replace(b"\0", b"")):
-        raise SourceError("the camera sends XML with a document type, which is not read: no camera needs one")
+        raise SourceError("the camera sent XML with a document type, which is not allowed")
     try:
         return ElementTree.fromstring(body)  # nosec B314 # see above
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise SourceError(f"the camera sends no XML ({error}): check url and kind of ptz") from None
+        raise SourceError(f"the camera sent no valid XML ({error}): check url and kind of ptz") from None
 
 
 def split_address(url: str) -> SplitResult:
-    """Raises SourceError for an address that a camera states and that is none."""
+    """Split an address reported by a camera. Raises SourceError if it is invalid."""
     try:
         return urlsplit(url)
     except ValueError:
-        raise SourceError(f"the camera states an address that is none: {url[:60]!r}") from None
+        raise SourceError(f"the camera reported an invalid address: {url[:60]!r}") from None
 
 
-def at_asked_host(stated: str, asked: str) -> str:
-    """The address that a camera states, with scheme, host and port of `asked`: behind a gateway cameras state others,
-    and a password goes nowhere but to the host that its owner has named. Raises SourceError.
+def with_configured_host(stated: str, asked: str) -> str:
+    """Return an address reported by the camera with scheme, host and port of `asked`: behind a gateway cameras report
+    other hosts, and a password goes only to the configured host. Raises SourceError.
     """
     parts, own = split_address(stated.strip()), split_address(asked)
     return urlunsplit((own.scheme, own.netloc, parts.path, parts.query, ""))
 
 
 def local(element: ElementTree.Element) -> str:
-    """The name of an element without its namespace: cameras of one maker disagree about theirs."""
+    """Return an element's name without its namespace, which cameras of one maker vary."""
     return element.tag.rpartition("}")[2]
 
 
 def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
-    """The first element that stands below others of these names, in this order, at any depth."""
+    """Return the first element below others of these names, in this order, at any depth."""
     here: ElementTree.Element | None = root
     for name in names:
         if here is None:
@@ -109,11 +109,11 @@ def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
 
 
 def number(text: str | None, what: str) -> float:
-    """Raises SourceError."""
+    """Parse a number. Raises SourceError."""
     try:
         value = float((text or "").strip())
     except ValueError:
         value = float("nan")
     if not -1e9 < value < 1e9:
-        raise SourceError(f"the PTZ head says {text!r:.40} for {what}: that is no number")
+        raise SourceError(f"the PTZ head reports {text!r:.40} for {what}, which is not a number")
     return value

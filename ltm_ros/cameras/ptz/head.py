@@ -1,4 +1,4 @@
-"""Query PTZ heads of all makers for their direction, at readings close enough to notice motion."""
+"""Read the directions of PTZ heads of all makers, with readings close enough to detect motion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 
 @dataclass(frozen=True)
 class PtzLimits:
-    """How far a PTZ head goes, degrees and the camera's own zoom; None: it does not say."""
+    """Limits of a PTZ head in degrees and the camera's zoom unit; None: not reported."""
 
     pan_deg: tuple[float, float] | None = None
     tilt_deg: tuple[float, float] | None = None
@@ -22,39 +22,38 @@ class PtzLimits:
 
 
 class PtzHead(Protocol):
-    """A `Direction` that knows more. All but `go_to` only asks.
+    """A `Direction` with limits and presets. Only `go_to` moves the head.
 
-    Everything raises SourceError where the PTZ head does not tell, and UnauthorisedError where it refuses the password.
+    Every method raises SourceError without an answer, and UnauthorisedError if the password is rejected.
     """
 
     spacing: float
-    """Seconds between two readings that show a PTZ head which turns by 1 deg/s."""
+    """Seconds between two readings that detect a rotation of 1 deg/s."""
 
     def read(self) -> PtzReading: ...
 
     def limits(self) -> PtzLimits: ...
 
     def presets(self) -> Mapping[str, str]:
-        """What the PTZ head calls each preset, by its name."""
+        """Return the PTZ head's tokens of its presets, by name."""
         ...
 
     def go_to(self, preset: str) -> None:
-        """Drive to a preset, by its name; returns before it is there. Raises SourceError for a name that it does not
-        have."""
+        """Start moving to a preset and return at once. Raises SourceError for an unknown name."""
         ...
 
     def close(self) -> None: ...
 
 
 def token_of(presets: Mapping[str, str], preset: str) -> str:
-    """What the PTZ head calls a preset. Raises SourceError naming those there are."""
+    """Return the token of a preset. Raises SourceError that lists the presets."""
     if preset not in presets:
         raise SourceError(f"the PTZ head has no preset {preset!r}; it has {', '.join(presets) or 'none'}")
     return presets[preset]
 
 
 def tolerance_of(config: PtzConfig) -> Tolerance:
-    """By which two readings of a PTZ head at rest differ: some of its last digit."""
+    """Return the difference of two readings at rest: a few units of the last digit."""
     match config:
         case VapixConfig():
             return Tolerance(config.tolerance_deg or 0.05, 1.0)
@@ -68,26 +67,25 @@ def tolerance_of(config: PtzConfig) -> Tolerance:
 
 
 SLOWEST_DEG_S = 1.0
-"""A PTZ head that turns as fast as this is told from one at rest."""
+"""Slowest rotation in deg/s that is distinguished from rest."""
 
 
 def spacing_for(tolerance_deg: float) -> float:
-    """Twice the tolerance, so that a flicker of the last digit hides nothing."""
+    """Return the spacing for twice the tolerance, so that flicker of the last digit hides no motion."""
     return 2 * tolerance_deg / SLOWEST_DEG_S
 
 
 STARTS_WITHIN_S = 2.0
-"""In which a PTZ head that is sent elsewhere begins to move."""
+"""Seconds within which a PTZ head starts to move after a command."""
 SAME_PRESET_DEG = 0.5
-"""By which a PTZ head may come back to a preset elsewhere before that is told."""
+"""Degrees by which a PTZ head may miss a preset before this is reported."""
 
 
 class PtzDirection:
-    """For one thread.
+    """Reads a PTZ head; for one thread.
 
-    Args:
-        open_head: raises SourceError, UnauthorisedError.
-        sleep: instead of `time.sleep`, and `now` instead of `time.monotonic`, in tests.
+    Args: open_head: raises SourceError, UnauthorisedError. sleep, now: replace `time.sleep` and `time.monotonic` in
+    tests.
     """
 
     def __init__(
@@ -101,7 +99,7 @@ class PtzDirection:
         self._last: PtzReading | None = None
 
     def read(self) -> PtzReading:
-        """Waits until a PTZ head that turns slowly would read otherwise than before; fractions of a second."""
+        """Return a reading after waiting long enough to detect a slow rotation; fractions of a second."""
         ptz = self.ptz()
         if self._last is not None:
             self._sleep(max(0.0, self._last.at + ptz.spacing - self._now()))
@@ -125,18 +123,19 @@ class PtzDirection:
 
 
 class PtzPatrol:
-    """One controller: what it reads between its own commands must be what these ask for."""
+    """Moves a PTZ head as its only controller: readings between its commands must match them."""
 
     def __init__(self, direction: PtzDirection, config: PatrolConfig, tolerance: Tolerance) -> None:
         self._direction, self._config, self._tolerance = direction, config, tolerance
         self._next = 0
         self._at: str | None = None
         self._places: dict[str, PtzReading] = {}
-        """Where each preset was when the PTZ head was there first."""
+        """Position of each preset at the first visit."""
 
     def advance(self) -> None:
-        """To the next preset, settled. Raises StuckPtzError where the PTZ head does not go or does not stop,
-        SourceError where it does not tell, or where something else has driven it away."""
+        """Go to the next preset and wait until it rests. Raises StuckPtzError if the head does not move or does not
+        stop, SourceError without an answer or if another controller has moved it.
+        """
         preset = self._config.presets[self._next]
         before = self._direction.read()
         self._direction.ptz().go_to(preset)
@@ -147,7 +146,7 @@ class PtzPatrol:
         self._next = (self._next + 1) % len(self._config.presets)
 
     def _arrived(self, preset: str, before: PtzReading) -> PtzReading:
-        """Two equal readings after it has begun to move, and again two when it has settled."""
+        """Wait for two equal readings after the start of the motion, and two more after settling."""
         begun = self._direction.now
         until = begun + self._config.arrive_within
         known = self._places.get(preset)
@@ -166,8 +165,9 @@ class PtzPatrol:
                 return reading
             if self._direction.now > until:
                 raise StuckPtzError(
-                    f"the PTZ head was sent to preset {preset!r} and has not come to rest within "
-                    f"{self._config.arrive_within:g} s; it reads pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}"
+                    f"sent to preset {preset!r}, the PTZ head did not come to rest within "
+                    f"{self._config.arrive_within:g} s; it reads pan {reading.pan_deg:.2f}, tilt "
+                    f"{reading.tilt_deg:.2f}"
                 )
             last = reading
 
@@ -176,20 +176,20 @@ class PtzPatrol:
         if known is not None and not at_rest(known, reading, Tolerance(SAME_PRESET_DEG, self._tolerance.zoom * 10)):
             if self._same(before, reading):
                 raise StuckPtzError(
-                    f"the PTZ head was sent to preset {preset!r} (pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}) "
-                    f"and stays at pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck, or something "
-                    "else drives it"
+                    f"sent to preset {preset!r} (pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}), the PTZ "
+                    f"head stays at pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck, or "
+                    "another program moves it"
                 )
             self._places[preset], self._at = reading, preset
             raise SourceError(
                 f"preset {preset!r} was at pan {known.pan_deg:.2f}, tilt {known.tilt_deg:.2f}, and is now at pan "
-                f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it was changed, or something else "
-                "drives the PTZ head"
+                f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it was changed, or another program moves "
+                "the PTZ head"
             )
         other = self._at is not None and self._at != preset
         if known is None and other and self._same(before, reading):
             raise StuckPtzError(
-                f"the PTZ head was sent from preset {self._at!r} to {preset!r} and reads the same direction, pan "
+                f"sent from preset {self._at!r} to {preset!r}, the PTZ head reads the same direction, pan "
                 f"{reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}: it is stuck"
             )
 

@@ -1,15 +1,11 @@
-"""Query PTZ heads of Hikvision (ISAPI), Axis (VAPIX) and Reolink, and open the head that a site file states.
+"""Read PTZ heads of Hikvision (ISAPI), Axis (VAPIX) and Reolink.
 
-Query Hikvision heads by ISAPI and Axis heads by VAPIX.
+ISAPI: source: ISAPI 2.0, PTZCtrl; fields as cameras send them. Units differ between pages: tenths of a degree in
+`status`, degrees with decimals in `absoluteEx`.
 
-Hikvision PTZ heads by ISAPI. Source: ISAPI 2.0, PTZCtrl; fields as cameras send them.
-
-Units differ from page to page: tenths of a degree in `status`, degrees with decimals in `absoluteEx`.
-
-Reolink PTZ heads by the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of
-the position's fields from reolink-aio 0.22.
-
-Own code: reolink-aio is asynchronous and asks a camera for all it has before it tells a position; that needs two calls.
+Reolink: the cameras' HTTP API (JSON). Source: Reolink, Camera HTTP API User Guide, version 8; names of the position's
+fields from reolink-aio 0.22. Own code, because reolink-aio is asynchronous and requests everything from a camera before
+it returns a position, which needs two calls.
 """
 
 from __future__ import annotations
@@ -38,8 +34,9 @@ from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 
 class IsapiPtzHead:
-    """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these PTZ heads (0 level, 90
-    straight down): `mount.tilt_sign: -1`."""
+    """Azimuth is its pan, elevation its tilt. On most of these PTZ heads, elevation grows downwards (0 level, 90
+    straight down): `mount.tilt_sign: -1`.
+    """
 
     def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._connection = connection or Connection(settings_of(config, source))
@@ -55,13 +52,13 @@ class IsapiPtzHead:
         for name in ("azimuth", "elevation", "absoluteZoom"):
             element = found(root, *place, name)
             if element is None:
-                raise SourceError(f"the PTZ head's page {page} holds no {name}: write the other units as ptz.units")
+                raise SourceError(f"the PTZ head's page {page} contains no {name}: set ptz.units to the other units")
             values.append(number(element.text, name))
         scale = 0.1 if self._tenths else 1.0
         return PtzReading(values[0] * scale, values[1] * scale, values[2], None, at)
 
     def limits(self) -> PtzLimits:
-        """In the units of `status`, whatever the readings are in: so cameras state them."""
+        """Return the limits in the units of `status`, which cameras use here whatever the units of the readings are."""
         root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
 
         def both(scale: float, *names: str) -> tuple[float, float] | None:
@@ -98,7 +95,7 @@ _PRESET = re.compile(r"presetposno(\d+)")
 
 
 class VapixPtzHead:
-    """Degrees: pan clockwise, tilt upwards. It says neither when it read them nor whether it moves."""
+    """Degrees: pan clockwise, tilt upwards. It reports neither the time of a reading nor motion."""
 
     def __init__(self, config: VapixConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._connection = connection or Connection(settings_of(config, source))
@@ -128,7 +125,7 @@ class VapixPtzHead:
         return found
 
     def go_to(self, preset: str) -> None:
-        token_of(self.presets(), preset)  # where it has none of that name, it says nothing
+        token_of(self.presets(), preset)  # for an unknown name, it answers nothing
         self._ask(f"gotoserverpresetname={quote(preset)}", accepted=(200, 204))
 
     def close(self) -> None:
@@ -138,32 +135,32 @@ class VapixPtzHead:
         body = self._connection.ask(f"{_PAGE}?{query}{self._camera}", accepted=accepted).body
         text = body.decode("utf-8", "replace")
         if text.lstrip().lower().startswith("error"):
-            raise SourceError(f"the PTZ head answers {text.strip()[:80]!r} to {query.partition('=')[2]}")
+            raise SourceError(f"the PTZ head answered {text.strip()[:80]!r} to {query.partition('=')[2]}")
         return text
 
     def _lines(self, query: str) -> dict[str, str]:
         lines = (line.partition("=") for line in self._ask(query).splitlines())
         said = {name.strip(): value.strip() for name, sign, value in lines if sign}
         if not said and query != "query=presetposall":
-            raise SourceError("the camera tells no position by VAPIX: it has no PTZ head, or speaks something else")
+            raise SourceError("the camera reports no position by VAPIX: it has no PTZ head, or uses another protocol")
         return said
 
 
 _REOLINK_PAGE = "/cgi-bin/api.cgi"
 _LOGIN_AGAIN = -6
-"""Code of an answer to a token that has run out."""
+"""Error code of an expired token."""
 _BEFORE_END_S = 60.0
 
 
 class ReolinkPtzHead:
-    """Pan and tilt in the camera's own counts, which are divided by the steps a degree of the site file."""
+    """Pan and tilt in the camera's own steps, divided by the steps per degree of the site file."""
 
     def __init__(
         self, config: ReolinkConfig, source: SourceConfig | None, connection: Connection | None = None
     ) -> None:
         settings = settings_of(config, source)
         self._login = Login.of(settings)
-        # User and password go into the log-in's body, not into each request.
+        # User and password are only in the body of the log-in request.
         self._connection = connection or Connection(
             HttpSettings(url=settings.url, timeout=settings.timeout, ca=settings.ca, check_name=settings.check_name)
         )
@@ -192,7 +189,7 @@ class ReolinkPtzHead:
     def presets(self) -> Mapping[str, str]:
         said = self._ask("GetPtzPreset", {"channel": self._config.channel}).get("PtzPreset") or []
         if not isinstance(said, list):
-            raise SourceError("the camera tells its presets in no form that is known")
+            raise SourceError("the camera's list of presets has an unknown format")
         rows = [row for row in said if isinstance(row, dict) and row.get("enable", 1) == 1 and "id" in row]
         return {str(row.get("name") or row["id"]): str(row["id"]) for row in rows}
 
@@ -213,7 +210,8 @@ class ReolinkPtzHead:
             code, value = self._send(command, parameters, f"&token={self._token}")
         if code:
             raise SourceError(
-                f"the camera refuses {command} (code {code}): it may have no PTZ head, or the user no right"
+                f"the camera rejected {command} (code {code}): it may have no PTZ head, or the user lacks the "
+                "permission"
             )
         return value
 
@@ -223,7 +221,7 @@ class ReolinkPtzHead:
         code, value = self._send("Login", user, "")
         token = _part(value, "Token")
         if code or not token.get("name"):
-            raise UnauthorisedError(f"the camera refuses the user {self._login.user} (code {code}): mend the password")
+            raise UnauthorisedError(f"the camera rejected user {self._login.user} (code {code}). Check the password")
         self._token = str(token["name"])
         lease = number(str(token.get("leaseTime", 3600)), "leaseTime")
         self._token_until = time.monotonic() + max(lease - _BEFORE_END_S, 1.0)
@@ -239,23 +237,24 @@ class ReolinkPtzHead:
                 code = int((said.get("error") or {}).get("rspCode", code))
             value = said.get("value") or {}
         except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
-            raise SourceError("the camera answers no JSON of Reolink's: check url and kind of ptz") from None
+            raise SourceError("the answer is not JSON of a Reolink camera: check url and kind of ptz") from None
         if not isinstance(value, dict):
-            raise SourceError(f"the camera answers {command} in no form that is known")
+            raise SourceError(f"the camera's answer to {command} has an unknown format")
         return code, value
 
 
 def _part(answer: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """What an answer holds by that name, nothing where it has none. Raises SourceError where it is no such thing."""
+    """Return the named part of an answer, nothing if it is missing. Raises SourceError if it has another type."""
     part = answer.get(key) or {}
     if not isinstance(part, dict):
-        raise SourceError(f"the camera answers {key} in no form that is known ({str(part)[:80]!r})")
+        raise SourceError(f"the camera's answer {key} has an unknown format ({str(part)[:80]!r})")
     return part
 
 
 def open_ptz(config: PtzConfig, source: SourceConfig | None, connection: Connection | None = None) -> PtzHead:
-    """Asks nothing yet. `connection`: one that there is already. Raises SourceError, and UnauthorisedError where the
-    password cannot be read."""
+    """Open a PTZ head without a request. `connection`: an existing one. Raises SourceError, and UnauthorisedError if
+    the password cannot be read.
+    """
     match config:
         case VapixConfig():
             return VapixPtzHead(config, source, connection)

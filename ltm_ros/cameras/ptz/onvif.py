@@ -1,10 +1,10 @@
-"""Query PTZ heads by ONVIF, with the SOAP and WS-Security that it needs.
+"""Read PTZ heads by ONVIF, with the necessary parts of SOAP and WS-Security.
 
-The little of SOAP and WS-Security that ONVIF needs. Sources: ONVIF Core Specification 5.9.4 (user authentication),
-OASIS WS-Security UsernameToken Profile 1.0 (password digest).
+Sources: ONVIF Core Specification 5.9.4 (user authentication), OASIS WS-Security UsernameToken Profile 1.0 (password
+digest).
 
-Own code, since the library for it (onvif-zeep-async) is asynchronous, brings 27 packages, and takes 57 MB and 0.4 s of
-a core to begin; what is asked of a PTZ head is six calls.
+Own code, because onvif-zeep-async is asynchronous, needs 27 packages, takes 57 MB and 0.4 s to start; six calls are
+needed here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ from xml.sax.saxutils import escape  # nosec B406 # writes only
 from ltm_core.site.source_config import OnvifConfig, SourceConfig
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
-from ltm_ros.cameras.ptz.connection import Connection, at_asked_host, found, local, number, parsed_xml, settings_of
+from ltm_ros.cameras.ptz.connection import (
+    Connection,
+    found,
+    local,
+    number,
+    parsed_xml,
+    settings_of,
+    with_configured_host,
+)
 from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
 
 DEVICE = "http://www.onvif.org/ver10/device/wsdl"
@@ -38,12 +46,13 @@ _DIGEST = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-username-toke
 _BASE64 = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-soap-message-security-1.0#Base64Binary"
 _REFUSALS = ("NotAuthorized", "SenderNotAuthorized", "FailedAuthentication", "Sender not authorized")
 _TOLD = (200, 400, 401, 403, 500)
-"""A fault is an answer too; cameras send it with any of these."""
+"""A fault is also an answer; cameras send it with any of these statuses."""
 
 
 class SoapClient:
-    """Signs with the camera's own time, which it asks first: a token that is older than some seconds is refused, and
-    cameras' clocks are off by minutes."""
+    """Signs with the camera's own time, which it requests first: a token older than some seconds is rejected, and
+    cameras' clocks are off by minutes.
+    """
 
     def __init__(self, connection: Connection, device: str) -> None:
         self._connection, self._device = connection, device
@@ -51,36 +60,35 @@ class SoapClient:
         self._ahead: float | None = None
 
     def clock_ahead(self) -> float:
-        """Seconds by which the camera's clock is ahead of this computer's."""
+        """Return the seconds by which the camera's clock is ahead of this computer's."""
         before = time.time()
         root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=False)
         middle = (before + time.time()) / 2
         utc = found(root, "UTCDateTime")
         if utc is None:
-            raise SourceError("the camera does not tell its time by ONVIF, so that no request can be signed")
+            raise SourceError("the camera does not report its time by ONVIF, so that no request can be signed")
         fields = []
         for name in ("Year", "Month", "Day", "Hour", "Minute", "Second"):
             element = found(utc, name)
             fields.append(int(number(element.text if element is not None else None, name)))
         try:
-            # It tells whole seconds, as they begin.
+            # It reports whole seconds, at their start.
             self._ahead = calendar.timegm((*fields, 0, 0, 0)) + 0.5 - middle
         except (ValueError, OverflowError):
-            raise SourceError(f"the camera tells a time that is none: {fields}") from None
+            raise SourceError(f"the camera reports an invalid time: {fields}") from None
         return self._ahead
 
     def call(
         self, address: str, namespace: str, name: str, arguments: Mapping[str, str] | None = None, before: str = ""
     ) -> ElementTree.Element:
-        """The body of the answer. `before`: XML that stands before the arguments. Raises SourceError,
-        UnauthorisedError."""
+        """Return the body of the answer. `before`: XML before the arguments. Raises SourceError, UnauthorisedError."""
         if self._ahead is None:
             self.clock_ahead()
         body = _call(namespace, name, arguments, before)
         try:
             return self._send(address, body, signed=True)
         except UnauthorisedError:
-            # Its clock may have been set since: asked once more, and only then is the password wrong.
+            # Its clock may have been set meanwhile: try once more before the password counts as wrong.
             known = self._ahead or 0.0
             if abs(self.clock_ahead() - known) < 2.0:
                 raise
@@ -103,21 +111,21 @@ class SoapClient:
             said = " ".join("".join(fault.itertext()).split())
             if any(refusal in said for refusal in _REFUSALS):
                 raise self._unauthorised("NotAuthorized")
-            raise SourceError(f"the camera refuses by ONVIF: {self._login.redact(said)[:120]}")
+            raise SourceError(f"the camera rejected the ONVIF request: {self._login.redact(said)[:120]}")
         inside = found(root, "Body")
         if inside is None:
-            raise SourceError(f"the camera answers no SOAP but <{local(root)[:40]}>: check url and path of ptz")
+            raise SourceError(f"the camera answered <{local(root)[:40]}> instead of SOAP: check url and path of ptz")
         return inside
 
     def _unauthorised(self, how: str) -> UnauthorisedError:
-        who = f"the user {self._login.user}" if self._login.user else "a request without user and password"
-        return UnauthorisedError(f"the camera refuses {who} by ONVIF ({how}): mend user and password")
+        who = f"user {self._login.user}" if self._login.user else "a request without user and password"
+        return UnauthorisedError(f"the camera rejected {who} by ONVIF ({how}). Check the user name and password")
 
     def _security(self) -> str:
         nonce = secrets.token_bytes(16)
         created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + (self._ahead or 0.0)))
         password = self._login.password.reveal() if self._login.password is not None else ""
-        # The standard has SHA-1 here.
+        # The standard requires SHA-1 here.
         digest = hashlib.sha1(nonce + created.encode() + password.encode(), usedforsecurity=False).digest()
         return (
             f'<wsse:Security xmlns:wsse="{_WSSE}" xmlns:wsu="{_WSU}"><wsse:UsernameToken>'
@@ -137,9 +145,9 @@ _DEGREES = "SphericalPositionSpaceDegrees"
 
 
 class OnvifPtzHead:
-    """Whether its axes run clockwise and upwards differs from maker to maker, and from its own velocities: the mount's
-    signs are calibrated (`ltm pose`), not believed. MoveStatus is often missing or never changes, so that it is only
-    believed where it says that the PTZ head moves."""
+    """The directions of its axes differ between makers, even from its own velocities: calibrate the mount's signs (`ltm
+    pose`). MoveStatus is often missing or constant, so it is used only if it reports motion.
+    """
 
     def __init__(self, config: OnvifConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._config = config
@@ -155,7 +163,9 @@ class OnvifPtzHead:
         at = time.monotonic()
         turn, zoom = found(root, "Position", "PanTilt"), found(root, "Position", "Zoom")
         if turn is None:
-            raise SourceError("the PTZ head tells no position by ONVIF (GetStatus without PanTilt): it cannot be used")
+            raise SourceError(
+                "the PTZ head reports no position by ONVIF (GetStatus without PanTilt): it is not supported"
+            )
         x, y = number(turn.get("x"), "pan"), number(turn.get("y"), "tilt")
         if _DEGREES not in (turn.get("space") or ""):
             x, y = _scaled(x, self._config.pan_range_deg), _scaled(y, self._config.tilt_range_deg)
@@ -191,7 +201,7 @@ class OnvifPtzHead:
         self._ask("GotoPreset", {"PresetToken": token_of(self.presets(), preset)})
 
     def picture_addresses(self) -> tuple[str | None, str | None]:
-        """URLs of a snapshot and of a stream, as the camera states them."""
+        """Return the URLs of a snapshot and of a stream that the camera reports."""
         media, _ = self._services()
         token = {"ProfileToken": self._token()}
         found_at: list[str | None] = []
@@ -214,16 +224,16 @@ class OnvifPtzHead:
         return self.soap.call(address, PTZ, name, {**whole, **(arguments or {})})
 
     def _services(self) -> tuple[str, str]:
-        """Addresses of media and PTZ, at the host that was asked."""
+        """Return the addresses of the media and PTZ services, at the configured host."""
         if self._addresses is None:
             root = self.soap.call(self._device, DEVICE, "GetCapabilities", {"Category": "All"})
             places = []
             for name in ("Media", "PTZ"):
                 address = found(root, name, "XAddr")
                 if address is None or not address.text:
-                    what = "no PTZ head" if name == "PTZ" else "no pictures"
+                    what = "no PTZ head" if name == "PTZ" else "no images"
                     raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-                places.append(at_asked_host(address.text, self._connection.settings.url))
+                places.append(with_configured_host(address.text, self._connection.settings.url))
             self._addresses = places[0], places[1]
         return self._addresses
 
@@ -235,12 +245,12 @@ class OnvifPtzHead:
             with_ptz = [e for e in profiles if found(e, "PTZConfiguration") is not None]
             if not with_ptz:
                 raise SourceError(
-                    "none of the camera's media profiles has a PTZ head: choose one in the camera's settings"
+                    "none of the camera's media profiles has a PTZ head: select one in the camera's settings"
                 )
             self._profile = with_ptz[0].get("token") or ""
         return self._profile
 
 
 def _scaled(value: float, ends: tuple[float, float]) -> float:
-    """From -1 to 1 to between two ends."""
+    """Scale from [-1, 1] to [low, high]."""
     return ends[0] + (value + 1) / 2 * (ends[1] - ends[0])

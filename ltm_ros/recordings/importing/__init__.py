@@ -1,1 +1,1 @@
-"""`ltm import`: makes a recording that the graph replays from photos with a pose file or EXIF."""
+"""Make recordings from photos with a pose file or EXIF (`ltm import`), which the graph can replay."""

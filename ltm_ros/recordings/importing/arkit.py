@@ -1,9 +1,9 @@
-"""Captures by ARKit: Stray Scanner's folders, and Record3D's .r3d files and exported folders.
+"""Read captures by ARKit: Stray Scanner's folders, and Record3D's .r3d files and exported folders.
 
-Their poses count from where the app was started: neither place nor date is recorded. A row of the pose file that is
-named as the capture tells where its first frame was taken. Stray Scanner's world stands upright (y up) with any
-heading, and its quaternions are of OpenCV's camera axes. Record3D's world is that of its first frame, so that not even
-gravity is known, and its quaternions are of OpenGL's axes.
+Their poses are relative to the start of the app: neither place nor date is recorded. A row of the pose file named after
+the capture gives the place of its first frame. Stray Scanner's world is upright (y up) with any heading, and its
+quaternions use OpenCV's camera axes. Record3D's world is that of its first frame, so that even gravity is unknown, and
+its quaternions use OpenGL's axes.
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ from ltm_ros.recordings.importing.video import frame_photo, later, read_video
 _ODOMETRY = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LENS = ("fx", "fy", "cx", "cy")
 _TILT_SIGMA_DEG = 0.5
-"""Of ARKit's gravity."""
+"""Standard deviation of ARKit's gravity in degrees."""
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""The optical frame of an image that was turned clockwise by a quarter, in that of the image before."""
+"""Optical frame of an image rotated clockwise by 90 degrees, in that of the original image."""
 
 
 @dataclass(frozen=True, eq=False)
 class _CaptureFrame:
-    """`rotation` (3, 3): optical to the capture's world, x and y level and z up where that is known. `position` (3,)
-    metres there. `lens`: fx, fy, cx, cy of the stored image. `number`: of the frame; `seconds`: after the first."""
+    """`rotation` (3, 3): optical to the capture's world, x and y level and z up if known. `position` (3,) metres there.
+    `lens`: fx, fy, cx, cy of the stored image. `number`: of the frame; `seconds`: after the first.
+    """
 
     number: int
     seconds: float
@@ -55,10 +56,10 @@ def is_stray_scanner(files: CaptureFiles) -> bool:
 
 
 def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
-    """A frame each `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
+    """Return a frame every `assumed.every` seconds of a Stray Scanner folder. Raises RecordingError."""
     if not files.path.is_dir():
         raise RecordingError(
-            f"{files.path}: unpack Stray Scanner's zip and give its folder: its video is not read from a zip"
+            f"{files.path}: unpack Stray Scanner's zip and give its folder, because its video cannot be read from a zip"
         )
     columns = table(files, files.find("odometry.csv") or "", (*_ODOMETRY, *_LENS))
     video = read_video(files.path / (files.find("rgb.mp4") or ""), assumed.every)
@@ -86,7 +87,7 @@ def is_record3d(files: CaptureFiles) -> bool:
 
 
 def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[ImportedImage]:
-    """A frame each `assumed.every` seconds of an .r3d file or an exported folder. Raises RecordingError."""
+    """Return a frame every `assumed.every` seconds of an .r3d file or an exported folder. Raises RecordingError."""
     metadata = _metadata_name(files) or ""
     place = f"{files.path}: {metadata!r}"
     try:
@@ -96,7 +97,7 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Importe
         each = facts.get("perFrameIntrinsicCoeffs")
         lenses = np.asarray(each, np.float64) if each else np.tile(_lens_of(one), (len(poses), 1))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, IndexError) as error:
-        raise RecordingError(f"{place}: is no metadata of Record3D ({type(error).__name__}: {error})") from error
+        raise RecordingError(f"{place}: is not metadata of Record3D ({type(error).__name__}: {error})") from error
     if (
         poses.ndim != 2
         or poses.shape[1] != 7
@@ -105,11 +106,11 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Importe
         or lenses.shape[1:] != (4,)
     ):
         raise RecordingError(
-            f"{place}: poses of shape {poses.shape} and intrinsics of {lenses.shape}: "
-            "it takes N x 7 and N x 4; record with LiDAR"
+            f"{place}: poses of shape {poses.shape} and intrinsics of {lenses.shape}: expected N x 7 and N x 4; "
+            "record with LiDAR"
         )
     if not 0 < fps < 1000:
-        raise RecordingError(f"{place}: {fps} frames a second")
+        raise RecordingError(f"{place}: {fps} frames per second")
     images = _record3d_images(files)
     rotations = _rotations(poses[:, :4], place) @ OPENGL_FROM_OPTICAL
     frames = [
@@ -152,7 +153,7 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
     try:
         numbers = np.array([[float(v) for v in columns[name]] for name in _ODOMETRY]).T
     except ValueError as error:
-        raise RecordingError(f"{place}: odometry.csv holds what is no number ({error})") from error
+        raise RecordingError(f"{place}: odometry.csv contains an invalid number ({error})") from error
     if not len(numbers) or not np.isfinite(numbers).all():
         raise RecordingError(f"{place}: odometry.csv has {len(numbers)} rows, of which all must be finite numbers")
     lenses = _row_lenses(columns, len(numbers))
@@ -175,7 +176,7 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
 
 
 def _row_lenses(columns: dict[str, list[str]], count: int) -> list[tuple[float, float, float, float]] | None:
-    """Of each row, in newer recordings."""
+    """Return the lens of each row, in newer recordings."""
     try:
         found = np.array([[float(v) for v in columns[name]] for name in _LENS]).T
     except (KeyError, ValueError):
@@ -190,11 +191,11 @@ def _camera_matrix(files: CaptureFiles, name: str) -> tuple[float, float, float,
         )
         return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
     except (ValueError, IndexError) as error:
-        raise RecordingError(f"{files.path}: {name!r} is no 3 x 3 matrix of numbers ({error})") from error
+        raise RecordingError(f"{files.path}: {name!r} is not a 3 x 3 matrix of numbers ({error})") from error
 
 
 def _lens_of(k: Sequence[float]) -> tuple[float, float, float, float]:
-    """K is stored column by column."""
+    """Return the lens; K is stored column by column."""
     return k[0], k[4], k[6], k[7]
 
 
@@ -218,14 +219,14 @@ def _roll(frame: _CaptureFrame) -> float:
 
 
 def _turned(pixels: UInt8Array, turns: int) -> UInt8Array:
-    """Clockwise by quarters."""
+    """Rotate clockwise by quarter turns."""
     return np.ascontiguousarray(np.rot90(pixels, -turns))
 
 
 def _sensed(
     source: str, first: _CaptureFrame, frame: _CaptureFrame, turns: int, pixels: UInt8Array, level: bool
 ) -> Sensed:
-    """Of the image turned by so many quarters."""
+    """Return the sensed pose of the image after the given quarter turns."""
     turn = np.linalg.matrix_power(_QUARTER, turns)
     origin, here = first.rotation @ turn, frame.rotation @ turn
     fx, fy, cx, cy = frame.lens
@@ -247,5 +248,5 @@ def _sensed(
         calibration=PartialCalibration(fx=fx, fy=fy, cx=cx, cy=cy),
         seconds=frame.seconds,
         relative=Relative(origin.T @ here, origin.T @ (frame.position - first.position)),
-        missing="give the place of its first frame in a row named as the capture",
+        missing="give the position of its first frame in a row named after the capture",
     )

@@ -21,29 +21,28 @@ from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.sensor_track import Sensed
 
 _CONTRADICTION = timedelta(minutes=10)
-"""Between the camera's clock and its GPS stamp, which is that of the last fix: some minutes old at times."""
+"""Maximum difference between the camera's clock and its GPS stamp, which may be some minutes old."""
 _ZONES_APART = timedelta(minutes=15)
-"""Time zones differ by multiples of it."""
+"""Time zones differ by multiples of this."""
 
 
 def time_zone(name: str) -> ZoneInfo:
-    """By its name in the IANA database. Raises ConfigError where it has none of that name."""
+    """Return a time zone by its IANA name. Raises ConfigError for an unknown name."""
     try:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:
         raise ConfigError(
-            f"no time zone {name!r}: name one as Europe/Oslo or America/Los_Angeles (a system without a time zone "
-            "database needs `pip install tzdata`)"
+            f"unknown time zone {name!r}: give one such as Europe/Oslo or America/Los_Angeles (a system without a "
+            "time zone database needs `pip install tzdata`)"
         ) from error
 
 
 def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes: list[str]) -> datetime:
-    """With its zone.
+    """Return the time of a photo with its zone.
 
-    In this order: `stated` (UTC unless it names a zone; of a capture's frame, when the capture began); what a recording
-    of sensors names it by; EXIF's clock with the zone that EXIF states; the clock in `zone`; the GPS stamp, which is
-    UTC; the clock as UTC. `notes` gets what was assumed, and where clock and GPS stamp contradict each other. Raises
-    RecordingError where there is no date at all.
+    Sources in this order: `stated` (UTC unless it names a zone; for a frame, the start of its capture); the name in a
+    sensor recording; EXIF's clock with EXIF's zone; the clock in `zone`; the GPS stamp, which is UTC; the clock as UTC.
+    `notes` gets assumptions and contradictions between clock and GPS stamp. Raises RecordingError without any date.
     """
     if stated is not None:
         begun = stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
@@ -60,29 +59,28 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
             _compare_minutes(clock, gps, notes)
             return gps
         if zone is None:
-            notes.append(f"EXIF date {clock.isoformat()} has no time zone: taken as UTC; --time-zone names its own")
+            notes.append(f"EXIF date {clock.isoformat()} has no time zone: UTC is assumed; give --time-zone otherwise")
         elif clock.replace(tzinfo=zone).utcoffset() != clock.replace(tzinfo=zone, fold=1).utcoffset():
             notes.append(
-                f"EXIF date {clock.isoformat()} falls into the hour in which the clocks of {zone} were changed: it may "
-                "be an hour off"
+                f"EXIF date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
             )
         clock = clock.replace(tzinfo=zone or UTC)
     if gps is not None and abs(clock - gps) > _CONTRADICTION:
         notes.append(
-            f"EXIF date {clock.isoformat()} and the GPS stamp {gps.isoformat()} are {_span(clock - gps)} apart: taken "
-            "is the date; check the camera's clock and its time zone, or give a `stamp` in a pose file"
+            f"EXIF date {clock.isoformat()} and the GPS stamp {gps.isoformat()} differ by {_span(clock - gps)}: "
+            "the date is used; check the camera's clock and its time zone, or give a `stamp` in a pose file"
         )
     return clock
 
 
 def _compare_minutes(clock: datetime, gps: datetime, notes: list[str]) -> None:
-    """A clock without a zone may differ from UTC by a zone's offset, and by nothing else."""
+    """Check the minutes: a clock without a zone may differ from UTC only by a zone's offset."""
     apart = clock.replace(tzinfo=UTC) - gps
     rest = apart - round(apart / _ZONES_APART) * _ZONES_APART
     if abs(apart) > timedelta(hours=14, minutes=10) or abs(rest) > timedelta(minutes=5):
         notes.append(
-            f"EXIF date {clock.isoformat()} (no time zone) and the GPS stamp {gps.isoformat()} are {_span(apart)} "
-            "apart, which is no time zone: taken is the GPS stamp; check the camera's clock"
+            f"EXIF date {clock.isoformat()} (no time zone) and the GPS stamp {gps.isoformat()} differ by "
+            f"{_span(apart)}, which is not a time zone: the GPS stamp is used; check the camera's clock"
         )
 
 
@@ -95,18 +93,17 @@ def _span(apart: timedelta) -> str:
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What to take where neither pose file, site nor sensors say it. Angles in degrees, lengths in metres.
+    """Assumptions for values that neither pose file, site nor sensors give. Angles in degrees, lengths in metres.
 
-    `pitch_deg`: None: a photo of unknown pitch is refused, since a wrong one moves all that it sees; so is one of
-    unknown azimuth. `keep_unknown`: neither is refused, but taken with the covariance of an angle of which nothing is
-    known, so that nothing is placed by it until the angle is found. `geoid_undulation`: height of the geoid above the
-    ellipsoid, subtracted from altitudes that are ellipsoidal (H = h - N); where it is given, EXIF's are taken to be so.
-    `start_height`: of the camera where a barometer's record begins, in the DEM's vertical datum. `focal_35mm`: focal
-    length as of a 36 mm wide film. `every`: seconds from one frame of a video to the next. Sigmas: `gps_sigma` where a
-    position states none, `altitude_sigma` of altitudes that state none, `ground_sigma` of heights above the terrain,
-    `climb_sigma` of barometric heights above the start, `compass_sigma_deg` of directions that state none (5.5 degrees
-    off in the median are 8.2 for a normal distribution), `tilt_sigma_deg` of an assumed pitch or roll,
-    `attitude_sigma_deg` of one that sensors gave.
+    `pitch_deg`: None: reject a photo of unknown pitch, because a wrong one moves everything that it sees; likewise one
+    of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
+    `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from ellipsoidal altitudes (H = h - N); if
+    given, EXIF's count as ellipsoidal. `start_height`: of the camera at the start of a barometer's record, in the DEM's
+    vertical datum. `focal_35mm`: focal length in 35 mm equivalent. `every`: seconds between the frames of a video.
+    Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
+    `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
+    `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
+    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors.
     """
 
     pitch_deg: float | None = None
@@ -130,8 +127,8 @@ class Assumptions:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Where photos are placed: the map frame, its DEM where there is one (else heights must be known), what is known of
-    the cameras by name, and the error of poses that state none.
+    """Where photos are placed: the map frame, its DEM if any (else heights must be known), known cameras by name, and
+    the error of poses that state none.
     """
 
     frame: SiteFrame
@@ -141,7 +138,7 @@ class Surroundings:
 
 
 _SUSPECT_HEIGHT = 25.0
-_MAYBE_ELLIPSOIDAL = "if all photos are off alike, their altitudes are ellipsoidal: give --geoid-undulation-m"
+_MAYBE_ELLIPSOIDAL = "if all photos have the same error, their altitudes are ellipsoidal: give --geoid-undulation-m"
 
 
 def height_of(
@@ -154,9 +151,9 @@ def height_of(
     notes: list[str],
     found: dict[str, float],
 ) -> float:
-    """Its z in the map frame at (x, y); `found` gets the sigma of what sensors told, `notes` what was assumed.
+    """Return z in the map frame at (x, y); `found` gets the standard deviation from sensors, `notes` the assumptions.
 
-    Raises PoseError under the ground, and where nothing tells a height.
+    Raises PoseError below the ground, and without a height.
     """
     dem = site.dem
     ground = float(dem.elevation_at(x, y)) if dem is not None else math.nan
@@ -168,44 +165,49 @@ def height_of(
             sensed = _altitude(photo.sensed, ground, assumed, notes)
         if sensed is not None:
             z, sigma, what = sensed
-            if not z < ground:  # also where the ground is not known
+            if not z < ground:  # also if the ground is unknown
                 found["height_sigma"] = sigma
                 return z
             under = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
             _refuse_in_flight(photo, assumed, under)
-            notes.append(f"{under}: taken as {assumed.height_above_ground:g} m above it; {_MAYBE_ELLIPSOIDAL}")
+            notes.append(
+                f"{under}: {assumed.height_above_ground:g} m above the terrain is assumed; {_MAYBE_ELLIPSOIDAL}"
+            )
         else:
             _refuse_in_flight(photo, assumed, "its altitude is not known")
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
         if photo.sensed.altitude is None:
-            notes.append(f"height is not known: taken as {above:g} m above the terrain")
+            notes.append(f"height is unknown: {above:g} m above the terrain is assumed")
     if math.isnan(ground):
-        why = "there is no DEM (give --site)" if dem is None else "it stands outside the DEM"
-        raise PoseError(f"{photo.path} at map ({x:.1f}, {y:.1f}): height above ground does not help, {why}; give its z")
+        why = "there is no DEM (give --site)" if dem is None else "it is outside the DEM"
+        raise PoseError(
+            f"{photo.path} at map ({x:.1f}, {y:.1f}): a height above ground cannot be used, {why}; give its z"
+        )
     return ground + above
 
 
 def _refuse_in_flight(photo: Photo, assumed: Assumptions, why: str) -> None:
-    """A drone tells by how much it has climbed: it is not at eye height above the terrain. Raises PoseError."""
+    """Raise PoseError for a drone that only gives its climb: it is not at eye height above the terrain."""
     climb = photo.sensed.climb
     if climb is not None and photo.sensed.walk is None and assumed.start_height is None:
         raise PoseError(
-            f"{photo.path}: {why}, and {photo.sensed.source} tells {climb:.1f} m above the place of take-off alone: "
-            "give --start-height, how high this is in the DEM's vertical datum"
+            f"{photo.path}: {why}, and {photo.sensed.source} only gives {climb:.1f} m above the take-off place: "
+            "give its height in the DEM's vertical datum, --start-height"
         )
 
 
 def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[str]) -> tuple[float, float, str] | None:
-    """Height in the DEM's datum by an altitude, its sigma, and what to call it; None where there is none."""
+    """Return the height in the DEM's datum from an altitude, its standard deviation and its name; None without one."""
     if sensed.altitude is None:
         return None
     undulation = assumed.geoid_undulation
     if sensed.ellipsoidal and undulation is None:
         notes.append(
-            f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is not known: taken "
-            f"is {assumed.height_above_ground:g} m above the terrain; --geoid-undulation-m makes use of them"
+            f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is unknown: "
+            f"{assumed.height_above_ground:g} m above the terrain is assumed; give --geoid-undulation-m to use "
+            "them"
         )
         return None
     z, what = sensed.altitude - (undulation or 0.0), f"{sensed.source} altitude"
@@ -215,10 +217,11 @@ def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[s
 
 
 def _climbed(sensed: Sensed, site: Surroundings, assumed: Assumptions) -> tuple[float, float, str] | None:
-    """Height by the barometer: weather moves it by tens of metres, so only what it climbed since the start counts.
+    """Return the height from the barometer. Weather moves it by tens of metres, so only the climb since the start is
+    used.
 
-    The start is as high as the user says, or else what sets the whole walk at eye height above the terrain, in the
-    median: a fix that is metres off stands on other ground.
+    The start height is given by the user, or is the median that puts the whole walk at eye height above the terrain,
+    because single GPS fixes may be on other ground.
     """
     if sensed.climb is None:
         return None

@@ -1,4 +1,4 @@
-"""Builds a bag from photos: the work of `ltm import` between its options and its table."""
+"""Build a bag from photos, for `ltm import`."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
-"""Photos of one camera with equal stamps (bursts within a second) are moved this far apart."""
+"""Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
 
 
 @dataclass
 class ImportReport:
-    """What an import did. `skipped`: (photo, why). `cameras`: photos a camera."""
+    """Result of an import. `skipped`: (photo, why). `cameras`: number of photos per camera."""
 
     bag: Path
     site: str
@@ -44,7 +44,7 @@ class ImportReport:
     skipped: list[tuple[Path, str]] = field(default_factory=list)
     notes: list[tuple[str, str]] = field(default_factory=list)
     refined: list[tuple[str, Refinement]] = field(default_factory=list)
-    """Of each photo whose pose was sought in its picture."""
+    """Results for photos whose pose was searched in the image."""
 
 
 def import_photos(
@@ -61,13 +61,13 @@ def import_photos(
 ) -> ImportReport:
     """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
 
-    `images`: photo files, folders of photos, and recordings of phones (`find_pictures`). With `poses`, only photos that
-    it names are taken. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
+    `images`: photo files, folders of photos, and recordings of phones (`find_pictures`). With `poses`, only photos
+    listed there are used. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
     without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
-    names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead of
-    stopping. `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for
-    the upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in
-    their pictures.
+    names none; by default the site's only camera. `skip_bad`: skip photos that cannot be imported, instead of stopping.
+    `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for the
+    upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in their
+    images.
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
@@ -85,7 +85,7 @@ def import_photos(
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
     if rows is not None and len(files) < given:
-        report.notes.append((str(poses), f"does not name {given - len(files)} of the {given} photos: left out"))
+        report.notes.append((str(poses), f"does not list {given - len(files)} of the {given} photos: skipped"))
 
     placed: list[tuple[str, ImportedImage, PhotoPose, int]] = []
     for done, file in enumerate(files):
@@ -103,12 +103,12 @@ def import_photos(
         else:
             if refinement is not None:
                 refinement.look(name, file.name, item)
-            # Only what orders the photos is kept: a season's photos do not fit in memory.
+            # Only the order of the photos is kept: a season's photos do not fit in memory.
             placed.append((name, file, row, item.stamp_ns))
             report.notes += [(file.name, note) for note in item.notes]
         progress(done + 1, 2 * len(files))
     if not placed:
-        raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
+        raise RecordingError(f"none of {len(files)} photos could be imported; the first: {report.skipped[0][1]}")
     placed = _apart(placed, report)
     doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
     if doubt is not None:
@@ -117,7 +117,10 @@ def import_photos(
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
     folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
-    with BagWriter(out, compression=None, custom_data=custom) as writer, folder or nullcontext():  # JPEG stays as it is
+    with (
+        BagWriter(out, compression=None, custom_data=custom) as writer,
+        folder or nullcontext(),
+    ):  # JPEG is not compressed again
         for done, (name, file, row, stamp_ns) in enumerate(placed):
             item = place(_read(file, row), row, name, around, assumed)
             if refinement is not None:
@@ -145,26 +148,24 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
 def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Path | None) -> list[ImportedImage]:
     missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
-        raise RecordingError(
-            f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
-        )
+        raise RecordingError(f"pose file {poses} lists {len(missing)} missing photos: {', '.join(missing[:5])}")
     return [file for file in files if any(name in rows for name in _names_of(file))]
 
 
 def _names_of(file: ImportedImage) -> tuple[str, str, str]:
-    """By which a pose file may call it: its own, that without the suffix, and its capture's."""
+    """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
     return file.name, Path(file.name).stem, file.capture
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
-    """Its own, or that of its capture, whose begin it then tells."""
+    """Return its own row, or its capture's, which then gives the capture's start."""
     if rows is None:
         return PhotoPose(name=file.name)
     return next(rows[name] for name in _names_of(file) if name in rows)
 
 
 def _read(file: ImportedImage, row: PhotoPose) -> Photo:
-    """A frame with a row of its own is placed by that, and not by the capture's first frame."""
+    """Read a photo; a frame with its own row is placed by that, not by the capture's first frame."""
     photo = file.read()
     own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
     return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
@@ -177,7 +178,7 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
     if name is None:
         if len(site.cameras) > 1:
             raise ConfigError(
-                f"site {site.name} has the cameras {', '.join(site.cameras)}: say which one took the photos, with "
+                f"site {site.name} has the cameras {', '.join(site.cameras)}: name the photos' camera with "
                 "--camera or a column `camera` in the pose file"
             )
         (name,) = site.cameras
@@ -186,13 +187,13 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
 
 
 def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
-    """Raises ImageError for a photo that the graph would drop, as the site's calibration is for another size."""
+    """Raise ImageError for a photo that the graph would drop, because the site's calibration is for another size."""
     calibration = site.camera(name).calibration if site is not None else None
     photo = item.photo
     if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
         return
-    why = f"is {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
-    remedy = "give it a photo of that size, or the site the calibration of this one"
+    why = f"has {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
+    remedy = "use a photo of that size, or give the site this photo's calibration"
     if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
         remedy = (
             "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
@@ -205,11 +206,11 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
-    """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
+    """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
-            raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
+            raise ConfigError(f"{file.name} has x, y in the pose file: give their site with --site")
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
             sensed = file.read().sensed
@@ -225,14 +226,14 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
 def _apart(
     placed: list[tuple[str, ImportedImage, PhotoPose, int]], report: ImportReport
 ) -> list[tuple[str, ImportedImage, PhotoPose, int]]:
-    """In the order of their stamps, with no stamp twice for a camera."""
+    """Sort by stamp, and make the stamps of each camera unique."""
     ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
     last: dict[str, int] = {}
     result = []
     for name, file, row, stamp_ns in ordered:
         if name in last and stamp_ns <= last[name]:
             stamp_ns = last[name] + _APART_NS
-            report.notes.append((file.name, "has the stamp of the photo before it: moved 1 ms on"))
+            report.notes.append((file.name, "has the same stamp as the previous photo: moved by 1 ms"))
         last[name] = stamp_ns
         result.append((name, file, row, stamp_ns))
     return sorted(result, key=lambda item: item[3])

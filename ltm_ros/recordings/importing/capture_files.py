@@ -1,5 +1,6 @@
-"""The files of a capture: members of a zip, or a folder. What is read is bounded, and no name from inside a zip ever
-reaches the file system: members are read into memory, by what they are called in the archive alone."""
+"""Read the files of a capture: members of a zip, or a folder. Sizes are limited, and members of a zip are only read
+into memory, so that no name from a zip becomes a path.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +17,15 @@ from ltm_core.base.errors import RecordingError
 
 MOST_MEMBERS = 100_000
 LARGEST_TABLE = 64 << 20
-"""Bytes of a CSV file: an hour of attitudes at 100 Hz has 55 MB."""
+"""Maximum bytes of a CSV file: an hour of attitudes at 100 Hz has 55 MB."""
 LARGEST_JSON = 32 << 20
-"""Bytes of a JSON file, which takes twenty times as much while it is read."""
+"""Maximum bytes of a JSON file, which needs twenty times as much memory while it is read."""
 MOST_ROWS = 1_000_000
 _BROKEN = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError),
     *(NotImplementedError, RuntimeError, ValueError, LookupError, OverflowError, MemoryError),
 )
-"""What zipfile raises for archives that are damaged, encrypted, or packed in a way that it does not know."""
+"""Exceptions of zipfile for corrupt, encrypted or unsupported archives."""
 
 
 class CaptureFiles:
@@ -36,12 +37,12 @@ class CaptureFiles:
         self.names: tuple[str, ...] = tuple(self._below() if self._archive is None else self._members(self._archive))
 
     def find(self, name: str) -> str | None:
-        """The member of this name, in any case and at any depth; of several the one nearest to the top."""
+        """Return the member of this name, in any case and at any depth; of several the one nearest to the top."""
         found = [n for n in self.names if PurePosixPath(n).name.lower() == name.lower()]
         return min(found, key=lambda n: (n.count("/"), n)) if found else None
 
     def matching(self, folder: str, suffixes: tuple[str, ...]) -> list[str]:
-        """Members right in a folder of this name (in any case, at any depth), sorted."""
+        """Return the members directly in a folder of this name (in any case, at any depth), sorted."""
         return sorted(
             name
             for name in self.names
@@ -49,7 +50,7 @@ class CaptureFiles:
         )
 
     def read(self, name: str, most: int) -> bytes:
-        """A member's bytes, no more than `most` of them whatever the archive says of its size."""
+        """Return a member's bytes, at most `most` whatever the archive states."""
         place = f"{self.path}: {name!r}"
         try:
             opened = (self.path / name).open("rb") if self._archive is None else self._archive.open(name)
@@ -61,13 +62,11 @@ class CaptureFiles:
                 "password"
             ) from error
         if len(data) > most:
-            raise RecordingError(
-                f"{place}: has more than {most >> 20} MiB unpacked: no such file is that large; split the recording"
-            )
+            raise RecordingError(f"{place}: has more than {most >> 20} MiB unpacked: split the recording")
         return data
 
     def text(self, name: str, most: int) -> str:
-        """A member that is text in UTF-8."""
+        """Return a member as UTF-8 text."""
         try:
             return self.read(name, most).decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -78,7 +77,7 @@ class CaptureFiles:
             return zipfile.ZipFile(self.path)
         except _BROKEN as error:
             raise RecordingError(
-                f"{self.path}: is no whole zip ({type(error).__name__}: {error}); export or copy it again"
+                f"{self.path}: is not a complete zip ({type(error).__name__}: {error}); export or copy it again"
             ) from error
 
     def _members(self, archive: zipfile.ZipFile) -> list[str]:
@@ -88,7 +87,7 @@ class CaptureFiles:
         return [info.filename for info in infos if info.filename and not info.filename.endswith("/")]
 
     def _below(self) -> Iterator[str]:
-        """Files in the folder and one below it: no recording nests deeper."""
+        """Return the files in the folder and one level below."""
         for pattern in ("*", "*/*"):
             for count, path in enumerate(self.path.glob(pattern)):
                 if count >= MOST_MEMBERS:
@@ -98,7 +97,7 @@ class CaptureFiles:
 
 
 def is_zip(path: Path) -> bool:
-    """By its first bytes."""
+    """Return whether it is a zip, by its first bytes."""
     try:
         with path.open("rb") as file:
             return file.read(4) in (b"PK\x03\x04", b"PK\x05\x06")
@@ -107,10 +106,10 @@ def is_zip(path: Path) -> bool:
 
 
 def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, list[str]]:
-    """The wanted columns of a CSV with a header, as far as it has them; blanks beside commas are taken off.
+    """Return the available wanted columns of a CSV with a header; blanks beside commas are removed.
 
-    Raises RecordingError for one that is none, or with rows of another length (the last may be cut short: a phone that
-    dies mid-word).
+    Raises RecordingError for an invalid CSV, or rows of another length (except an incomplete last row, if a phone
+    died).
     """
     place = f"{files.path}: {name!r}"
     lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
@@ -118,7 +117,7 @@ def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, 
     try:
         header = [column.strip() for column in next(rows, [])]
         if not header or len(set(header)) < len(header):
-            raise RecordingError(f"{place}: its first line is no header of different columns, got {header[:8]}")
+            raise RecordingError(f"{place}: its first line is not a header of different columns, got {header[:8]}")
         columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
         kept = [(header.index(column), values) for column, values in columns.items()]
         short = 0

@@ -1,8 +1,8 @@
-"""Reads what DJI drones write beside their pictures: XMP in photos, subtitles (SRT) beside videos.
+"""Read DJI metadata: XMP in photos, subtitles (SRT) beside videos.
 
 Gimbal angles are of the camera: yaw clockwise from true north, pitch up from the horizon, roll clockwise. Altitudes:
 `AbsoluteAltitude`, `abs_alt` above sea level (above the ellipsoid with RTK), `RelativeAltitude`, `rel_alt` above the
-place of take-off.
+take-off place.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SOURCE = "DJI"
 _LARGEST_SRT = 64 << 20
 _ATTRIBUTE = re.compile(r"drone-dji:(\w+)\s*(?:=\s*\"([^\"]*)\"|>([^<]*)<)")
 _GIMBAL_SIGMA_DEG = 0.5
-"""Of pitch and roll: what a gimbal keeps."""
+"""Standard deviation of a gimbal's pitch and roll in degrees."""
 _BLOCK = re.compile(r"\b(\d{1,3}):(\d{2}):(\d{2})[,.](\d{3})\s*-->")
 _FIELD = re.compile(
     r"\b(latitude|longt?itude|rel_alt|abs_alt|altitude|gb_yaw|gb_pitch|gb_roll|focal_len|dzoom_ratio)\s*:\s*([+-]?\d+(?:\.\d+)?)"
@@ -39,8 +39,9 @@ _DATE = re.compile(r"(\d{4})[-.](\d{2})[-.](\d{2}) (\d{2}):(\d{2}):(\d{2})(?:[.,
 
 
 def sensed_by_xmp(xmp: bytes | str | None, by_exif: Sensed, width: int, height: int) -> Sensed:
-    """What a photo's XMP packet tells beside its EXIF, which stays where the packet is no DJI's. `width`, `height`: of
-    the upright image."""
+    """Return the sensor data of a photo's XMP packet in addition to its EXIF; unchanged if the packet is not from DJI.
+    `width`, `height`: of the upright image.
+    """
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp or ""
     found: dict[str, str] = {}
     for key, value, content in _ATTRIBUTE.findall(text):  # a closing tag comes after, without a value
@@ -71,7 +72,7 @@ def sensed_by_xmp(xmp: bytes | str | None, by_exif: Sensed, width: int, height: 
     if climb is not None:
         facts["climb"] = climb
     focal = _number(found.get("CalibratedFocalLength"))
-    if focal is not None and 0.3 < focal / max(width, height) < 20:  # some models state millimetres
+    if focal is not None and 0.3 < focal / max(width, height) < 20:  # some models use millimetres
         centre = [_number(found.get(f"CalibratedOpticalCenter{axis}")) for axis in "XY"]
         inside = all(
             c is not None and abs(c / side - 0.5) < 0.1 for c, side in zip(centre, (width, height), strict=True)
@@ -82,15 +83,15 @@ def sensed_by_xmp(xmp: bytes | str | None, by_exif: Sensed, width: int, height: 
 
 
 def subtitles_of(video: Path) -> Path | None:
-    """The subtitles beside a video: its name with .SRT."""
+    """Return the subtitles beside a video: its name with .SRT."""
     return next((p for suffix in (".SRT", ".srt") if (p := video.with_suffix(suffix)).is_file()), None)
 
 
 def read_subtitles(path: Path, zone: tzinfo | None) -> tuple[SensorTrack, datetime | None, float | None]:
-    """The flight, by stamps that count from 1 at the video's begin; when that was; the focal length as on 36 mm wide
-    film. `zone`: of the dates, which state none; None: UTC.
+    """Return the flight, with stamps that count from 1 at the video's start; the start time; the focal length in 35 mm
+    equivalent. `zone`: of the dates, which state none; None: UTC.
 
-    Raises RecordingError for a file that is no text, or in which no block has a place.
+    Raises RecordingError for a file that is not text, or has no position.
     """
     text = read_text(path, _LARGEST_SRT, RecordingError, "utf-8-sig")
     marks = list(_BLOCK.finditer(text))
@@ -107,8 +108,8 @@ def read_subtitles(path: Path, zone: tzinfo | None) -> tuple[SensorTrack, dateti
             rows.append(row | {"at": at})
     if not rows:
         raise RecordingError(
-            f"{path}: no place in its {len(marks)} blocks: switch `Video Captions` on in the drone's app, or give the "
-            "frames their places in a pose file (--poses)"
+            f"{path}: no position in its {len(marks)} blocks: enable `Video Captions` in the drone's app, or give "
+            "the frames' positions in a pose file (--poses)"
         )
     stamps = 1 + np.array([round(row["at"] * 1000) * 1_000_000 for row in rows], np.int64)
     order = ascending(stamps)
@@ -157,7 +158,7 @@ def _gimbal(stamps: Int64Array, columns: dict[str, Float64Array]) -> Attitudes |
 
 
 def _date(block: str, at: float, zone: tzinfo | None) -> datetime | None:
-    """When the video began, by a block that says when it is."""
+    """Return the start time of the video, from a block with a date."""
     found = _DATE.search(block)
     if found is None:
         return None

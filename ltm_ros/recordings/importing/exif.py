@@ -1,4 +1,4 @@
-"""Reads a photo's EXIF: position, time, direction and lens."""
+"""Read a photo's EXIF: position, time, direction and lens."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ FULL_FRAME_WIDTH_MM = 36.0
 
 @dataclass(frozen=True)
 class ExifFacts:
-    """EXIF of one photo, each None where it is absent or not a number.
+    """EXIF of one photo, each value None if missing or invalid.
 
     `altitude`: metres above sea level, negative below (tag 5). `direction_deg`: of the optical axis, clockwise from
-    true ("T") or magnetic ("M") north by `direction_ref`. `taken`: by the camera's clock, with its time zone, or naive
-    where none is stated. `gps_time`: of the fix, UTC. `position_error`: horizontal, metres (tag 31).
-    `focal_plane_px_per_mm`: sensor pixels a millimetre, of an image `original_width` pixels wide.
+    true ("T") or magnetic ("M") north by `direction_ref`. `taken`: by the camera's clock, with its time zone if stated.
+    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31). `focal_plane_px_per_mm`: sensor
+    pixels per millimetre, of an image `original_width` pixels wide.
     """
 
     orientation: int = 1
@@ -51,11 +51,11 @@ class ExifFacts:
     original_width: int | None = None
 
     def focal_px(self, width: int, height: int, sensor_width_mm: float | None = None) -> float | None:
-        """Focal length in pixels of the uncropped image of `width` x `height`; None where nothing tells it.
+        """Return the focal length in pixels of the uncropped image of `width` x `height`; None if unknown.
 
-        From the focal length and, in this order, the stated sensor width, EXIF's pixels a millimetre, or the 35 mm
-        equivalent over the 36 mm long side (only that is rounded to whole millimetres). Where the two that EXIF holds
-        differ by more than a tenth, the 35 mm equivalent is taken: some cameras state the resolution of a thumbnail.
+        It uses the focal length and, in this order, the stated sensor width, EXIF's pixels per millimetre, or the 35 mm
+        equivalent over the 36 mm long side (only that is rounded to whole millimetres). If EXIF's two values differ by
+        more than 10 %, the 35 mm equivalent is used: some cameras state the resolution of a thumbnail.
         """
         long_side = max(width, height)
         if sensor_width_mm is not None and self.focal_mm is not None:
@@ -71,15 +71,15 @@ class ExifFacts:
 
 
 def exif_facts(exif: Exif, what: str) -> ExifFacts:
-    """Read the tags; `what` names the photo in errors. Raises ImageError on a latitude or longitude off the globe."""
+    """Read the tags; `what` names the photo in errors. Raises ImageError for an invalid latitude or longitude."""
     main, photo, gps = dict(exif), exif.get_ifd(_EXIF_IFD), exif.get_ifd(_GPS_IFD)
     orientation = main.get(_ORIENTATION, 1)
     lat = _signed(_degrees(gps.get(_LATITUDE)), gps.get(_LATITUDE_REF), "S")
     lon = _signed(_degrees(gps.get(_LONGITUDE)), gps.get(_LONGITUDE_REF), "W")
     if (lat is not None and abs(lat) > 90) or (lon is not None and abs(lon) > 180):
-        raise ImageError(f"{what}: EXIF position lat {lat}, lon {lon} is not on the globe")
+        raise ImageError(f"{what}: invalid EXIF position lat {lat}, lon {lon}")
     if (lat, lon) == (0.0, 0.0):
-        lat = lon = None  # what phones write while they have no fix
+        lat = lon = None  # phones write this without a GPS fix
     altitude = _number(gps.get(_ALTITUDE))
     if altitude is not None and _below_sea(gps.get(_ALTITUDE_REF)):
         altitude = -altitude
@@ -145,7 +145,7 @@ def _text(value: Any) -> str:
 
 
 def _number(value: Any) -> float | None:
-    """A rational or a number; None where it is neither, or a fraction over zero."""
+    """Return a rational or a number; None if it is neither, or a fraction over zero."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError):

@@ -1,4 +1,4 @@
-"""Camera, pose and stamp of one photo: by its row in the pose file, the site's fixed camera and its sensors."""
+"""Place one photo: camera, pose and stamp from its row in the pose file, the site's fixed camera and its sensors."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.pose_file import PhotoPose
 
-_NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"
+_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose)"
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
-    """A photo with all that the graph needs. `covariance`: (6, 6) of the pose; None: it is as good as the site assumes
-    of poses. `notes`: what had to be assumed, for the user.
+    """A photo with everything that the graph needs. `covariance`: (6, 6) of the pose; None: the site's default.
+    `notes`: assumptions, for the user.
     """
 
     photo: Photo
@@ -37,11 +37,11 @@ class PlacedPhoto:
 
 
 def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed: Assumptions) -> PlacedPhoto:
-    """Join what is known of a photo: its row goes before the site's fixed pose and calibration of `camera`, which go
-    before its sensors and EXIF.
+    """Combine what is known of a photo: its row precedes the site's fixed pose and calibration of `camera`, which
+    precede its sensors and EXIF.
 
-    Raises PoseError, CameraError or RecordingError where position, azimuth, pitch, focal length or date are known from
-    nowhere, with the remedy.
+    Raises PoseError, CameraError or RecordingError with the remedy if position, azimuth, pitch, focal length or date
+    are unknown.
     """
     notes: list[str] = []
     taken = photo_time(photo, row.stamp, assumed.time_zone, notes)
@@ -55,8 +55,8 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     pitch, roll = _tilt(photo, known, assumed, notes, found)
     if photo.turned:
         notes.append(
-            f"{photo.turned}: taken upright, as {photo.width} x {photo.height} pixels, of which calibration, pitch and "
-            "roll must be"
+            f"{photo.turned}: the upright image of {photo.width} x {photo.height} pixels is used; calibration, "
+            "pitch and roll must be for it"
         )
     pose = Pose.from_angles((x, y, z), azimuth, pitch, roll)
     stated = known.model_dump(include=set(found), exclude_none=True)
@@ -71,7 +71,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
 def _tilt(
     photo: Photo, known: PartialPose, assumed: Assumptions, notes: list[str], found: dict[str, float]
 ) -> tuple[float, float]:
-    """Pitch and roll, degrees."""
+    """Return pitch and roll in degrees."""
     sensed, sigma = photo.sensed, photo.sensed.tilt_sigma_deg or assumed.attitude_sigma_deg
     pitch, roll = known.pitch_deg, known.roll_deg
     if pitch is None and sensed.pitch_deg is not None:
@@ -81,24 +81,24 @@ def _tilt(
     if pitch is None and assumed.pitch_deg is not None:
         pitch, found["pitch_sigma_deg"] = assumed.pitch_deg, assumed.tilt_sigma_deg
         notes.append(
-            f"pitch is not known ({sensed.source} has none): taken as {pitch:g} +- {assumed.tilt_sigma_deg:g} deg"
+            f"pitch is unknown ({sensed.source} has none): {pitch:g} +- {assumed.tilt_sigma_deg:g} deg is assumed"
         )
     if pitch is None and assumed.keep_unknown:
         pitch, found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
-        notes.append(f"pitch is not known: taken as unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
+        notes.append(f"pitch is unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
     if pitch is None:
         raise PoseError(
-            f"{photo.path}: its pitch is not known ({sensed.source} has none): give pitch_deg in a pose file "
-            "(--poses), or --pitch-deg for all photos, or --keep-unknown to take it as unknown"
+            f"{photo.path}: its pitch is unknown ({sensed.source} has none): give pitch_deg in a pose file "
+            "(--poses), --pitch-deg for all photos, or --keep-unknown"
         )
     if roll is None:
         roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
-        notes.append(f"roll is not known: taken as {roll:g} +- {assumed.tilt_sigma_deg:g} deg")
+        notes.append(f"roll is unknown: {roll:g} +- {assumed.tilt_sigma_deg:g} deg is assumed")
     return pitch, roll
 
 
 def _whole(fixed: PoseConfig | None) -> PartialPose | None:
-    """Pitch and roll that a site file leaves out are 0."""
+    """Complete a pose: pitch and roll that a site file omits are 0."""
     if fixed is None:
         return None
     return fixed.model_copy(update={"pitch_deg": fixed.pitch_deg or 0.0, "roll_deg": fixed.roll_deg or 0.0})
@@ -151,25 +151,27 @@ def _azimuth_deg(
     azimuth = sensed.azimuth_deg
     if azimuth is None and assumed.keep_unknown:
         found["azimuth_sigma_deg"] = UNKNOWN_AZIMUTH_SIGMA_DEG
-        notes.append(
-            f"direction is not known: taken as unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}"
-        )
+        notes.append(f"direction is unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
         return 0.0
     if azimuth is None:
         raise PoseError(
-            f"{photo.path} has no direction in {sensed.source}: give it azimuth_deg in a pose file (--poses), or "
-            "--keep-unknown to take it as unknown"
+            f"{photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or "
+            "--keep-unknown"
         )
     found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
     if sensed.azimuth_ref == "M":
         return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
     if sensed.azimuth_ref is None:
-        notes.append(f"{sensed.source} direction {azimuth:.1f} deg does not say from which north: taken as true north")
+        notes.append(
+            f"{sensed.source} direction {azimuth:.1f} deg does not state its north reference: true north is assumed"
+        )
     return frame.true_to_grid_deg(azimuth, x, y)
 
 
 def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumptions) -> Camera:
-    """Raises CameraError where the focal length is known from nowhere, or the row's calibration is of another size."""
+    """Return the camera model. Raises CameraError if the focal length is unknown, or the row's calibration has another
+    size.
+    """
     width, height = photo.width, photo.height
     stated: PartialCalibration = row.calibration
     if stated.width is not None and (stated.width, stated.height) != (width, height):
@@ -182,9 +184,9 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
     if stated == PartialCalibration():
         stated = photo.sensed.calibration
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
-    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
+    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # for a cropped image, it may be outside
         raise CameraError(
-            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) lies beside the image of {width} x {height} "
+            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) is outside the image of {width} x {height} "
             f"pixels, as {photo.turned}: give that of the upright image"
         )
     if stated.fx is not None or stated.hfov_deg is not None:
@@ -196,5 +198,5 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         remedy = "give fx or hfov_deg in a pose file (--poses), --focal-35mm"
         if photo.exif.focal_mm is not None:
             remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
-        raise CameraError(f"{photo.path}: EXIF does not tell the focal length in pixels: {remedy}")
+        raise CameraError(f"{photo.path}: EXIF does not give the focal length in pixels: {remedy}")
     return stated.camera_of(width, height, fx)

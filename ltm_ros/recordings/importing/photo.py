@@ -1,4 +1,4 @@
-"""Finds photo files, and reads them upright as JPEG or PNG bytes, with what their sensors told."""
+"""Find photo files, and read them upright as JPEG or PNG bytes, with their sensor data."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _TURNS = {
     7: "turns it by 90 degrees and mirrors it",
     8: "turns it by 90 degrees counter-clockwise",
 }
-"""What EXIF's orientation tag does to the stored image: CIPA DC-008 (Exif 2.32), 4.6.4."""
+"""Effect of EXIF's orientation tag on the stored image: CIPA DC-008 (Exif 2.32), 4.6.4."""
 
 
 @dataclass(frozen=True)
 class Photo:
     """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
-    what is known of its place and direction.
+    known position and direction.
 
     `reencoded`: whether `data` differs from the file, because it is HEIC or was turned upright.
     """
@@ -49,36 +49,36 @@ class Photo:
 
     @property
     def turned(self) -> str:
-        """What EXIF has done to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
-        # libheif has turned a HEIC image by what its own format says, so that its EXIF tag says nothing.
+        """Return what EXIF does to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
+        # libheif has rotated a HEIC image by its own format, so its EXIF tag has no effect.
         known = self.path.suffix.lower() not in (".heic", ".heif") and self.exif.orientation in _TURNS
         return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
 
 
 def photos_in(folder: Path) -> list[Path]:
-    """The photos in a folder (not below it), by name."""
+    """Return the photos in a folder (not below it), by name."""
     return sorted(
         p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
     )
 
 
 def read_photo(path: Path) -> Photo:
-    """Read a JPEG, PNG or HEIC photo, told by its content.
+    """Read a JPEG, PNG or HEIC photo, detected by its content.
 
-    JPEG and PNG keep their very bytes unless EXIF says that the image is to be turned; then, and for HEIC, the upright
-    image is compressed anew (JPEG quality 95). Raises ImageError on anything else, or on a file that does not decode.
+    JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for HEIC, the upright image is
+    compressed again (JPEG quality 95). Raises ImageError for other files, and for corrupt ones.
     """
     return photo_of(read_picture(path), path)
 
 
 def photo_of(data: bytes, path: Path) -> Photo:
-    """The photo of a file's bytes; `path`: what errors call it. Raises as `read_photo` does."""
+    """Return the photo of a file's bytes; `path`: its name in errors. Raises as `read_photo`."""
     with opened_picture(data, path) as image:
         found = image.format or "unknown"
         if found not in _FORMATS and found != "HEIF":
             raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
         facts = exif_facts(image.getexif(), str(path))
-        # libheif has already turned a HEIC image upright, whatever its EXIF says.
+        # libheif has already rotated a HEIC image, whatever its EXIF says.
         if found in _FORMATS and facts.orientation == 1:
             pixels = decode_rgb(data, str(path))
             height, width = pixels.shape[:2]
@@ -95,7 +95,7 @@ def photo_of(data: bytes, path: Path) -> Photo:
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:
-    """EXIF tells place and direction; it has no pitch and no roll."""
+    """Return position and direction from EXIF, which has no pitch and no roll."""
     return Sensed(
         lon=facts.lon,
         lat=facts.lat,

@@ -1,4 +1,4 @@
-"""Writes imported photos as files with a photo list of what is known of them, which `ltm pose --photo` takes."""
+"""Write imported photos as files with a photo list of their known values, for `ltm pose --photo`."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from ltm_ros.recordings.importing.georeference import PlacedPhoto
 POSES = "poses.csv"
 _ANGLES = ("azimuth", "pitch", "roll")
 _UNKNOWN = (UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, UNKNOWN_AZIMUTH_SIGMA_DEG)
-"""Sigmas of angles of which nothing is known."""
+"""Standard deviations of unknown angles."""
 _SUFFIXES = {"jpeg": ".jpg", "png": ".png"}
 
 
 class PhotoFolder:
-    """A folder that is new or empty, with the upright photos and `poses.csv`. Raises RecordingError otherwise."""
+    """A new or empty folder for the upright photos and `poses.csv`. Raises RecordingError otherwise."""
 
     def __init__(self, path: Path, frame: SiteFrame) -> None:
         self._path, self._frame = path, frame
         self._rows: list[dict[str, str]] = []
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise RecordingError(f"{path} exists already and is no empty folder: remove it, or write elsewhere")
+            raise RecordingError(f"{path} exists already and is not an empty folder: remove it, or give another folder")
 
     def __enter__(self) -> Self:
         self._path.mkdir(parents=True, exist_ok=True)
@@ -45,7 +45,7 @@ class PhotoFolder:
             writer.writerows(self._rows)
 
     def add(self, name: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
-        """One photo, with the pose that it has in the bag, and its sigmas where they are stated."""
+        """Add a photo, with its pose in the bag, and its stated standard deviations."""
         photo, pose, lens = item.photo, item.pose, item.camera
         file = Path(name).stem + _SUFFIXES[photo.image_format]
         (self._path / file).write_bytes(photo.data)
@@ -55,7 +55,7 @@ class PhotoFolder:
         row |= {"x": f"{x + self._frame.x_origin:.3f}", "y": f"{y + self._frame.y_origin:.3f}", "z": f"{z:.3f}"}
         sigmas = np.zeros(6) if item.covariance is None else pose_sigmas(pose, item.covariance)
         for key, value, sigma, unknown in zip(_ANGLES, pose.angles_deg, sigmas[3:], _UNKNOWN, strict=True):
-            if sigma < 0.99 * unknown:  # what nothing tells is left empty
+            if sigma < 0.99 * unknown:  # unknown values stay empty
                 row |= {f"{key}_deg": f"{value:.4f}"} | ({f"{key}_sigma_deg": f"{sigma:.4g}"} if sigma > 0 else {})
         if item.covariance is not None:
             row |= {"position_sigma": f"{sigmas[0]:.4g}", "height_sigma": f"{sigmas[2]:.4g}"}

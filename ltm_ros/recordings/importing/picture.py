@@ -1,4 +1,4 @@
-"""One photo to be imported, whatever file it lies in."""
+"""Describe one photo to import, whatever file contains it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from ltm_ros.recordings.importing.photo import Photo
 
 @dataclass(frozen=True)
 class ImportedImage:
-    """`name`: what a pose file calls it. `path`: of its file, or of what it lies in and its name there. `read`: the
-    photo, each time anew: a season's photos do not fit in memory. `capture`: what a pose file calls all that was taken
-    with it in one go, where this tells of its begin; empty: nothing."""
+    """`name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
+    each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
+    capture, if its row gives the start; empty: none.
+    """
 
     name: str
     path: Path

@@ -1,4 +1,4 @@
-"""Finds the photos of an import, each with what its sensors told: recognises by content what wrote a file or folder."""
+"""Find the photos of an import with their sensor data; detect the type of each file or folder by its content."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from ltm_ros.recordings.importing.video import SUFFIXES as VIDEO_SUFFIXES
 from ltm_ros.recordings.importing.video import is_video, video_pictures
 
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
-"""How a phone was held, by the EXIF orientation of its back camera: its sensor's rows lie along the screen's side."""
+"""Orientation of a phone by the EXIF orientation of its back camera: its sensor's rows are along the screen's side."""
 
 
 def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedImage]:
-    """The photos of files, folders, zips and videos. A recording of a phone's sensors without photos of its own tells
-    of all photos beside it, by their time.
+    """Return the photos of files, folders, zips and videos. A sensor recording without photos of its own applies to all
+    photos beside it, by their time.
 
-    Raises RecordingError when a path does not exist, two photos share a name, there is none at all, or a file is of no
-    kind that is read.
+    Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
+    unknown.
     """
     paths = list(paths)
     found: list[ImportedImage] = []
@@ -58,16 +58,16 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedI
     names: dict[str, Path] = {}
     for picture in found:
         if picture.name in names:
-            raise RecordingError(f"two photos are called {picture.name}: {names[picture.name]} and {picture.path}")
+            raise RecordingError(f"two photos have the name {picture.name}: {names[picture.name]} and {picture.path}")
         names[picture.name] = picture.path
     if not found and tracks:
         raise RecordingError(
-            f"{paths[0]}: a recording of sensors without photos: record the app's sensor `Camera` too, or give the "
-            "photos that were taken meanwhile with a further --images"
+            f"{paths[0]}: a sensor recording without photos: record the app's sensor `Camera`, too, or add the "
+            "photos taken meanwhile with another --images"
         )
     if not found:
         raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}; looked for {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
+            f"no photos in {', '.join(map(str, paths))}; supported: {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
             "recordings of phones"
         )
     return found
@@ -87,13 +87,13 @@ def _found_in(path: Path, assumed: Assumptions) -> list[ImportedImage | SensorTr
             frames = [picture for video in videos for picture in video_pictures(video, assumed)]
             return [*(_photo_file(p) for p in photos_in(path)), *frames]
         raise RecordingError(
-            f"{path}: a zip of no app that is known (it holds {', '.join(files.names[:5]) or 'nothing'}): without a "
-            "Location table nothing tells where its photos were taken; unpack it and give its folder of photos"
+            f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
+            "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
         )
     if path.suffix.lower() == ".json":
         track = read_sensor_logger_json(path)
         if track is None:
-            raise RecordingError(f"{path}: is no recording of Sensor Logger (a list of objects with `sensor`)")
+            raise RecordingError(f"{path}: is not a recording of Sensor Logger (a list of objects with `sensor`)")
         return [track]
     if is_video(path):
         return [*video_pictures(path, assumed)]
@@ -120,7 +120,7 @@ def _sensor_logger(files: CaptureFiles) -> list[ImportedImage | SensorTrack]:
 
 
 def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumptions) -> ImportedImage:
-    """A photo that was taken while sensors were recorded: these tell what its own file does not."""
+    """Complete a photo with sensor data that was recorded at its time."""
 
     def read() -> Photo:
         photo = picture.read()
@@ -136,14 +136,14 @@ def _beside(picture: ImportedImage, tracks: list[SensorTrack], assumed: Assumpti
 
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
-    """The photo with what the track tells of its time; what the track does not, its EXIF tells."""
+    """Return the photo with the track's values at its time, completed by its EXIF."""
     return replace(photo, sensed=track.at(stamp_ns, held(photo, track, stamp_ns)).over(photo.sensed))
 
 
 def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
-    """(3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
+    """Return (3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
 
-    EXIF's orientation says so; without one a portrait was held upright, and a landscape to the side on which it stands
+    EXIF's orientation decides; without one a portrait was held upright, and a landscape on the side on which it is
     upright.
     """
     stated = photo.exif.orientation

@@ -1,4 +1,4 @@
-"""Reads pose files: what a user knows of each photo, as CSV or YAML. It takes precedence over EXIF."""
+"""Read pose files: known values of each photo, as CSV or YAML, which override EXIF."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": P
 
 
 class PhotoPose(StrictModel):
-    """What is known of one photo. What is left out comes from the site file's camera, or from EXIF.
+    """Known values of one photo; others come from the site file's camera, or from EXIF.
 
     `pose` and `calibration` are those of a site file. In a CSV their keys are columns beside `name`.
     """
@@ -30,23 +30,23 @@ class PhotoPose(StrictModel):
     """File name of the photo, without its folder."""
     camera: RosName | None = None
     stamp: datetime | None = None
-    """ISO 8601; UTC unless it names a zone."""
+    """Time of the photo in ISO 8601, UTC unless it states a zone."""
     pose: PartialPose = PartialPose()
     calibration: PartialCalibration = PartialCalibration()
 
 
 def columns() -> list[str]:
-    """All columns that a CSV may have."""
+    """Return all columns that a CSV may have."""
     own = [name for name in PhotoPose.model_fields if name not in _SECTIONS]
     return own + [name for model in _SECTIONS.values() for name in model.model_fields]
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names without
-    their suffix, from a folder of pose files, as `ltm pose --photo` writes it.
+    """Return rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names
+    without suffix, from a folder of pose files, as `ltm pose --photo` writes it.
 
-    Raises ConfigError: no file, another kind of file, unknown columns, wrong or contradicting values (with the line),
-    or a photo that comes twice.
+    Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
+    line), or a photo listed twice.
     """
     if path.is_dir():
         return _pose_files(path)
@@ -59,7 +59,7 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     for place, row in reader(path):
         pose = checked(PhotoPose, row, place, unnamed=unnamed)
         if pose.name in poses:
-            raise ConfigError(f"{place}: {pose.name} comes twice")
+            raise ConfigError(f"{place}: {pose.name} is listed twice")
         poses[pose.name] = pose
     if not poses:
         raise ConfigError(f"pose file {path} has no rows")
@@ -71,11 +71,11 @@ def _pose_files(folder: Path) -> dict[str, PhotoPose]:
     for path in sorted(folder.glob("*.yaml")):
         content = read_yaml(path)
         if not isinstance(content, dict) or "pose" not in content:
-            raise ConfigError(f"{path} is no pose file: it has no section `pose`")
+            raise ConfigError(f"{path} is not a pose file: it has no section `pose`")
         known = {section: content[section] for section in _SECTIONS if section in content}
         poses[path.stem] = checked(PhotoPose, {"name": path.stem, **known}, str(path))
     if not poses:
-        raise ConfigError(f"{folder} holds no pose files (NAME.yaml for the photo NAME)")
+        raise ConfigError(f"{folder} contains no pose files (NAME.yaml for the photo NAME)")
     return poses
 
 
@@ -87,15 +87,15 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
         unknown = sorted(set(header) - set(columns()))
         if unknown or len(set(header)) < len(header):
             raise ConfigError(
-                f"pose file {path}: columns {', '.join(unknown) or 'that come twice'} are not known; "
-                f"known: {', '.join(columns())}"
+                f"pose file {path}: unknown columns {', '.join(unknown) or '(duplicates)'}; known: "
+                f"{', '.join(columns())}"
             )
         reader.fieldnames = header
         rows = []
         for number, row in enumerate(reader, start=1):
             place = f"{path}, row {number}"
             if None in row or None in row.values():
-                raise ConfigError(f"{place}: has more or fewer values than the header's {len(header)} columns")
+                raise ConfigError(f"{place}: the number of values differs from the header's {len(header)} columns")
             rows.append((place, _sectioned({name: value.strip() for name, value in row.items() if value.strip()})))
         return rows
     except csv.Error as error:
@@ -103,7 +103,7 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _sectioned(row: dict[str, str]) -> dict[str, Any]:
-    """Gather the columns of a row into its sections."""
+    """Group the columns of a row by section."""
     content: dict[str, Any] = {name: value for name, value in row.items() if name in PhotoPose.model_fields}
     for section, model in _SECTIONS.items():
         if values := {name: value for name, value in row.items() if name in model.model_fields}:
@@ -114,5 +114,5 @@ def _sectioned(row: dict[str, str]) -> dict[str, Any]:
 def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     content = read_yaml(path)
     if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
-        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one a photo, each with a name")
+        raise ConfigError(f"pose file {path} must be a YAML list of mappings, one per photo, each with a name")
     return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

@@ -1,7 +1,7 @@
-"""Finds the poses of imported photos in their pictures, before they are written.
+"""Find the poses of imported photos in their images, before they are written.
 
-The compass of a phone is off by much the same in all photos of a walk: by the iron in its case and its pocket. So
-photos whose pictures show their pose tell how far off it is in the others, which are sought again from there.
+The compass error of a phone is similar in all photos of a walk (iron in its case and pocket). So photos with a found
+pose give the compass error of the others, which are searched again from there.
 """
 
 from __future__ import annotations
@@ -34,17 +34,18 @@ from ltm_msgs_py.image import decode_rgb
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
 LEAST_AGREEING = 4
-"""Found poses that it takes to say how far off a compass is,"""
+"""Minimum number of found poses that determine a compass error,"""
 MOST_SPREAD_DEG = 4.0
-"""and by how much (1.48 median absolute deviation) they may differ in it."""
+"""and their maximum spread in degrees (1.48 median absolute deviation)."""
 LEAST_SPREAD_DEG = 1.0
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """What came of a search. `verdict`: in a word, and why. `accepted`: the picture's pose is written. `as_others`: it
-    shows none that is sure, and its compass is corrected as that of the others; anything else: the pose stays as given.
-    `turned_deg`: azimuth, pitch and roll by which it was turned."""
+    """Result of a search. `verdict`: a word and the reason. `accepted`: the pose found in the image is written.
+    `as_others`: no certain pose was found, and the compass is corrected like that of the others; anything else: the
+    given pose is kept. `turned_deg`: rotation in azimuth, pitch and roll.
+    """
 
     verdict: str
     reason: str
@@ -53,14 +54,14 @@ class Refinement:
 
 @dataclass(frozen=True)
 class CompassError:
-    """Degrees by which a camera's azimuths are off, and the standard deviation of single ones about it."""
+    """Compass error of a camera in degrees, and the standard deviation of single azimuths about it."""
 
     offset_deg: float
     spread_deg: float
 
     @classmethod
     def of(cls, turned_deg: Sequence[float]) -> CompassError | None:
-        """From azimuths by which found poses differ from the stated ones; None where they are few or disagree."""
+        """Compute it from differences between found and stated azimuths; None if they are few or disagree."""
         if len(turned_deg) < LEAST_AGREEING:
             return None
         offset = float(np.median(turned_deg))
@@ -68,16 +69,16 @@ class CompassError:
         return None if spread > MOST_SPREAD_DEG else cls(offset, max(spread, LEAST_SPREAD_DEG))
 
     def corrected(self, prior: PosePrior) -> PosePrior:
-        """What is known of a pose when its compass is."""
+        """Return the pose prior with a corrected compass."""
         azimuth, pitch, roll = prior.pose.angles_deg
         pose = Pose.from_angles(prior.pose.position, azimuth + self.offset_deg, pitch, roll)
-        # The offset itself is as sure as a median of a few.
+        # The correction has the uncertainty of a median of a few.
         return replace(prior, pose=pose, azimuth_sigma_deg=1.2 * self.spread_deg)
 
 
 @dataclass(frozen=True, eq=False)
 class _CameraView:
-    """How a camera's photos are labelled, and what of them shows the landscape."""
+    """How a camera's photos are labelled, and its mask."""
 
     segment: Callable[[UInt8Array], UInt8Array]
     scene: SceneFilter
@@ -85,7 +86,7 @@ class _CameraView:
 
 @dataclass(frozen=True, eq=False)
 class _Looked:
-    """What came of one photo by itself, from its own prior."""
+    """Result of one photo by itself, from its own prior."""
 
     prior: PosePrior
     result: PoseResult
@@ -93,10 +94,10 @@ class _Looked:
 
 
 class PoseRefinement:
-    """Lays each photo's skyline and ridges on the terrain of `site`, from what it states of its pose.
+    """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose.
 
-    `segment`: labels (H, W) of a photo (H, W, 3); by default those of the network and head that the site names for
-    each camera. Raises DemError when it is made.
+    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network and label head of each camera.
+    Raises DemError at creation.
     """
 
     def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
@@ -106,11 +107,12 @@ class PoseRefinement:
         self._segment = segment
         self._views: dict[str, _CameraView] = {}
         self._looked: dict[tuple[str, str], _Looked | str] = {}
-        """By camera and photo; why, of a photo that could not be searched."""
+        """Results by camera and photo; the reason for a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
-        """Search one photo by itself; all are looked at before the first is refined. Raises ModelError for the
-        camera's network, and ConfigError for its mask."""
+        """Search one photo by itself; all are searched before the first is refined. Raises ModelError for the camera's
+        network, and ConfigError for its mask.
+        """
         view = self._view(camera)
         try:
             prior = self._prior(item)
@@ -119,7 +121,7 @@ class PoseRefinement:
             self._looked[camera, name] = str(error)
 
     def refine(self, camera: str, name: str, item: PlacedPhoto) -> tuple[PlacedPhoto, Refinement]:
-        """A photo that could not be searched, as one beside the DEM, stays as it is: the reason says why."""
+        """Refine one photo; if it could not be searched (such as beside the DEM), its pose is kept, with the reason."""
         looked = self._looked[camera, name]
         if isinstance(looked, str):
             return item, Refinement("not_searched", looked)
@@ -135,7 +137,7 @@ class PoseRefinement:
         return self._as_others(item, compass, len(others), refinement)
 
     def _compass_errors(self, camera: str) -> list[float]:
-        """Degrees, of the camera's photos that show their pose, and whose compass told a direction."""
+        """Return the compass errors in degrees of the camera's photos with a found pose and a compass direction."""
         return [
             looked.refinement.turned_deg[0]
             for (of, _), looked in self._looked.items()
@@ -157,8 +159,8 @@ class PoseRefinement:
         sigmas = stated.azimuth_sigma_deg, stated.pitch_sigma_deg, stated.roll_sigma_deg
         covariance = pose_covariance(stated.pose, stated.position_sigma, stated.height_sigma, *sigmas)
         reason = (
-            f"{refinement.verdict}, {refinement.reason}; by {others} others the compass is {-compass.offset_deg:+.1f} "
-            f"+- {compass.spread_deg:.1f} deg off"
+            f"{refinement.verdict}, {refinement.reason}; the compass error of {others} other photos is "
+            f"{-compass.offset_deg:+.1f} +- {compass.spread_deg:.1f} deg"
         )
         told = Refinement("as_others", reason, (compass.offset_deg, 0.0, 0.0))
         return replace(item, pose=stated.pose, covariance=covariance), told
@@ -167,7 +169,7 @@ class PoseRefinement:
         return PosePrior.of_covariance(item.pose, self._assumed if item.covariance is None else item.covariance)
 
     def _prior(self, item: PlacedPhoto) -> PosePrior:
-        """As stated; but a photo whose tilt nobody measured was still held level by hand."""
+        """Return the prior; a photo without a measured tilt was still held roughly level."""
         stated = self._stated(item)
         pitch, roll = (min(s, UNSTATED_TILT_SIGMA_DEG) for s in (stated.pitch_sigma_deg, stated.roll_sigma_deg))
         return replace(stated, pitch_sigma_deg=pitch, roll_sigma_deg=roll)

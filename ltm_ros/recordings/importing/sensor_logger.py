@@ -1,9 +1,9 @@
-"""Reads recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames, or one JSON file.
+"""Read recordings of the phone app Sensor Logger: a zip or folder of CSV tables with camera frames, or one JSON file.
 
 Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `time` is nanoseconds since 1970 UTC;
-`altitude` is above the WGS 84 ellipsoid; a negative accuracy says that the value is not valid; `bearing` is the course
-of travel, no heading; a camera frame is named by its milliseconds since 1970. The quaternion takes the phone's axes to
-a world whose x lies to true north on iOS, and whose y lies to magnetic north on Android.
+`altitude` is above the WGS 84 ellipsoid; a negative accuracy marks an invalid value; `bearing` is the course of travel,
+not the heading; a camera frame is named by its milliseconds since 1970. The quaternion maps the phone's axes to a world
+with x to true north on iOS, and y to magnetic north on Android.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ TABLES = {
     "Barometer": ("time", "relativeAltitude", "pressure"),
     "Metadata": ("platform",),
 }
-"""The tables that are read, and their columns."""
+"""The tables that are read, with their columns."""
 _FRAME = re.compile(r"\d{10,16}\.jpe?g", re.IGNORECASE)
 _TILT_SIGMA_DEG = 1.0
-"""Of the pitch and roll that a phone's gyroscope and accelerometer give in a hand: 0.5 to 1 degree."""
+"""Standard deviation of pitch and roll from a hand-held phone in degrees: 0.5 to 1."""
 _AGREE = math.radians(3.0)
-"""By which a quaternion and the angles beside it may differ."""
+"""Maximum difference between a quaternion and the angles beside it."""
 _STANDARD_ATMOSPHERE = 44_330.0, 0.1903
 """Metres and exponent of h = a (1 - (p / p0) ^ b)."""
 
@@ -50,12 +50,12 @@ Table = Mapping[str, Sequence[str]]
 
 
 def is_sensor_logger(files: CaptureFiles) -> bool:
-    """By its tables: no other app that writes zips of CSV has these together."""
+    """Return whether these are its tables; no other app writes this set."""
     return any(files.find(f"{name}.csv") for name in ("Location", "LocationGps", "Orientation"))
 
 
 def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
-    """The way and attitude of a zip or folder. Raises RecordingError for tables that are none, or without a place."""
+    """Return track and attitude of a zip or folder. Raises RecordingError for invalid tables, or without a position."""
     tables = {
         name: table(files, member, columns)
         for name, columns in TABLES.items()
@@ -65,7 +65,7 @@ def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
 
 
 def read_sensor_logger_json(path: Path) -> SensorTrack | None:
-    """The same of a JSON file; None for JSON of another kind. Raises RecordingError as `read_sensor_logger`."""
+    """Return the same from a JSON file; None for other JSON. Raises RecordingError as `read_sensor_logger`."""
     try:
         rows = json.loads(read_text(path, LARGEST_JSON, RecordingError, "utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -83,7 +83,7 @@ def read_sensor_logger_json(path: Path) -> SensorTrack | None:
 
 
 def camera_frames(files: CaptureFiles) -> dict[str, int]:
-    """Members that are camera frames, with their stamps in nanoseconds."""
+    """Return the members that are camera frames, with their stamps in nanoseconds."""
     frames = {}
     for name in files.matching("Camera", (".jpg", ".jpeg")):
         plain = PurePosixPath(name).name
@@ -96,8 +96,8 @@ def _track(tables: Mapping[str, Table], place: str) -> SensorTrack:
     location = tables.get("Location") or tables.get("LocationGps")
     if location is None:
         raise RecordingError(
-            f"{place}: a Sensor Logger recording without Location: switch the sensor `Location` on in the app; photos "
-            "of this walk need their places in a pose file (--poses)"
+            f"{place}: a Sensor Logger recording without Location: enable the sensor `Location` in the app; give "
+            "the photos' positions in a pose file (--poses)"
         )
     metadata = tables.get("Metadata", {})
     orientation, barometer = tables.get("Orientation"), tables.get("Barometer")
@@ -114,7 +114,7 @@ def _fixes(location: Table, place: str) -> Fixes:
     stamps = _stamps(location, place, "Location")
     lat, lon = (_column(location, name, place, "Location") for name in ("latitude", "longitude"))
     accuracy = _valid(_optional(location, "horizontalAccuracy", len(stamps)))
-    # A phone without a fix repeats an old place with a negative accuracy, or writes (0, 0).
+    # A phone without a GPS fix repeats an old position with a negative accuracy, or writes (0, 0).
     stated = "horizontalAccuracy" in location
     with np.errstate(invalid="ignore"):
         good = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ((lat != 0) | (lon != 0))
@@ -123,8 +123,8 @@ def _fixes(location: Table, place: str) -> Fixes:
     order = order[good[order]]
     if not len(order):
         raise RecordingError(
-            f"{place}: none of {len(stamps)} places in Location is valid (negative accuracy, or off the globe): the "
-            "phone had no fix; give the photos their places in a pose file (--poses)"
+            f"{place}: none of {len(stamps)} positions in Location is valid (negative accuracy, or out of range): "
+            "the phone had no GPS fix; give the photos' positions in a pose file (--poses)"
         )
     vertical = _valid(_optional(location, "verticalAccuracy", len(stamps)))
     sea, ellipsoid = (_optional(location, n, len(stamps)) for n in ("altitudeAboveMeanSeaLevel", "altitude"))
@@ -149,24 +149,24 @@ def _attitudes(orientation: Table, platform: str, place: str) -> Attitudes | Non
     angles = {name: _optional(orientation, name, len(stamps))[order] for name in ("yaw", "pitch", "roll")}
     android = _android_axes(rotations, angles, platform, place)
     world = Rotation.from_matrix(ENU_FROM_ENU if android else ENU_FROM_NWU)
-    # The app's setting "standardise" changes the axes, never which north is meant.
+    # The app's setting "standardise" changes the axes, but not the north reference.
     magnetic = platform == "android" or (platform != "ios" and android)
     return Attitudes(stamps[order], world * rotations, "M" if magnetic else "T", None, _TILT_SIGMA_DEG)
 
 
 def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platform: str, place: str) -> bool:
-    """Whether the world's y lies to the north, as on Android, by the angles that stand beside each quaternion.
+    """Return whether the world's y points north, as on Android, by the angles beside each quaternion.
 
-    The app's documents fix the axes by platform, and a setting of it ("standardise") turns those of iOS into Android's:
-    the file itself says which it holds. Without angles, the platform does.
+    The app's documents define the axes by platform, and its setting "standardise" converts those of iOS to Android's:
+    the file itself shows which it holds. Without angles, the platform decides.
     """
     told = np.column_stack([angles[name] for name in ("yaw", "pitch", "roll")])
     used = np.isfinite(told).all(axis=1)
     if not used.any():
         if platform not in ("ios", "android"):
             raise RecordingError(
-                f"{place}: neither Metadata's `platform` nor yaw, pitch and roll say how the phone's axes lie: export "
-                "the recording with Metadata.csv"
+                f"{place}: neither Metadata's `platform` nor yaw, pitch and roll determine the phone's axes: "
+                "export the recording with Metadata.csv"
             )
         return platform == "android"
     # R = Rz(yaw) Rx(pitch) Ry(roll) of CMAttitude; SensorManager.getOrientation counts yaw and pitch the other way.
@@ -177,9 +177,9 @@ def _android_axes(rotations: Rotation, angles: Mapping[str, Float64Array], platf
     likely = min(off, key=lambda key: off[key])
     if off[likely] > _AGREE:
         raise RecordingError(
-            f"{place}: the quaternions of Orientation do not go with the yaw, pitch and roll beside them (off by "
-            f"{math.degrees(off[likely]):.0f} degrees or more in either platform's axes): leave Orientation.csv out, "
-            "and give the photos their directions in a pose file (--poses)"
+            f"{place}: the quaternions of Orientation do not match the yaw, pitch and roll beside them (off by "
+            f"{math.degrees(off[likely]):.0f} degrees or more in either platform's axes): remove Orientation.csv, "
+            "and give the photos' directions in a pose file (--poses)"
         )
     return likely
 
@@ -216,7 +216,7 @@ def _optional(columns: Table, name: str, count: int) -> Float64Array:
 
 
 def _numbers(values: Sequence[str]) -> Float64Array:
-    """NaN for what is no finite number."""
+    """Return numbers; NaN for invalid ones."""
     out = np.full(len(values), np.nan)
     for i, value in enumerate(values):
         try:
@@ -229,13 +229,13 @@ def _numbers(values: Sequence[str]) -> Float64Array:
 
 
 def _valid(values: Float64Array) -> Float64Array:
-    """Accuracies and pressures: negative ones and zero are none."""
+    """Return accuracies and pressures; zero and negative ones are invalid."""
     with np.errstate(invalid="ignore"):
         return np.where(values > 0, values, np.nan)
 
 
 def _stamps(columns: Table, place: str, what: str) -> Int64Array:
-    """Nanoseconds, which have too many digits for a double; 0 where there is none."""
+    """Return nanoseconds as integers, because they have too many digits for a double; 0 for none."""
     if "time" not in columns:
         raise RecordingError(f"{place}: {what} has no column `time`: is it Sensor Logger's?")
     stamps = np.zeros(len(columns["time"]), np.int64)

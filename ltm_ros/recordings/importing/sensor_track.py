@@ -1,4 +1,4 @@
-"""Hold what the sensors of a device recorded, for one photo and along its way."""
+"""Hold what the sensors of a device recorded, for one photo and along its track."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ltm_core.geometry.pose import Pose
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Where a device was carried at eye height: `lon`, `lat` (N,) WGS 84 degrees, and its `climb` (N,) there."""
+    """Track of a device at eye height: `lon`, `lat` (N,) WGS 84 degrees, and its `climb` (N,)."""
 
     lon: Float64Array
     lat: Float64Array
@@ -29,26 +29,27 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Relative:
-    """A frame's pose as seen from the first frame of its capture: `rotation` (3, 3) and `translation` (3,) metres take
-    this frame's optical coordinates to that one's."""
+    """Pose of a frame relative to the first frame of its capture: `rotation` (3, 3) and `translation` (3,) metres map
+    this frame's optical coordinates to the first's.
+    """
 
     rotation: Float64Array
     translation: Float64Array
 
     def placed(self, first: Pose) -> Pose:
-        """Where this frame was, for the place of the first."""
+        """Return the position of this frame, given the position of the first."""
         return Pose(first.to_map(self.translation), first.rotation @ self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """What is known of one photo, each None where nothing tells it. Angles in degrees, lengths in metres.
+    """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
-    `source`: what told it, for the user. `stamp`: with its zone, exact; None: by EXIF. `altitude`: above sea level, or
-    above the WGS 84 ellipsoid where `ellipsoidal`. `climb`: above the place where recording began, by barometer, and
-    `walk` where the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and
-    `roll_deg` are of the upright image. Sigmas are standard deviations. `calibration`: of the upright image.
-    `seconds`: after the capture's begin. `relative`: to the capture's first frame, of which all the rest then is.
+    `source`: of the values, for the user. `stamp`: with its zone, exact; None: by EXIF. `altitude`: above sea level, or
+    above the WGS 84 ellipsoid if `ellipsoidal`. `climb`: above the start of the recording, by barometer, and `walk` if
+    the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and `roll_deg`
+    are of the upright image. Sigmas are standard deviations. `calibration`: of the upright image. `seconds`: after the
+    capture's start. `relative`: to the capture's first frame, to which all other values then belong.
     """
 
     source: str = "EXIF"
@@ -71,10 +72,10 @@ class Sensed:
     seconds: float = 0.0
     relative: Relative | None = None
     missing: str = ""
-    """Why there is no position, where that is known."""
+    """Reason why there is no position, if known."""
 
     def over(self, own: Sensed) -> Sensed:
-        """This, with what it leaves out from another: place with height, direction, and tilt, each as a whole."""
+        """Return this, completed from another: position with height, direction, and tilt, each as a whole."""
         taken: dict[str, object] = {}
         for names in _PARTS:
             if getattr(self, names[0]) is None:
@@ -90,15 +91,15 @@ _PARTS = (
     ("azimuth_deg", "azimuth_ref", "azimuth_sigma_deg"),
     ("pitch_deg", "roll_deg", "tilt_sigma_deg"),
 )
-"""What is known together, named by what says whether it is."""
+"""Values that belong together, by the one that shows whether they are known."""
 
 
 _FIX_GAP_NS = 15_000_000_000
-"""Between a photo and the nearest fix: a walker goes 20 m in it. Phones give one fix a second."""
+"""Maximum ns between a photo and the nearest GPS fix: a walker moves 20 m in it. Phones record one fix per second."""
 _ATTITUDE_GAP_NS = 500_000_000
-"""Between a photo and the nearest attitude: a hand turns a phone by tens of degrees in a second."""
+"""Maximum ns between a photo and the nearest attitude: a hand rotates a phone by tens of degrees per second."""
 _WALKING_SPEED = 1.4
-"""Metres a second by which a fix that is not of the photo's time gets worse."""
+"""Speed in m/s by which a GPS fix of another time becomes less accurate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +138,7 @@ class Climb:
 
 @dataclass(frozen=True, eq=False)
 class SensorTrack:
-    """`on_foot`: carried at eye height, so that the ground under its way tells the height at which it began."""
+    """`on_foot`: carried at eye height, so that the ground along its track gives the start height."""
 
     source: str
     fixes: Fixes | None = None
@@ -147,7 +148,7 @@ class SensorTrack:
     _walk: list[Walk | None] = field(default_factory=list)
 
     def at(self, stamp_ns: int, device_from_optical: Float64Array) -> Sensed:
-        """What the track tells of a photo: `device_from_optical` (3, 3), how its camera is mounted."""
+        """Return the track's values for a photo: `device_from_optical` (3, 3) is how its camera is mounted."""
         facts: dict[str, object] = {}
         position = self._position(stamp_ns)
         if isinstance(position, str):
@@ -161,7 +162,7 @@ class SensorTrack:
         return Sensed(source=self.source, stamp=time_of(stamp_ns), **facts)  # type: ignore[arg-type]
 
     def rotation_at(self, stamp_ns: int) -> Rotation | None:
-        """The device's axes to east, north, up; None where nothing was recorded near."""
+        """Return the device's axes to east, north, up; None without a record at this time."""
         told = self.attitudes
         if told is None or not len(told.stamp_ns):
             return None
@@ -177,11 +178,11 @@ class SensorTrack:
     def _position(self, stamp_ns: int) -> dict[str, object] | str:
         fixes = self.fixes
         if fixes is None or not len(fixes.stamp_ns):
-            return "it holds no fix"
+            return "it has no GPS fix"
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (
-                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from its nearest fix "
+                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from the nearest GPS fix "
                 f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
             )
         facts: dict[str, object] = {
@@ -195,7 +196,7 @@ class SensorTrack:
             if np.isfinite(fixes.altitude_sigma[near]):
                 facts["altitude_sigma"] = float(fixes.altitude_sigma[near])
         if np.isfinite(fixes.position_sigma[near]):
-            away = _WALKING_SPEED * max(gap / 1e9 - 1.0, 0.0)  # a second is what fixes lie apart
+            away = _WALKING_SPEED * max(gap / 1e9 - 1.0, 0.0)  # fixes are one second apart
             facts["position_sigma"] = float(np.hypot(fixes.position_sigma[near], away))
         return facts
 
@@ -231,33 +232,33 @@ class SensorTrack:
 
 
 def time_of(stamp_ns: int) -> datetime:
-    """UTC. Raises RecordingError for one that no calendar has."""
+    """Return the time in UTC. Raises RecordingError for one outside the calendar."""
     try:
         return moment_of_stamp(stamp_ns)
     except OverflowError as error:
-        raise RecordingError(f"time {stamp_ns} ns is no nanoseconds since 1970") from error
+        raise RecordingError(f"time {stamp_ns} ns is not in nanoseconds since 1970") from error
 
 
 def _shown(stamp_ns: int) -> str:
-    """A date, or seconds of a video."""
+    """Return a date, or seconds of a video."""
     return time_of(stamp_ns).isoformat() if stamp_ns > 10**17 else f"{stamp_ns / 1e9:.1f} s"
 
 
 def ascending(stamp_ns: Int64Array) -> Int64Array:
-    """Indices that put stamps (N,) into order, each stamp once; 0 stands for none, and is left out."""
+    """Return indices that sort stamps (N,), each once; 0 means none, and is ignored."""
     values, first = np.unique(stamp_ns, return_index=True)
     return np.asarray(first[values > 0], np.int64)
 
 
 def _nearest(stamps: Int64Array, stamp_ns: int) -> tuple[int, int]:
-    """Index of the nearest stamp, and how far it lies."""
+    """Return the index of the nearest stamp, and its distance."""
     after = bisect.bisect_left(stamps, stamp_ns)
     near = min((i for i in (after - 1, after) if 0 <= i < len(stamps)), key=lambda i: abs(int(stamps[i]) - stamp_ns))
     return near, abs(int(stamps[near]) - stamp_ns)
 
 
 def _at(stamps: Int64Array, values: Float64Array, stamp_ns: int) -> float:
-    """Between the two nearest, the nearest beyond the ends; of unknown neighbours the known one."""
+    """Interpolate between the two nearest, use the nearest beyond the ends, and the known one of unknown neighbours."""
     near, _ = _nearest(stamps, stamp_ns)
     between = float(np.interp(stamp_ns - int(stamps[0]), stamps - stamps[0], values))
     return between if np.isfinite(between) else float(values[near])

@@ -1,4 +1,4 @@
-"""Read frames, times and tags of videos, and hand them on as photos."""
+"""Read frames, times and tags of videos, and return them as photos."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ _EPOCH_1904 = datetime(1971, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class Video:
-    """`begins`: its first frame's time, with its zone; None where it states none. `times`: seconds after it of the
-    frames that were asked for. `lat`, `lon`, `altitude`: one place of all of it, above sea level; `position_sigma`:
-    metres. `focal_35mm`: as on 36 mm wide film. `maker`: of the camera, empty where it is not stated."""
+    """`begins`: its first frame's time, with its zone; None if not stated. `times`: seconds after it of the requested
+    frames. `lat`, `lon`, `altitude`: one position for the whole video, above sea level; `position_sigma`: metres.
+    `focal_35mm`: 35 mm equivalent. `maker`: of the camera, empty if not stated.
+    """
 
     path: Path
     begins: datetime | None
@@ -55,13 +56,13 @@ class Video:
     maker: str = ""
 
     def upright(self, seconds: float) -> UInt8Array:
-        """The first frame from then on, (H, W, 3) RGB, turned as the video says. Raises RecordingError."""
+        """Return the first frame from then on, (H, W, 3) RGB, rotated as the video states. Raises RecordingError."""
         pixels, turn_deg = self._frame(seconds)
         # The turn that shows it upright is counter-clockwise, as NumPy's.
         return np.ascontiguousarray(np.rot90(pixels, round(turn_deg / 90) % 4))
 
     def stored(self, seconds: float) -> UInt8Array:
-        """The same as the sensor read it, whatever way the video says it is to be shown."""
+        """Return the same in the orientation of the sensor."""
         return self._frame(seconds)[0]
 
     def _frame(self, seconds: float) -> tuple[UInt8Array, float]:
@@ -76,14 +77,15 @@ class Video:
                     break
             if found is None:
                 raise RecordingError(
-                    f"{self.path}: no frame at {seconds:.2f} s: the video was cut short; export it again"
+                    f"{self.path}: no frame at {seconds:.2f} s: the video is truncated; export it again"
                 )
             return np.asarray(found.to_ndarray(format="rgb24"), np.uint8), float(found.rotation)
 
 
 def is_video(path: Path) -> bool:
-    """By its first box: ISO 14496-12's `ftyp`, or one of QuickTime's that stand there in older files. HEIC and AVIF
-    begin alike and name themselves."""
+    """Return whether it is a video, by its first box: ISO 14496-12's `ftyp`, or one of QuickTime's in older files. HEIC
+    and AVIF begin alike and name themselves.
+    """
     try:
         with path.open("rb") as file:
             head = file.read(12)
@@ -93,22 +95,21 @@ def is_video(path: Path) -> bool:
 
 
 def read_video(path: Path, every: float) -> Video:
-    """What a video says of itself, with the times of a frame each `every` seconds. Raises RecordingError for one that
-    cannot be read, or without pictures."""
+    """Return a video's metadata, with the times of a frame every `every` seconds. Raises RecordingError if it cannot be
+    read, or has no images.
+    """
     with _opened(path) as container:
         stream = container.streams.video[0]
         if stream.width * stream.height > MAX_PIXELS:
             raise RecordingError(
-                f"{path}: frames of {stream.width} x {stream.height} pixels are not decoded; export it smaller"
+                f"{path}: frames of {stream.width} x {stream.height} pixels are too large; export a smaller video"
             )
         duration = (
             float(stream.duration * stream.time_base) if stream.duration else float(container.duration or 0) / 1e6
         )
         count = max(1, math.ceil(duration / every - 1e-6))
         if count > MOST_FRAMES:
-            raise RecordingError(
-                f"{path}: {count} frames, more than {MOST_FRAMES}: take one each more seconds (--every)"
-            )
+            raise RecordingError(f"{path}: {count} frames, more than {MOST_FRAMES}: increase the interval (--every)")
         tags = {str(key): str(value) for key, value in {**stream.metadata, **container.metadata}.items()}
     lat, lon, altitude = _place(tags)
     return Video(
@@ -129,14 +130,14 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         import av
     except ImportError as error:
-        raise RecordingError(f"{path}: videos are read by PyAV: pip install 'ltm[video]'") from error
+        raise RecordingError(f"{path}: reading videos needs PyAV: pip install 'ltm[video]'") from error
     try:
-        # From an open file and as this format alone: no playlist or link in it is followed to other files.
+        # From an open file and only in this format, so that no playlist or link in it is followed.
         with path.open("rb") as file, av.open(file, "r", format="mov") as container:
             if not container.streams.video:
-                raise RecordingError(f"{path}: a video without pictures; give the file that the camera wrote")
+                raise RecordingError(f"{path}: a video without images; give the camera's original file")
             if container.streams.video[0].codec_context is None:
-                raise RecordingError(f"{path}: FFmpeg does not know how its pictures are packed; export it as H.264")
+                raise RecordingError(f"{path}: FFmpeg does not know its encoding; export it as H.264")
             yield container
     except (av.FFmpegError, OSError, ValueError, TypeError, OverflowError, MemoryError, ZeroDivisionError) as error:
         raise RecordingError(
@@ -145,7 +146,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _place(tags: dict[str, str]) -> tuple[float | None, float | None, float | None]:
-    """ISO 6709: latitude, longitude and, where it is stated, height."""
+    """Parse ISO 6709: latitude, longitude and, if stated, height."""
     for tag in _TAGS:
         found = _ISO6709.fullmatch(tags.get(tag, "").strip())
         if found is not None:
@@ -156,7 +157,7 @@ def _place(tags: dict[str, str]) -> tuple[float | None, float | None, float | No
 
 
 def _begins(tags: dict[str, str]) -> datetime | None:
-    """Apple's own date has a zone; `creation_time` is UTC by ISO 14496-12."""
+    """Return the start time. Apple's own date has a zone; `creation_time` is UTC by ISO 14496-12."""
     for tag in ("com.apple.quicktime.creationdate", "creation_time"):
         try:
             found = datetime.fromisoformat(tags.get(tag, "").replace("Z", "+00:00"))
@@ -177,20 +178,20 @@ def _number(text: str | None) -> float | None:
 
 
 def later(begins: datetime, seconds: float) -> datetime:
-    """Raises RecordingError for a time that no calendar has."""
+    """Return a later time. Raises RecordingError for one outside the calendar."""
     try:
         return begins + timedelta(seconds=seconds)
     except OverflowError as error:
-        raise RecordingError(f"{seconds:g} s after {begins.isoformat()} is no time") from error
+        raise RecordingError(f"{seconds:g} s after {begins.isoformat()} is not a valid time") from error
 
 
 QUALITY = 95
 _GIMBAL = np.eye(3)
-"""What tells the gimbal's angles tells the camera's."""
+"""A source of the gimbal's angles gives the camera's."""
 
 
 def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
-    """A frame each `assumed.every` seconds. Raises RecordingError for a video or telemetry that cannot be read."""
+    """Return a frame every `assumed.every` seconds. Raises RecordingError for an unreadable video or telemetry."""
     video = read_video(path, assumed.every)
     track, begins, focal = _telemetry(path, assumed)
     begins = begins or video.begins
@@ -210,7 +211,7 @@ def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
 
 
 def frame_photo(pixels: UInt8Array, path: Path, sensed: Sensed) -> Photo:
-    """A photo of decoded pixels (H, W, 3)."""
+    """Return a photo of decoded pixels (H, W, 3)."""
     height, width = pixels.shape[:2]
     return Photo(path, encode_rgb(pixels, "jpeg", QUALITY), "jpeg", width, height, ExifFacts(), sensed, reencoded=True)
 

@@ -27,17 +27,17 @@ from ltm_ros.runtime.topics import CAMERA_INPUTS, CAMERA_TRUTH, camera_topic
 
 @dataclass(frozen=True)
 class Selection:
-    """The input topics of a site's cameras in a bag, and a span of its time.
+    """The input topics of a site's cameras in a bag, and a time span.
 
-    `start`, `duration`: seconds from the bag's first message. What the graph itself publishes is never replayed.
+    `start`, `duration`: seconds from the bag's first message. Results of the graph are never replayed.
     """
 
     reader: BagReader
     types: dict[str, str]
-    """Type by topic."""
+    """Message type of each topic."""
     begin_ns: int
     end_ns: int
-    """One past the last message's log time."""
+    """One ns past the last message's log time."""
     message_count: int
     frame_count: int
 
@@ -45,7 +45,7 @@ class Selection:
     def open(
         cls, bag: Path, site: Site, start: float = 0.0, duration: float | None = None, truth: bool = True
     ) -> Selection:
-        """Raises RecordingError where the bag has no image of any camera of the site, or nothing in the span."""
+        """Open a bag. Raises RecordingError if it has no image of a camera of the site, or nothing in the span."""
         reader = BagReader(bag)
         recorded = reader.topics()
         wanted = [*CAMERA_INPUTS, *(CAMERA_TRUTH if truth else ())]
@@ -54,21 +54,21 @@ class Selection:
         images = [name for name in types if "/image_raw" in name]
         if not images or reader.start_ns is None or reader.end_ns is None:
             raise RecordingError(
-                f"{bag} holds no images of site {site.name} ({', '.join(site.cameras)}); its topics are "
-                f"{', '.join(sorted(recorded)) or '(none)'}: name the site and its cameras as the recording does"
+                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); its topics are "
+                f"{', '.join(sorted(recorded)) or '(none)'}: name the site and its cameras as in the recording"
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
         whole = start == 0 and duration is None and not reader.damage
         counts = (
             Counter({topic: reader.topic_infos()[topic].message_count for topic in types})
-            if whole  # the bag's index knows; a part, or a bag that is cut, must be read
+            if whole  # from the bag's index; a part, or a truncated bag, must be read
             else Counter(message.topic for message in reader.messages(list(types), begin, end))
         )
         if not counts.total():
             raise RecordingError(
-                f"{bag} holds nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; "
-                f"it is {(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
+                f"{bag} contains nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; it is "
+                f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
         frames = sum(counts[topic] for topic in images)
         return cls(reader, types, begin, end, counts.total(), frames)
@@ -85,20 +85,20 @@ class OfflineGraph:
     """Runs the nodes of a graph by calling their handlers, one message at a time, in the order of publication."""
 
     def __init__(self, graph: Graph, record: BagWriter | None = None, source: str = "") -> None:
-        """`source`: where messages come from, for errors."""
+        """Create the handlers. `source`: name of the recording, for errors."""
         self._source = source
         self.healths: dict[str, Health] = {}
         self._pipeline = Pipeline(self._run)
         self._record = record
         self.now_ns = 0
-        """Log time of the message at work."""
+        """Log time of the current message."""
         for spec in graph:
             self._add(spec)
         self._pipeline.start()
         self._pipeline.settle()
 
     def feed(self, topic: str, message: Any, time_ns: int) -> None:
-        """Deliver a message and all that follows from it."""
+        """Deliver a message and all that follow from it."""
         if 0 < self.now_ns // DAY_NS < time_ns // DAY_NS:
             self._pipeline.end_of_day()
         self.now_ns = time_ns
@@ -106,8 +106,7 @@ class OfflineGraph:
         self._pipeline.settle()
 
     def finish(self) -> None:
-        """Tell every handler that no more will come, each after all that it listens to; what they still publish is
-        delivered."""
+        """Finish every handler after those that it depends on, and deliver the results."""
         self._pipeline.finish()
 
     def publish(self, topic: str, message: Any, latched: bool = False) -> None:
@@ -117,7 +116,7 @@ class OfflineGraph:
             self._record.write(topic, message, self.now_ns)
 
     def wanted(self, topic: str) -> bool:
-        """Whether anything becomes of a message on it."""
+        """Return whether anything uses a message of this topic."""
         return self._record is not None or self.listened(topic)
 
     def listened(self, topic: str) -> bool:
@@ -136,7 +135,7 @@ class OfflineGraph:
         _guarded(job.health, work, partial(self._place, topic, message) if topic else None)
 
     def _place(self, topic: str, message: Any) -> str:
-        """Of a message, for errors: its topic, which names the camera, its stamp, and the recording."""
+        """Return the origin of a message, for errors: its topic with the camera, its stamp, and the recording."""
         parts = [topic, *([f"stamp {stamp_text(message)}"] if hasattr(message, "header") else []), self._source]
         return ", ".join(filter(None, parts))
 
@@ -160,14 +159,14 @@ class _Outlet:
         return self._graph.listened(absolute(self._namespace, topic))
 
     def more_waits(self) -> bool:
-        """Each frame is finished before the next is fed: none need be turned away for a newer one."""
+        """Each frame is finished before the next is fed, so none is dropped for a newer one."""
         return False
 
     def now_ns(self) -> int:
         return self._graph.now_ns
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
-        """Each frame is finished before the next is fed: nobody waits for it."""
+        """Each frame is finished before the next is fed, so nothing waits for it."""
 
     def workers(self, topic: Topic) -> Set[str]:
         return frozenset()
@@ -182,7 +181,7 @@ def replay_offline(
     record: Path | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, dict[str, str]]:
-    """Run a recording through a graph; each node's health summary by its full name.
+    """Run a recording through a graph; return each node's health summary by its full name.
 
     `record`: bag folder for inputs and results. Damaged messages of the recording are counted under `recording`.
     """

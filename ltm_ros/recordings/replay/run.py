@@ -35,20 +35,20 @@ from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
 WAITING = 5
-"""Frames of a camera that wait to be let into the graph, beyond which the recording's time stands still."""
+"""Frames of a camera that wait for admission, above which the recording's time is paused."""
 SILENT = 5.0
-"""Seconds without diagnostics after which nobody waits for a node."""
+"""Seconds without diagnostics after which a node is no longer waited for."""
 QUIET = 2.5
-"""Seconds without any change in a graph's diagnostics after which its work is done."""
+"""Seconds without any change in the graph's diagnostics after which it is idle."""
 
 
 class LivePlayer:
-    """Publishes a selection and watches the diagnostics of the graph that works on it. A context manager."""
+    """Publishes a selection and watches the diagnostics of the graph. A context manager."""
 
     def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
-        """`rate`: of playing, 2 = twice as fast. `longest_pause`: seconds of real time; where a recording pauses for
-        longer, its clock goes on so long and until the graph has done its work, and steps over the rest. Raises
-        RecordingError unless both are positive.
+        """Open the player. `rate`: 2 is twice as fast. `longest_pause`: seconds of real time; in longer recorded pauses
+        the clock continues for that long and until the graph is idle, and skips the rest. Raises RecordingError unless
+        both are positive.
         """
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
@@ -94,8 +94,8 @@ class LivePlayer:
         rclpy.try_shutdown(context=self._context)
 
     def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
-        """Until somebody listens to the images, at least `nodes` nodes have reported and listen to the clock, all have
-        found each other, and nothing of that has changed for a second.
+        """Wait until the images have subscribers, at least `nodes` nodes have reported and subscribed to the clock, all
+        are matched, and nothing of that has changed for a second.
 
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
         """
@@ -114,8 +114,8 @@ class LivePlayer:
             time.sleep(0.05)
         topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
         raise RecordingError(
-            f"in {timeout:.0f} s nobody has subscribed to {topics}, {known} of {nodes} nodes were up, or they had not "
-            f"found each other ({', '.join(loose) or 'no topic'} not matched): start the site's graph in the same "
+            f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
+            f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
             "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
         )
 
@@ -125,10 +125,10 @@ class LivePlayer:
         progress: Callable[[int], None] = lambda done: None,
         stopped: Callable[[], bool] = bool,
     ) -> int:
-        """Publish every message at its time; the number published. `stopped` ends it early.
+        """Publish every message at its time; return the number published. `stopped` ends it early.
 
-        The recording's time stands still while the graph is behind. With `loop`, stamps of later rounds are moved on
-        with the clock: a stamp stands for one moment only.
+        The recording's time is paused while the graph is behind. With `loop`, stamps of later rounds are moved on with
+        the clock, so that each stays unique.
         """
         round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
@@ -139,7 +139,7 @@ class LivePlayer:
                 self._wait_for_room(stopped)
                 if stopped():
                     return published
-                self._publish_clock()  # no node shall receive a message from its future
+                self._publish_clock()  # no node may receive a message from its future
                 self._publishers[message.topic].publish(_moved(message.raw, shift) if shift else message.raw)
                 published += 1
                 progress(published)
@@ -148,7 +148,7 @@ class LivePlayer:
             shift += round_ns
 
     def drain(self, nodes: Collection[str], timeout: float = 120.0) -> bool:
-        """Wait until the nodes' diagnostics stand still with empty queues: all work is done. False after `timeout`."""
+        """Wait until the nodes' diagnostics do not change and queues are empty. Returns False after `timeout`."""
         deadline = time.monotonic() + timeout
         self._changed = time.monotonic()
         while time.monotonic() < deadline:
@@ -158,15 +158,17 @@ class LivePlayer:
         return False
 
     def now_ns(self) -> int:
-        """The replay's time."""
+        """Return the replay's time."""
         real, bag_ns = self._epoch
         return bag_ns + round(max(0.0, time.monotonic() - real) * self._rate * 1e9)
 
     def _wait_for_room(self, stopped: Callable[[], bool]) -> None:
-        """A live camera's frames are shed where the graph is behind; those of a recording come through, later."""
+        """Wait for the graph: a live camera's frames are shed if it is behind, but all recorded frames are
+        processed.
+        """
         at = self.now_ns()
         while self._behind() and not stopped():
-            self._epoch = (time.monotonic() + 1.0, at)  # in a second time goes on: until then it stands still
+            self._epoch = (time.monotonic() + 1.0, at)  # time is paused until it continues in a second
             time.sleep(0.05)
         self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
 
@@ -187,7 +189,9 @@ class LivePlayer:
             time.sleep(min(wait, 0.1))
 
     def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
-        """Nothing has moved for a while, and nothing waits or is at work: a large frame is, for longer than a while."""
+        """Return whether nothing has changed for a while, and nothing is queued or in flight (a large frame may take
+        longer).
+        """
         busy = ("queue", "waiting", "in_flight")
         empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
@@ -214,15 +218,15 @@ class LivePlayer:
 
 
 def _round_ns(selection: Selection) -> int:
-    """How long one round of a loop takes: the selection and a pause as between two of its frames, at least a second,
-    for a recording of one photo has no length.
+    """Return the duration of one round of a loop: the selection and the pause between two frames, at least a second,
+    for recordings of one photo.
     """
     span = selection.end_ns - selection.begin_ns
     return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
 
 
 def _moved(cdr: bytes, shift_ns: int) -> bytes:
-    """A serialised stamped message with its header's stamp moved: sec and nanosec follow the 4-byte encapsulation."""
+    """Return a serialised message with its header's stamp moved: sec and nanosec follow the 4-byte encapsulation."""
     order = "<" if cdr[1] & 1 else ">"
     sec, nanosec = struct.unpack_from(f"{order}iI", cdr, 4)
     stamp = ns_to_time(sec * 1_000_000_000 + nanosec + shift_ns)
@@ -254,7 +258,7 @@ class ReplayOptions:
 
 
 def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
-    """The site's graph with what the options ask for."""
+    """Return the site's graph with the given options."""
     fuel_map: NodeParameters = {}
     if options.export is not None:
         fuel_map["export_path"] = str(options.export.resolve())
@@ -291,9 +295,9 @@ def run_live(
     log_folder: Path,
     stopped: Callable[[], bool] = bool,
 ) -> dict[str, dict[str, str]]:
-    """With the whole graph as processes of their own; the last diagnostics of every node by full name.
+    """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
-    Raises NotReadyError where it cannot work, LtmError when it does not come up or does not finish its work.
+    Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work.
     """
     site = require_ready(site_path, Wanted(), console)
     selection = Selection.open(bag, site, options.start, options.duration)
@@ -309,6 +313,6 @@ def run_live(
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
             if not player.drain(names):
-                raise LtmError("the graph is still at work two minutes after the recording's end; see its logs")
+                raise LtmError("the graph is still processing two minutes after the recording's end; see its logs")
             runner.stop()
             return dict(player.summaries)

@@ -56,7 +56,7 @@ def test_points_elsewhere_are_refused() -> None:
     many.width = 36
     lacking.fields[3].name = "cover"
     for bad, complaint in (
-        (outside, "outside the fuel grid"), (nowhere, "no finite place"), (many, "36 points"), (lacking, "life_form")
+        (outside, "outside the fuel grid"), (nowhere, "no finite position"), (many, "36 points"), (lacking, "life_form")
     ):  # fmt: skip
         with pytest.raises(MessageError, match=complaint):
             msg_to_fuel_cells(bad, GRID)

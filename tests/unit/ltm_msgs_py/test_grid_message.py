@@ -57,20 +57,20 @@ def test_a_tile_is_a_window_and_finds_its_place() -> None:
 
 @pytest.mark.parametrize("window", [(-1, 0, 1, 1), (0, 3, 1, 2), (2, 0, 2, 1), (0, 0, 0, 1), (0, 0, 1, -1)])
 def test_a_tile_that_leaves_the_grid_is_refused(window: tuple[int, int, int, int]) -> None:
-    with pytest.raises(MessageError, match="leaves the grid of 3 x 4"):
+    with pytest.raises(MessageError, match="is outside the grid of 3 x 4"):
         tile_to_msg(CLASSES, GRID, window, 0)
 
 
 @pytest.mark.parametrize(
     ("tile", "complaint"),
     [
-        (GridGeometry(-580.0, 315.0, 30.0, 1, 1), "does not fall"),
-        (GridGeometry(-585.0, 300.0, 30.0, 1, 1), "does not fall"),
-        (GridGeometry(-585.0, 315.0, 10.0, 1, 1), "does not fall"),
-        (GridGeometry(-615.0, 315.0, 30.0, 1, 1), "leaves the grid"),
-        (GridGeometry(-585.0, 345.0, 30.0, 1, 1), "leaves the grid"),
-        (GridGeometry(-585.0, 315.0, 30.0, 5, 1), "leaves the grid"),
-        (GridGeometry(-585.0, 315.0, 30.0, 1, 4), "leaves the grid"),
+        (GridGeometry(-580.0, 315.0, 30.0, 1, 1), "is not aligned"),
+        (GridGeometry(-585.0, 300.0, 30.0, 1, 1), "is not aligned"),
+        (GridGeometry(-585.0, 315.0, 10.0, 1, 1), "is not aligned"),
+        (GridGeometry(-615.0, 315.0, 30.0, 1, 1), "is outside the grid"),
+        (GridGeometry(-585.0, 345.0, 30.0, 1, 1), "is outside the grid"),
+        (GridGeometry(-585.0, 315.0, 30.0, 5, 1), "is outside the grid"),
+        (GridGeometry(-585.0, 315.0, 30.0, 1, 4), "is outside the grid"),
     ],
 )
 def test_a_tile_of_another_grid_is_refused(tile: GridGeometry, complaint: str) -> None:
@@ -117,9 +117,9 @@ def _turned(msg: OccupancyGrid) -> None:
         (lambda m: setattr(m.info, "resolution", 0.0), "positive resolution"),
         (lambda m: setattr(m.info, "resolution", float("nan")), "positive resolution"),
         (lambda m: setattr(m.info.origin.position, "x", float("inf")), "finite origin"),
-        (_turned, "turned"),
-        (lambda m: setattr(m.info.origin.orientation, "w", 0.0), "turned"),
-        (lambda m: setattr(m.info.origin.orientation, "x", float("nan")), "turned"),
+        (_turned, "rotated"),
+        (lambda m: setattr(m.info.origin.orientation, "w", 0.0), "rotated"),
+        (lambda m: setattr(m.info.origin.orientation, "x", float("nan")), "rotated"),
     ],
 )
 def test_grids_that_contradict_themselves_are_refused(change: Callable[[OccupancyGrid], None], complaint: str) -> None:

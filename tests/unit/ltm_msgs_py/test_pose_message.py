@@ -82,7 +82,7 @@ def test_an_unset_orientation_is_refused_or_is_the_identity_of_the_message() -> 
 
 
 def test_a_pose_in_another_frame_is_refused() -> None:
-    with pytest.raises(PoseError, match=r"'odom', wanted 'map'"):
+    with pytest.raises(PoseError, match=r"'odom', expected 'map'"):
         msg_to_pose(pose_to_msg(POSE, 0, "odom"), "map")
 
 

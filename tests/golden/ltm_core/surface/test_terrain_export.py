@@ -110,13 +110,13 @@ def test_the_surface_is_that_of_the_site_with_its_changes(site_file: Path) -> No
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--format", "surface", "--out", "{}/s.tif"], "name the site file with --site"),
+        (["--format", "surface", "--out", "{}/s.tif"], "give the site file with --site"),
         (["--site", "{}/site.yaml", "--format", "lcp", "--out", "{}/s.lcp"], "--format change or --format surface"),
         (["--site", "{}/site.yaml", "--format", "change", "--out", "{}/c.png"], r"GeoTIFF \(\.tif\)"),
-        (["--site", "{}/site.yaml", "--format", "change", "--out", "{}/absent/c.tif"], "make it first"),
+        (["--site", "{}/site.yaml", "--format", "change", "--out", "{}/absent/c.tif"], "create it first"),
         (
             ["--site", "{}/site.yaml", "--format", "change", "--out", "{}/c.tif", "--as-of", "2024-01-01"],
-            "as it is now",
+            "current state",
         ),
         (["--site", "{}/bare.yaml", "--format", "change", "--out", "{}/c.tif"], "no section `terrain`"),
         (["--site", "{}/other.yaml", "--format", "change", "--out", "{}/c.tif"], "not a terrain of site ridge"),

@@ -142,7 +142,7 @@ def test_changes_of_the_prior_map(tmp_path: Path) -> None:
     score = score_bag(Recorded.find(tmp_path / "run/recording"))
     assert score.fuel_changes is not None, score.lacking
     assert (score.fuel_changes.found, score.fuel_changes.false_flips) == (Share(2, 6), Share(1, 9))
-    assert "6 cells that are no more what the prior says the map has found 2" in str(tables(score))
+    assert "Of 6 cells that differ from the prior, the map detected 2" in str(tables(score))
     assert as_json(score)["fuel"]["changes"]["false_flips"] == {"count": 1, "of": 9}
 
 
@@ -281,7 +281,7 @@ def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
         bag.write("/ridge/terrain/update", columns_to_msg(columns, 7, "map"), 7)
         bag.write("/ridge/terrain/change", classes_to_msg(kinds, grid, 8), 8)
         bag.write("/ridge/terrain/info", String(data=json.dumps({"threshold": 1.5})), 8)
-    with pytest.raises(RecordingError, match="after, before: name the bag's date with --date"):
+    with pytest.raises(RecordingError, match="after, before: give the bag's date with --date"):
         Recorded.find(tmp_path / "dated", recorded.site_path)
     with pytest.raises(RecordingError, match="no truth of 'later'"):
         Recorded.find(tmp_path / "dated", recorded.site_path, date="later")

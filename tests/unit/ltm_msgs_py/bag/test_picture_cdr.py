@@ -44,7 +44,7 @@ def test_what_is_cut_or_of_another_kind_is_refused() -> None:
             picture_of(raw[:end], COMPRESSED_TYPE)
     with pytest.raises(RecordingError, match="plain CDR"):
         picture_of(b"\x00\x03" + raw[2:], COMPRESSED_TYPE)
-    with pytest.raises(ImageError, match="holds no picture"):
+    with pytest.raises(ImageError, match="contains no image"):
         picture_of(raw, "sensor_msgs/msg/Imu")
 
 

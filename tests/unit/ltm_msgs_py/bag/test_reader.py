@@ -165,7 +165,7 @@ def test_a_broken_chunk_is_left_out_and_named_by_its_byte(bag: Path) -> None:
     found = numbers(reader)
     assert COUNT - len(found) == lost > 0
     (note,) = reader.damage
-    assert f"byte {start} is broken" in note
+    assert f"byte {start} is corrupt" in note
     assert "crc" in note
 
 
@@ -178,7 +178,7 @@ def test_a_broken_chunk_in_a_file_without_summary_is_left_out_too(bag: Path) -> 
     reader = BagReader(bag)
     assert 0 < len(numbers(reader)) < COUNT
     assert len(reader.damage) == 2
-    assert any(f"byte {start} is broken" in note for note in reader.damage)
+    assert any(f"byte {start} is corrupt" in note for note in reader.damage)
 
 
 def test_every_length_that_a_file_can_be_cut_to_is_read_or_refused(bag: Path, tmp_path: Path) -> None:
@@ -260,7 +260,7 @@ def test_foreign_files_are_named(tmp_path: Path, content: bytes, complaint: str)
 def test_no_bag_is_no_bag(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no bag at"):
         BagReader(tmp_path / "absent")
-    with pytest.raises(RecordingError, match=r"neither metadata\.yaml nor any \.mcap"):
+    with pytest.raises(RecordingError, match=r"neither metadata\.yaml nor an \.mcap"):
         BagReader(tmp_path)
 
 
@@ -269,8 +269,8 @@ def test_no_bag_is_no_bag(tmp_path: Path) -> None:
     [
         ({"storage_identifier": "sqlite3"}, "storage 'sqlite3'"),
         ({"compression_mode": "FILE", "compression_format": "zstd"}, "compression mode 'file'"),
-        ({"relative_file_paths": ["absent.mcap"]}, r"'absent\.mcap', which is not in"),
-        ({"relative_file_paths": ["../bag/bag_0.mcap"]}, "which is not in"),
+        ({"relative_file_paths": ["absent.mcap"]}, r"'absent\.mcap', which does not exist in"),
+        ({"relative_file_paths": ["../bag/bag_0.mcap"]}, "which does not exist in"),
         ({"relative_file_paths": None}, "relative_file_paths"),
         ({"relative_file_paths": [3]}, "relative_file_paths"),
     ],
@@ -335,10 +335,10 @@ def repacked(bag: Path, inner: bytes, stated: int | None = None) -> Path:
 @pytest.mark.parametrize(
     ("inner", "stated", "complaint"),
     [
-        (bytes(140 << 20), None, "chunk says that it has 146800640 bytes"),
-        (bytes(9), 1 << 45, "chunk says that it has 35184372088832 bytes"),
-        (bytes(60 << 20), None, "record 1 of the chunk is of opcode 0"),
-        ((struct.pack("<BQ", 5, 22) + bytes(22)) * 500_000, None, r"record \d+ of the chunk .* records at most"),
+        (bytes(140 << 20), None, "chunk states a size of 146800640 bytes"),
+        (bytes(9), 1 << 45, "chunk states a size of 35184372088832 bytes"),
+        (bytes(60 << 20), None, "record 1 of the chunk has opcode 0"),
+        ((struct.pack("<BQ", 5, 22) + bytes(22)) * 500_000, None, r"record \d+ of the chunk .* at most \d+ records"),
     ],
 )
 def test_a_chunk_that_unfolds_to_gigabytes_is_left_out(
@@ -373,6 +373,6 @@ def test_messages_of_no_time_are_left_out(tmp_path: Path, chunking: bool, log_ti
     assert [message.log_time_ns for message in reader.messages()] == [10, 20]
     assert [message.log_time_ns for message in reader.messages()] == [10, 20]
     (note,) = reader.damage
-    assert f"1 messages are of times up to {max(log_time, sent)} ns, later than {2**63 - 1} ns, and left out" in note
+    assert f"1 messages have times up to {max(log_time, sent)} ns, later than {2**63 - 1} ns, and are ignored" in note
     assert reader.end_ns is not None
     assert reader.end_ns <= 2**63 - 1

@@ -28,7 +28,7 @@ def test_a_photo_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pyte
     photo, listed = files_below(str(folder))
     monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
     (message,) = photo_messages(listed, [photo], site, ArchiveFiles(CacheConfig()))
-    assert f"huge.jpg has {LARGEST_FILE + 1} bytes; a photo has 256 MiB at most" in message.trouble
+    assert f"huge.jpg has {LARGEST_FILE + 1} bytes; the maximum is 256 MiB" in message.trouble
 
 
 def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,5 +40,5 @@ def test_a_photo_that_another_has_replaced_is_not_read(tmp_path: Path, monkeypat
         assert bytes(reader.read(frame).data) == data
         os.truncate(path, 1 << 40)
         monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} is read"))
-        with pytest.raises(ArchiveError, match="no longer holds the picture"):
+        with pytest.raises(ArchiveError, match="no longer contains the image"):
             reader.read(frame)

@@ -232,7 +232,7 @@ def test_a_choice_hangs_on_its_own_days_and_the_one_before() -> None:
 
 @pytest.mark.parametrize("text", ["", "0/day", "4", "4/week", "-1/day", "some"])
 def test_other_words_are_refused(text: str) -> None:
-    with pytest.raises(ArchiveError, match="write all, or a number a span"):
+    with pytest.raises(ArchiveError, match="give all, or a number per time span"):
         Sample.parsed(text)
 
 

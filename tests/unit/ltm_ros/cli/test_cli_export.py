@@ -121,7 +121,7 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
 
 
 def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"names no format; give --format, or one of \.tif"):
+    with pytest.raises(ConfigError, match=r"give --format, or one of \.tif"):
         export(bag, "--out", tmp_path / "map.doc")
     with pytest.raises(ConfigError, match="lcp needs the terrain"):
         export(bag, "--out", tmp_path / "map.lcp")

@@ -53,7 +53,7 @@ def marked(camera: str) -> str:
 def test_the_turned_one_of_three_is_named_with_its_angle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     locate(site=site(tmp_path, turned="east"), camera=list(TOWERS), pixel=[marked(name) for name in TOWERS])
     said = " ".join(capsys.readouterr().out.split())
-    assert "The cameras disagree: east seems to be turned (" in said
+    assert "The cameras disagree. east is probably misaligned (" in said
     assert "its stated azimuth is 2.0 degrees" in said
     assert "too great" in said
 
@@ -107,7 +107,7 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
         ({"pixel": ["1,2"], "camera": ["west"]}, ConfigError, "no camera 'west'; there are"),
         ({"pixel": ["1,2"], "camera": ["far"]}, ConfigError, "--pose far=FILE"),
         ({"pixel": ["1,2"]}, ConfigError, "need as many --camera"),
-        ({"pixel": ["1,b"], "camera": ["north"]}, ConfigError, "numbers with commas"),
+        ({"pixel": ["1,b"], "camera": ["north"]}, ConfigError, "numbers separated by commas"),
         ({"pixel": ["1,2,3"], "camera": ["north"]}, ConfigError, "a mark is u,v"),
         ({"pixel": ["1,2"], "box": ["1,2,3,4"], "camera": ["north"]}, ConfigError, "marks of one kind"),
         ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "not in the picture"),
@@ -115,9 +115,9 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
         ({"pixel": ["60,20"], "camera": ["north"]}, RegionError, "is masked"),
         ({}, ConfigError, "give a mark"),
         ({"pixel": ["1,2"], "place": "1,2", "camera": ["north"]}, ConfigError, "give a mark"),
-        ({"place": "1"}, ConfigError, "wants 2 or 3"),
+        ({"place": "1"}, ConfigError, "needs 2 or 3"),
         ({"place": "1,2"}, RegionError, "the DEM covers"),
-        ({"pixel": ["1,2"], "camera": ["north"], "mask": ["mast.png"]}, ConfigError, "name its camera"),
+        ({"pixel": ["1,2"], "camera": ["north"], "mask": ["mast.png"]}, ConfigError, "give the camera's name"),
     ],
 )
 def test_what_cannot_be_is_told(tmp_path: Path, options: dict[str, Any], error: type[LtmError], said: str) -> None:

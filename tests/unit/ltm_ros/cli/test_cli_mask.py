@@ -90,7 +90,7 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
             bag.write(camera_topic(NAME, "tower", POSE), pose_to_msg(small.tower_pose(azimuth), stamp), stamp)
     given = [tmp_path / "bag", "--site", small.path, "--camera", "tower", "--view", "east"]
     out = run("mask", *given, "--looking", "70,-14", "--keep", "all")
-    assert "2 pictures of one camera" in out
+    assert "2 images of one camera" in out
     (line,) = yaml.safe_load(out[out.index("cameras:") :])["cameras"]["tower"]["view_masks"]
     assert line == {"name": "east", "azimuth_deg": 70.0, "pitch_deg": -14.0, "mask": "tower_east_mask.png"}
     content = yaml.safe_load(small.path.read_text())
@@ -101,7 +101,7 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
     hidden = scene.hidden(WIDTH, HEIGHT, Looking(70.2, -14.0, 62.0))
     assert hidden is not None
     assert (hidden & corners()).any()
-    with pytest.raises(LtmError, match="no picture of tower has a pose that looks to view east"):
+    with pytest.raises(LtmError, match="no image of tower has a pose in the direction of view east"):
         run("mask", *given, "--looking", "200,-14", "--keep", "all")
 
 
@@ -116,7 +116,7 @@ def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
     for said in ("70", "70,west", "70,-14,30,5", "500,0"):
         with pytest.raises(LtmError, match="expected AZIMUTH,PITCH"):
             run("mask", photos, "--view", "west", "--looking", said, *out)
-    with pytest.raises(LtmError, match="no photos called 'east"):
+    with pytest.raises(LtmError, match="no photos match 'east"):
         run("mask", photos, "--only", "east*", *out)
     with pytest.raises(LtmError, match="there is no proposal 99"):
         run("mask", photos, "--only", "west*", "--keep", "1,99", *out)

@@ -193,15 +193,15 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
         (["--site", "{site}", "--camera", "north", "--photo", "{folder}"], "needs --readings"),
         (
             ["--site", "{site}", "--camera", "north", "--photo", "{folder}", "--canopy", "--free", "position"],
-            r"--site with --photo does not look at --canopy, --free.*those of the site file",
+            r"--site with --photo does not use --canopy, --free",
         ),
         (
             ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--mask", "{folder}/mask.png"],
-            "--site with --gcps does not look at --mask",
+            "--site with --gcps does not use --mask",
         ),
         (
             ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--free", "k1"],
-            r"of a PTZ head, focal .* and position",
+            r"for a PTZ head, only focal .* and position",
         ),
     ],
 )

@@ -82,7 +82,7 @@ def test_what_is_not_accepted_stays_as_given(files: Path, tmp_path: Path) -> Non
     Image.fromarray(np.full((CAMERA.height, CAMERA.width, 3), 190, np.uint8)).save(tmp_path / "a.png")
     arguments = ["--photo", str(tmp_path / "a.png"), "--pose-guess", str(files / "guess.yaml")]
     out = run(files, *arguments, "--labels", str(tmp_path / "fog.png"), "-o", str(tmp_path / "kept.yaml"))
-    assert "stays as given" in out
+    assert "the given pose is kept" in out
     assert load_picture_config(tmp_path / "kept.yaml").pose.azimuth_deg == pytest.approx(65.5)
     assert "It was not taken" in (tmp_path / "kept.yaml").read_text()
 

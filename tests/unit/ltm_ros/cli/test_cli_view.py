@@ -18,7 +18,7 @@ from ltm_ros.cli.view import view as view_command
     ("given", "error", "remedy"),
     [
         ({}, ConfigError, "either --site"),
-        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "not both"),
+        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "either --site"),
         ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
         ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
         ({"rrd": Path("a.rrd"), "tab": "Fuel"}, ConfigError, "--screenshot"),

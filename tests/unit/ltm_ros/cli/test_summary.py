@@ -20,7 +20,7 @@ def test_verdicts_and_cells_are_counted() -> None:
     nodes = {"/a/north/topodepth": fusion, "/a/terrain": terrain, "/a/viewer": idle}
     said = outcome({name: health.summary() for name, health in nodes.items()})
     assert said == [
-        ("north/topodepth: verdicts", "network_unusable 1 (25%), ok 3 (75%)"),
+        ("north/topodepth: states", "network_unusable 1 (25%), ok 3 (75%)"),
         ("north/topodepth: the last that was not ok", "network_unusable: explains 3 % of the terrain"),
         ("north/topodepth: noted", "unlabelled 1"),
         ("terrain: cells", "seen 12,345, removed 80"),
@@ -29,9 +29,9 @@ def test_verdicts_and_cells_are_counted() -> None:
 
 def test_reasons_keep_their_brackets() -> None:
     health, console = Health(), Console(width=120)
-    health.drop("pose", "pose is given in frame [odom], wanted [map]")
+    health.drop("pose", "pose is in frame [odom], expected [map]")
     health.drop("pose", "camera 4 m under the ground")
     with console.capture() as said:
         print_nodes(console, node_rows({"/a/north/capture": health.summary()}))
-    assert "dropped by pose: pose is given in frame [odom], wanted [map]" in said.get()
+    assert "dropped by pose: pose is in frame [odom], expected [map]" in said.get()
     assert "4 m" not in said.get(), "one reason a cause will do, the first"

@@ -130,7 +130,7 @@ def test_report_shows_the_figures_it_was_given() -> None:
     ]
     assert rows["all"][0] == "14\u202f400"
     assert rows["all"][1] == "2.00"
-    assert "90.0 %" in html, "fuel cells right"
+    assert "90.0 %" in html, "correct fuel cells"
     assert "64.2" in html
     assert "ltm view --rrd out/demo/demo.rrd" in html
 

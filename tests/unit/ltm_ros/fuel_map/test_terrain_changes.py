@@ -215,13 +215,13 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     five[3, 4] = 5
     wide = GridGeometry(t.x_min, t.y_max, t.resolution, t.width + 1, t.height)
     cases = {
-        "wanted 'map'": sent(frame_id="odom"),
+        "expected 'map'": sent(frame_id="odom"),
         "the terrain of this site has": forged,
-        "must hold width": short,
+        "needs width": short,
         "finite origin": nowhere,
-        "leaves the grid": sent(grid=t.translated(5000.0, 0.0)),
-        "does not fall on": sent(grid=t.translated(3.0, 0.0)),
-        "does not fall on the": sent(kinds[::2, ::2].copy(), GridGeometry(t.x_min, t.y_max, 20.0, 135, 105)),
+        "is outside the grid": sent(grid=t.translated(5000.0, 0.0)),
+        "is not aligned with": sent(grid=t.translated(3.0, 0.0)),
+        "is not aligned with the": sent(kinds[::2, ::2].copy(), GridGeometry(t.x_min, t.y_max, 20.0, 135, 105)),
         "cells with": sent(np.ones(wide.shape, np.uint8), wide),
         "kind 5": sent(five),
     }
@@ -316,12 +316,12 @@ def test_burns_at_no_known_time_are_now_and_none_is_in_the_future(kept: Callable
     node.handler.on_region(region(node.fuel, (5, 6), (40, 41), 0))
     assert node.handler.burn() == f"1 cells burned at stamp {BEGIN_NS} ns"
     node.handler.on_region(region(node.fuel, (5, 6), (40, 41), BEGIN_NS + DAY))
-    with pytest.raises(MessageError, match="has not come yet"):
+    with pytest.raises(MessageError, match="in the future"):
         node.handler.burn()
     outside = region(node.fuel, (5, 6), (40, 41), 0)
     for corner in outside.polygon.points:
         corner.x += 9000.0
-    with pytest.raises(MessageError, match="holds no cell"):
+    with pytest.raises(MessageError, match="contains no cell"):
         node.handler.on_region(outside)
 
 

@@ -139,7 +139,7 @@ def test_folders_that_cannot_be_labelled(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no network"):
         LabelSession(folder).suggested(0)
     (folder / "a.jpg").write_bytes((folder / "a.png").read_bytes())
-    with pytest.raises(ConfigError, match="several photos are called a"):
+    with pytest.raises(ConfigError, match="several photos are named a"):
         LabelSession(folder)
     empty = tmp_path / "empty"
     empty.mkdir()

@@ -109,8 +109,8 @@ def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known are source, capture, depth"),
-        ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph gives this parameter itself"),
+        ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known nodes: source, capture, depth"),
+        ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph sets this parameter itself"),
         ({"depth": {"x": None}}, r"nodes.depth.x = None: a parameter is"),
         ({"depth": {"x": []}}, r"nodes.depth.x = \[\]: a parameter is"),
         ({"depth": {"x": [1, "a"]}}, r"nodes.depth.x = \[1, 'a'\]: a parameter is"),
@@ -136,7 +136,7 @@ def test_refuses_names_that_ros_does_not_allow(name: str, namespace: str) -> Non
 
 
 def test_refuses_two_nodes_of_one_label() -> None:
-    with pytest.raises(ConfigError, match="more than one node north/depth"):
+    with pytest.raises(ConfigError, match="duplicate nodes north/depth"):
         Graph("ridge", (NodeSpec("depth", "/ridge/north", "a"), NodeSpec("depth", "/cliff/north", "b")))
 
 

@@ -39,13 +39,13 @@ def test_a_disk_that_takes_nothing_is_told_of_once(tmp_path: Path) -> None:
     log = NodeLog(path, told.append)
     for i in range(50):
         log.write(f"line {i}")
-    assert told == [f"{path} cannot be written (No space left on device); make room on the disk"]
+    assert told == [f"{path} cannot be written (No space left on device); free some disk space"]
     log.close()
     path.unlink()
     log.write("after")
     log.write("later")
     log.close()
-    assert told[1:] == [f"{path} is written again; 50 lines are missing in it"]
+    assert told[1:] == [f"{path} can be written again; 50 lines were lost"]
     assert [line[24:] for line in path.read_text().splitlines()] == ["after", "later"]
 
 

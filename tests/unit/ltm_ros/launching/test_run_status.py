@@ -38,7 +38,7 @@ def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same(tmp_p
         wait_for(lambda: lives.running and cannot.state is ProcessState.GIVEN_UP, "both")
         assert in_words([lives]) == "all 1 processes run"
         said = in_words([lives, cannot])
-        assert said == ("1 of 2 processes run; down: depth (given up, exit code 78: its configuration cannot work)")
+        assert said == ("1 of 2 processes run; down: depth (given up, exit code 78: its configuration is invalid)")
         assert len(in_words([lives, *[cannot] * 9])) == LONGEST
         assert all_watched([lives, cannot]), "a restart would not mend a configuration"
     finally:

@@ -80,7 +80,7 @@ def test_a_manager_that_goes_away_stops_nothing(tmp_path: Path) -> None:
     [
         ({}, "NOTIFY_SOCKET is not set"),
         ({"NOTIFY_SOCKET": "vsock:2:1"}, "expected a path or @name"),
-        ({"NOTIFY_SOCKET": "/nowhere/notify"}, "nobody listens there"),
+        ({"NOTIFY_SOCKET": "/nowhere/notify"}, "no service manager listens"),
         ({"NOTIFY_SOCKET": "@x", "WATCHDOG_USEC": "-3"}, "WATCHDOG_USEC='-3': expected a number"),
     ],
 )

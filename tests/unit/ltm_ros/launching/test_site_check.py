@@ -51,7 +51,7 @@ def test_room_for_what_is_kept(
     (room,) = [one for one in found if one.name == "state"]
     assert room.verdict is verdict
     assert f"{free / 1e9:.1f} GB free" in room.said
-    assert ("make room" in room.said) is (verdict is not SiteVerdict.OK)
+    assert ("free some space" in room.said) is (verdict is not SiteVerdict.OK)
 
 
 def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: Path) -> None:
@@ -62,8 +62,8 @@ def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: P
         found = examine(site, Wanted(health={})).findings
     (of_port,) = [one for one in found if one.name == "health"]
     assert of_port.verdict is SiteVerdict.DOUBTFUL
-    assert f"127.0.0.1:{port} cannot be listened on (Address already in use): end what uses it" in of_port.said
-    assert "the tower runs, and tries again" in of_port.said
+    assert f"127.0.0.1:{port} cannot be opened (Address already in use)" in of_port.said
+    assert "the tower runs, and retries" in of_port.said
     assert exit_status(found) == 0
 
 
@@ -72,7 +72,7 @@ def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     site = write_small_site(tmp_path, recording=False).path
     wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
     (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
-    assert (found.verdict, found.said) == (SiteVerdict.OK, "11 nodes in 4 processes, parameters as they take them")
+    assert (found.verdict, found.said) == (SiteVerdict.OK, "11 nodes in 4 processes, parameters are valid")
     wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
     (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
     assert found.verdict is SiteVerdict.WRONG

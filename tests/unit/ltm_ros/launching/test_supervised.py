@@ -144,12 +144,12 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     first = stopped.process.pid
     stopped.process.signal(signal.SIGSTOP)
     for one, reason in (
-        (stopped, "it is stopped (SIGSTOP); killed, the 1. time"),
-        (standing, "-- hangs: worker: Image has not come to an end in "),
-        (locked, "-- hangs: no sign of life for "),
+        (stopped, "it is stopped (SIGSTOP); killed, for the 1. time"),
+        (standing, "-- hung: worker: Image has not finished in "),
+        (locked, "-- hung: no heartbeat for "),
     ):
         one.wait_for(reason)
-        one.wait_for("starts again")
+        one.wait_for("restarting")
         wait_for(lambda one=one: one.process.starts == 2, "another start")  # type: ignore[misc]
         assert one.process.hangs == 1
         assert one.process.last_exit.startswith("hung (")
@@ -158,7 +158,7 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     for one in (standing, locked):
         one.wait_for('actor.py", line')
     log = (folder / "north.depth.log").read_text()
-    assert "hangs: " in log
+    assert "hung: " in log
     assert (well.process.starts, well.process.hangs) == (1, 0)
     for one, behaviour in ((standing, "stands_still"), (locked, "holds_the_lock")):
         one.wait_for(behaviour, times=2)

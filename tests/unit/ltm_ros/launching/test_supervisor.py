@@ -40,9 +40,9 @@ def test_gives_up_only_after_configuration_errors_in_a_row() -> None:
         (-9, "killed by SIGKILL"),
         (-11, "killed by SIGSEGV"),
         (-63, "killed by signal 63"),
-        (0, "ended by itself (exit code 0)"),
+        (0, "ended normally (exit code 0)"),
         (3, "exit code 3"),
-        (78, "exit code 78: its configuration cannot work"),
+        (78, "exit code 78: its configuration is invalid"),
     ],
 )
 def test_says_how_a_process_ended(status: int, words: str) -> None:
@@ -120,7 +120,7 @@ def test_gives_up_a_configuration_error_with_its_last_words(tmp_path: Path) -> N
 
 def test_stops_while_it_waits_to_restart(tmp_path: Path) -> None:
     one = Supervised(tmp_path, "raise SystemExit(1)", RestartPolicy(initial_s=3600.0, maximum_s=3600.0))
-    one.wait_for(lambda: any("starts again in 3600.0 s" in line for line in one.lines))
+    one.wait_for(lambda: any("restarting in 3600.0 s" in line for line in one.lines))
     one.process.request_stop()
     assert one.process.wait_stopped(5.0)
 

@@ -37,7 +37,7 @@ class Watched:
 def test_a_silent_process_hangs_and_one_that_is_stopped_is_said_to_be() -> None:
     watched = Watched()
     assert watched.hang(1000, beat(WELL)) == (1000, "")
-    assert watched.hang(1000) == (21, "no sign of life for 21 s")
+    assert watched.hang(1000) == (21, "no heartbeat for 21 s")
     watched.watch.look(1.0, beat(WELL), IDLE)
     assert watched.hang(1000, use=ProcessUse("T", 0.0))[1].endswith("it is stopped (SIGSTOP)")
 
@@ -49,7 +49,7 @@ def test_what_waits_for_a_core_or_a_disk_has_as_long_as_a_message(state: str) ->
     watched.watch.look(1.0, beat(WELL), IDLE)
     assert watched.hang(1000, use=ProcessUse(state, 0.0)) == (
         61,
-        "no sign of life for 61 s, though it is at work or waits for it",
+        "no heartbeat for 61 s, although it is computing or waiting for a core",
     )
 
 
@@ -59,7 +59,7 @@ def test_a_worker_that_stands_is_seen_though_the_process_lives() -> None:
 
     watch = HangWatch(LIMITS)
     assert watch.look(1.0, at_work(60.0), IDLE) == ""
-    assert watch.look(1.0, at_work(61.0), IDLE) == "depth worker: CameraInfo has not come to an end in 61 s"
+    assert watch.look(1.0, at_work(61.0), IDLE) == "depth worker: CameraInfo has not finished in 61 s"
     assert watch.look(1.0, at_work(61.0, slow=True), IDLE) == "", "what may take long"
     assert "in 301 s" in watch.look(1.0, at_work(301.0, slow=True), IDLE)
     assert "in 61 s" in HangWatch(LIMITS).look(1.0, beat([(61.0, False, "depth: callback")]), IDLE)
@@ -68,7 +68,7 @@ def test_a_worker_that_stands_is_seen_though_the_process_lives() -> None:
 @pytest.mark.parametrize(("slow_starts", "patience"), [(0, 300), (1, 600), (3, 2400)])
 def test_a_start_may_take_long_and_longer_after_each_that_was_too_slow(slow_starts: int, patience: int) -> None:
     watched = Watched(slow_starts)
-    assert watched.hang(5000, beat(STARTING)) == (patience + 1, f"it has not started in {patience + 1} s")
+    assert watched.hang(5000, beat(STARTING)) == (patience + 1, f"not started within {patience + 1} s")
     assert not watched.watch.started
 
 
@@ -76,7 +76,7 @@ def test_a_process_that_is_stopped_while_it_starts_is_not_waited_for() -> None:
     watched = Watched()
     assert watched.hang(250, beat(STARTING)) == (250, "")
     assert watched.hang(5000)[0] == 21
-    assert Watched().hang(5000) == (61, "no sign of life for 61 s"), "an interpreter on a busy machine begins later"
+    assert Watched().hang(5000) == (61, "no heartbeat for 61 s"), "an interpreter on a busy machine begins later"
 
 
 def test_what_computes_without_a_word_has_as_long_as_a_message() -> None:
@@ -85,7 +85,8 @@ def test_what_computes_without_a_word_has_as_long_as_a_message() -> None:
     for second in range(1, 61):
         assert watch.look(1.0, b"", ProcessUse("R", 0.2 * second)) == ""
     assert (
-        watch.look(1.0, b"", ProcessUse("R", 20.0)) == "no sign of life for 61 s, though it is at work or waits for it"
+        watch.look(1.0, b"", ProcessUse("R", 20.0))
+        == "no heartbeat for 61 s, although it is computing or waiting for a core"
     )
 
 

@@ -250,7 +250,7 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     capture.on_image(image(S))
     assert outlet.sent == []
     capture.subscriptions[POSE](pose(S))
-    with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, its calibration is for 13 x 7"):
+    with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, but its calibration is for 13 x 7"):
         capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     assert outlet.sent == []
 
@@ -435,7 +435,7 @@ def test_images_that_state_too_many_pixels_are_not_decoded(
         assert grown() - before < 40 << 20, "decoded by another way: 79 MB"
     assert outlet.sent == []
     assert health.dropped == {"too_large": 2}
-    assert "10000 x 7900 pixels, at most 12600000" in health.last_error
+    assert "10000 x 7900 pixels; the maximum is 12600000" in health.last_error
 
 
 def test_images_of_too_many_bytes_do_not_wait(capture_of: CaptureOf, site: Callable[..., Path]) -> None:
@@ -460,7 +460,7 @@ def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypat
     refuse_to_decode(monkeypatch)
     capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     capture.subscriptions[POSE](pose(S))
-    with pytest.raises(ImageError, match="12 x 7 pixels, its calibration is for 13 x 7"):
+    with pytest.raises(ImageError, match="12 x 7 pixels, but its calibration is for 13 x 7"):
         capture.on_image(image(S))
 
 
@@ -481,7 +481,7 @@ def test_images_that_wait_hold_bounded_bytes(capture_of: CaptureOf) -> None:
     for number in range(1, 26):
         capture.on_image(image(number * S, bytes(30 << 20)))
     assert health.dropped == {"no_pose": 21}, "four of 30 MB are within 128 MB"
-    assert "MB of data wait too" in health.last_error
+    assert "MB of data are queued" in health.last_error
 
 
 def test_the_newest_frame_is_not_one_from_before_the_clock_was_set_back(capture_of: CaptureOf) -> None:

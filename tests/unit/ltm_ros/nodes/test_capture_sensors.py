@@ -178,8 +178,8 @@ def test_an_altitude_under_the_ground_is_not_believed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fields", "complaint"),
     [
-        ({"latitude": math.nan}, "not on the globe"),
-        ({"latitude": 91.0}, "not on the globe"),
+        ({"latitude": math.nan}, "invalid GPS fix"),
+        ({"latitude": 91.0}, "invalid GPS fix"),
         ({"latitude": 0.0, "longitude": 0.0}, r"\(0, 0\)"),
         (
             {"position_covariance_type": 2, "position_covariance": np.diag([1.0, -1.0, 1.0]).ravel()},
@@ -193,7 +193,7 @@ def test_fixes_that_are_none_are_refused(tmp_path: Path, fields: dict[str, Any],
         node.subscriptions[FIX](fix(**fields))
     lost = fix()
     lost.status.status = -1
-    with pytest.raises(PoseError, match="no fix"):
+    with pytest.raises(PoseError, match="no GPS fix"):
         node.subscriptions[FIX](lost)
 
 
@@ -202,7 +202,7 @@ def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
     none, unset = imu(STAMP), imu(STAMP)
     none.orientation_covariance[0] = -1.0
     unset.orientation.w = unset.orientation.x = unset.orientation.y = unset.orientation.z = 0.0
-    with pytest.raises(PoseError, match="holds no orientation"):
+    with pytest.raises(PoseError, match="has no orientation"):
         node.subscriptions[IMU](none)
     with pytest.raises(PoseError, match="unit quaternion"):
         node.subscriptions[IMU](unset)

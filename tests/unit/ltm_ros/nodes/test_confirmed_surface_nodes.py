@@ -146,7 +146,7 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     confirmed = chain.versions[-1]
     services = chain.terrain.services
     while json.loads((chain.folder / MANIFEST).read_text())["current"]:
-        assert "held until terrain/confirm is called" in services["terrain/take_back"]()
+        assert "until terrain/confirm is called" in services["terrain/take_back"]()
     chain.hand_over()
     for hours in (6, 8):
         chain.look(truth, hours)
@@ -196,7 +196,7 @@ def test_where_no_version_can_be_written_the_terrain_goes_on_and_tries_again(
         for hours in (0, 2):
             chain.look(truth, hours)
             chain.terrain.tick(0.5)
-        assert "No space left on device); the surface before still counts" in chain.health.last_error
+        assert "No space left on device); the previous surface stays in use" in chain.health.last_error
         assert len(chain.told.on(TERRAIN_UPDATE)) == 1
         chain.look(chain.small.dem, 4)
         chain.look(chain.small.dem, 6)
@@ -216,7 +216,7 @@ def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain)
         path.write_bytes(b"PK\x05\x06" + bytes(18))
     chain.restart()
     assert chain.depth_health.troubled
-    assert "frames are traced to the terrain as given" in chain.depth_health.last_error
+    assert "frames are traced to the original terrain" in chain.depth_health.last_error
     chain.look(truth, 4)
     chain.look(truth, 6)
     assert chain.versions[0] == ""
@@ -253,7 +253,7 @@ def test_a_later_releases_list_stays_and_nothing_is_confirmed(chain: Chain, when
     if when == "at the start":
         chain.restart()
         assert "a later release wrote this list of surfaces" in chain.health.last_error
-        assert "frames are traced to the terrain as given" in chain.depth_health.last_error
+        assert "frames are traced to the original terrain" in chain.depth_health.last_error
     path, files = chain.folder / MANIFEST, sorted(chain.folder.iterdir())
     for hours in (6, 8):
         chain.look(chain.small.dem, hours)
@@ -317,7 +317,7 @@ def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Ch
 
 def test_a_site_that_asks_for_it_needs_a_place(small: SmallSite) -> None:
     without = small.site.model_copy(update={"nodes": {}})
-    with pytest.raises(ConfigError, match="trace_confirmed needs a place for the confirmed surfaces"):
+    with pytest.raises(ConfigError, match="trace_confirmed needs a folder for the confirmed surfaces"):
         describe(without, small.path)
     given = describe(small.site, small.path)
     wanted = str(small.folder / "kept" / FOLDER)

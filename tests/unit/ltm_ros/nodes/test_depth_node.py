@@ -96,4 +96,4 @@ def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypa
     assert kept.sent == []
     assert kept.acknowledged == [], "what was refused is not finished"
     assert health.dropped == {"too_large": 1}
-    assert "12000 x 9000 pixels, at most 12600000" in health.last_error
+    assert "12000 x 9000 pixels; the maximum is 12600000" in health.last_error

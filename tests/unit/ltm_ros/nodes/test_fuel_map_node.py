@@ -126,7 +126,7 @@ def test_many_votes_of_a_minute_push_out_none_of_the_day(site: Path, monkeypatch
 def test_clear_and_burn_are_off_unless_the_site_allows_them(site: Path) -> None:
     node = Node(site)
     for service, serve in (("clear", node.handler.clear), ("burn", node.handler.burn)):
-        with pytest.raises(ConfigError, match=f"fuel_map/{service} is off: set `allow_clear_and_burn: true`"):
+        with pytest.raises(ConfigError, match=f"fuel_map/{service} is disabled: set `allow_clear_and_burn: true`"):
             serve()
 
 
@@ -214,7 +214,7 @@ def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
     corners = [grid.to_map(row - 0.5, col - 0.5) for row, col in ((10, 20), (10, 45), (38, 45), (38, 20))]
     region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
     node.handler.on_region(region)
-    assert node.handler.clear() == "evidence of 700 cells forgotten"
+    assert node.handler.clear() == "deleted the evidence of 700 cells"
     with pytest.raises(ConfigError, match="fuel_map/region"):
         node.handler.clear()
     inside = np.zeros(grid.shape, bool)

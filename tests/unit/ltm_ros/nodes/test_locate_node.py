@@ -156,8 +156,8 @@ def test_the_pose_is_that_of_the_regions_stamp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
-        ({"frame": "map"}, MessageError, "wanted 'north_optical'"),
-        ({"stamp": STAMP - 3600 * SECOND}, MessageError, "no pose is known of then"),
+        ({"frame": "map"}, MessageError, "expected 'north_optical'"),
+        ({"stamp": STAMP - 3600 * SECOND}, MessageError, "no pose at this time"),
         ({"size": 200.0}, RegionError, "is not in the picture"),
     ],
 )
@@ -295,7 +295,7 @@ def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
     message.polygon.points = []
     with pytest.raises(MessageError, match="got 0"):
         running.send("north", LOCATE_REGION, message)
-    with pytest.raises(MessageError, match="no pose has come yet"):
+    with pytest.raises(MessageError, match="pose has not been received"):
         running.send("north", LOCATE_REGION, region(seen))
 
 
@@ -333,7 +333,7 @@ def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> 
     huge = camera_to_msg(replace(CAMERA, width=65_535, height=65_535), STAMP, "north_optical")
     running.send("north", POSED_CAMERA_INFO, huge)
     assert running.health.dropped == {"too_large": 1}
-    assert "65535 x 65535 pixels of north, at most 3000000 are taken" in running.health.last_error
+    assert "65535 x 65535 pixels of north; the maximum is 3000000" in running.health.last_error
     running.send("north", LOCATE_REGION, region(seen, STAMP))
     assert len(places(running)) == 1
 

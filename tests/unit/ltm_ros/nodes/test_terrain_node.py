@@ -251,7 +251,7 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
 
 def test_a_site_without_measured_depth_is_refused(small: SmallSite) -> None:
     config = TerrainNodeConfig(site=str(small.path))
-    with pytest.raises(ConfigError, match="traced depth agrees with the DEM by construction: give `depth_model`"):
+    with pytest.raises(ConfigError, match="traced depth agrees with the DEM by construction: set `depth_model`"):
         TerrainHandler(config, Kept(), Health())
 
 

@@ -122,7 +122,7 @@ def test_votes_that_no_region_takes_are_refused_at_once(scene: RegionScene) -> N
     node = UplinkHandler(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
     message = votes_to_msg(votes(1, scene.geometry), LABELS.names)
     message.header.frame_id = "x" * (2 << 20)
-    with pytest.raises(MessageError, match="64000 at most"):
+    with pytest.raises(MessageError, match="maximum of a region is 64000"):
         node.on_votes("alta_mast", message)
     node.start()
     node.finish()

@@ -121,7 +121,7 @@ def test_kinds_of_change_that_there_are_not_and_words_for_rates_end_no_viewer(tm
     one = np.array([1])
     changed = Changed(one, one, 0 * one.astype(np.uint8), np.array([97], np.uint8), np.array([-4.0], np.float32))
     message = changed_to_msg(changed, np.array([300.0]), GridGeometry(0.0, 40.0, 10.0, 7, 4), STAMP)
-    with pytest.raises(MessageError, match="change is 97, no kind of change; there are 0 to 3"):
+    with pytest.raises(MessageError, match="change is 97; valid kinds are 0 to 3"):
         take[site_topic(small.site.name, TERRAIN_UPDATE)](message)
     rate = [KeyValue(key="frames_hz", value="unknown"), KeyValue(key="queue", value="3")]
     take["/diagnostics"](DiagnosticArray(status=[DiagnosticStatus(name="a driver", level=b"\0", values=rate)]))

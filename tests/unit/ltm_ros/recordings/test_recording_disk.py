@@ -41,7 +41,7 @@ def test_a_disk_that_fills_up_and_has_room_again(on_disk: dict[str, Any]) -> Non
     assert during["dropped"] == after["dropped"]
     assert len(after["told"]) == 2, "one line when it stops, one when it goes on"
     assert "messages are lost" in after["told"][0]
-    assert after["told"][1] == "recording goes on"
+    assert after["told"][1] == "recording continues"
     assert is_read_alike(read)
     assert len(read["ours"]) == after["out"]
     assert read["ours"][:31] == [*range(31)]
@@ -63,10 +63,10 @@ def test_it_stops_above_a_floor_and_goes_on_by_itself(on_disk: dict[str, Any]) -
     low, still_low, after, read = on_disk["floor"]
     assert (low["out"], low["dropped"], low["troubled"]) == (10, {"disk_low": 10}, True)
     assert low["read"] == [*range(10)], "the file is ended, and can be read meanwhile"
-    assert "recording leaves 8 MB; remove what is not needed" in low["error"]
+    assert "recording needs 8 MB; delete files" in low["error"]
     assert (still_low["out"], still_low["dropped"]) == (10, {"disk_low": 11}), "8.3 MB are free, 8.8 MB it takes"
     assert (after["out"], after["dropped"]) == (20, {"disk_low": 11})
-    assert [line.partition(":")[0] for line in after["told"]] == ["recording stops", "recording goes on"]
+    assert [line.partition(":")[0] for line in after["told"]] == ["recording stopped", "recording continues"]
     assert is_read_alike(read)
     assert read["ours"] == [*range(10), *range(21, 31)]
 

@@ -69,7 +69,7 @@ def test_what_is_over_either_bound_is_dropped_and_counted(
     for i in range(50):
         thread.take("/ridge/info", "std_msgs/msg/String", bytes([i]) * size, i)
     assert health.dropped == {"overload": 50 - kept}
-    assert f"{kept} messages (0 MB) wait for the disk" in health.last_error
+    assert f"{kept} messages (0 MB) are queued for the disk" in health.last_error
     disk.goes.set()
     wait_for(lambda: len(disk.written) == kept, "what waited on the disk")
     wait_for(lambda: health.summary().get("queue_messages") == "0", "room again")

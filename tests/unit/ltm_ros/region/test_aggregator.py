@@ -129,10 +129,10 @@ def test_what_cannot_be_believed_is_counted_and_not_answered(scene: RegionScene,
     header = scene.header("alta", 1).model_dump_json().encode()
     cases = {
         "is signed by 'bear'": scene.identity("bear").sealed(header, scene.votes(1)),
-        "are of bear": scene.identity("alta").sealed(scene.header("bear", 1).model_dump_json().encode(), b"x"),
-        "of no authority": stranger.sealed(header, scene.votes(1)),
+        "are from bear": scene.identity("alta").sealed(scene.header("bear", 1).model_dump_json().encode(), b"x"),
+        "not from an authority": stranger.sealed(header, scene.votes(1)),
         "altered": altered(good, good.index(b"stamp_ns") + 15),
-        "was altered after": altered(good, len(good) - 300),
+        "was modified after": altered(good, len(good) - 300),
         "no envelope": b"GET / HTTP/1.1" + bytes(200),
         "in kern are of alta in another": scene.sealed("alta", 1, region="another"),
         "this has": bytes(LARGEST + 1),
@@ -157,8 +157,8 @@ def test_what_cannot_be_taken_is_answered_in_words(scene: RegionScene) -> None:
     unknown = whole.grid.model_copy(update={"crs": "EPSG:99999"})
     late = stamp_of(20_000)
     cases = {
-        "votes of version 2; kern reads 1": (newer, votes),
-        "alta_roof is no camera of kern_map": (whole.model_copy(update={"camera": "roof"}), votes),
+        "votes of version 2, but kern reads 1": (newer, votes),
+        "alta_roof is not a camera of kern_map": (whole.model_copy(update={"camera": "roof"}), votes),
         "the header says stamp": (whole.model_copy(update={"stamp_ns": stamp_of(2)}), votes),
         "fuel cells are 10 m wide": (whole.model_copy(update={"grid": coarse}), votes),
         "unknown CRS": (whole.model_copy(update={"grid": unknown}), votes),
@@ -213,8 +213,8 @@ def test_towers_of_another_origin_extent_and_crs_count_on_one_map(scene: RegionS
 def test_an_identity_says_what_is_wrong_with_its_files(scene: RegionScene) -> None:
     broker = scene.broker("alta")
     wrong = {
-        "not of 'bear'": (broker, "bear"),
-        "is not the key of": (broker.model_copy(update={"key": scene.certs / "bear.key"}), "alta"),
+        "not to 'bear'": (broker, "bear"),
+        "does not belong to": (broker.model_copy(update={"key": scene.certs / "bear.key"}), "alta"),
         "no certificate in PEM": (broker.model_copy(update={"certificate": scene.certs / "acl"}), "alta"),
         "No such file": (broker.model_copy(update={"key": scene.certs / "none.key"}), "alta"),
     }

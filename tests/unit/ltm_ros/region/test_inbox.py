@@ -41,7 +41,7 @@ def test_where_there_is_no_room_the_one_with_most_in_it_loses_its_last() -> None
     came = drained(inbox)
     assert [content[0] for tower, content in came if tower == "alta"] == [0, 1, 2, 3, 4, 5]
     assert [content[0] for tower, content in came if tower == "bear"] == [0, 1, 2, 3]
-    assert "most of them of alta" in health.last_error
+    assert "most of them from alta" in health.last_error
 
 
 def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() -> None:
@@ -53,7 +53,7 @@ def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() ->
     came = [tower for tower, _ in drained(inbox)]
     assert came == ["nobody0", "alta", *(f"nobody{number}" for number in range(1, 7))]
     assert health.dropped == {"overload": 993}
-    assert "most of them of names that are no towers" in health.last_error
+    assert "most of them from unknown towers" in health.last_error
     inbox.put("alta" + 60_000 * "x", b"")
     ((name, _),) = drained(inbox)
     assert name == "alta" + 96 * "x"

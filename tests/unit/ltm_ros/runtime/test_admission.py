@@ -59,7 +59,7 @@ def test_the_newest_waits_until_all_have_finished_a_frame() -> None:
     door.offer(1, 2, 3, 4, 5)
     assert door.admitted == [1, 2]
     assert door.health.dropped == {"shed": 2}
-    assert "frame of stamp 4 ns: a newer one waits, and 2 are in flight (at fuse, vote)" in door.health.last_error
+    assert "frame of stamp 4 ns: a newer one is queued, and 2 are in flight (at fuse, vote)" in door.health.last_error
     door.finished(1, "vote")
     assert door.admitted == [1, 2]
     door.finished(1, "fuse")
@@ -257,7 +257,7 @@ def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
 def test_of_one_view_the_newest_waits() -> None:
     door = Door(view_of=lambda stamp: stamp % 2)
     door.offer(2, 4, 5, 7, 8)
-    said = "frame of stamp 8 ns: an older one waits, of a view that was let in longer ago"
+    said = "frame of stamp 8 ns: an older one is queued, of a view that was admitted longer ago"
     assert said in door.health.summary()["last_error"]
     door.finished(2, "fuse", "vote")
     assert door.admitted == [2, 4, 7]

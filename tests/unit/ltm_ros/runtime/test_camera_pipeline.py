@@ -214,7 +214,7 @@ def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFi
     assert camera.fused == []
     label = camera.jobs["label"].health
     assert label.dropped == {"crash": 1}
-    assert "IndexError('of nothing'): a bug" in label.last_error
+    assert "IndexError('of nothing'): internal error" in label.last_error
     assert "in on_photo" in capsys.readouterr().err
     camera.offer(41)
     camera.turn()

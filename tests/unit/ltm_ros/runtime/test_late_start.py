@@ -60,7 +60,7 @@ def test_attempts_become_rare_and_a_reason_is_said_once() -> None:
     disk.why = "not a DEM"
     for _ in range(int(2 * LONGEST_PAUSE_S)):
         late.tick(1.0)
-    assert lines == ["north: cannot start: north: not a DEM; it is tried again"]
+    assert lines == ["north: cannot start: north: not a DEM; retrying later"]
 
 
 def test_a_bug_is_no_end_and_what_nobody_took_is_given_back_at_the_close() -> None:

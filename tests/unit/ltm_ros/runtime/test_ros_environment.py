@@ -46,7 +46,7 @@ def test_what_the_user_set_stays() -> None:
 
 @pytest.mark.parametrize("domain", [-1, 233])
 def test_refuses_a_domain_without_ports(domain: int) -> None:
-    with pytest.raises(ConfigError, match=f"ROS domain {domain}: take one from 0 to 232"):
+    with pytest.raises(ConfigError, match=f"ROS domain {domain}: give a number from 0 to 232"):
         ros_environment({}, domain_id=domain)
 
 

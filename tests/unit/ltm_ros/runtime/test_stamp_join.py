@@ -61,7 +61,7 @@ def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
     assert health.dropped == {}
     join.add("a", 4, 4)
     assert health.dropped == {"unjoined": 1}
-    assert health.last_error == "unjoined: stamp 1 ns never got its b, c (3 later ones wait too)"
+    assert health.last_error == "unjoined: stamp 1 ns is incomplete, without b, c (3 later ones are queued)"
     for name in "bc":
         join.add(name, 2, name)
     assert done == [{"a": 2, "b": "b", "c": "c"}]
@@ -127,7 +127,7 @@ def test_no_join_waits_for_ever_and_what_a_camera_lacked_is_counted(health: Heal
     join.tick(0.5)
     assert health.dropped == {"unjoined": 1}
     assert health.summary()["noted.unjoined.north.depth"] == "1"
-    assert health.last_error == "unjoined: north: stamp 7 ns never got its depth (waited 60 s)"
+    assert health.last_error == "unjoined: north: stamp 7 ns is incomplete, without depth (waited 60 s)"
 
 
 def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:
@@ -145,7 +145,7 @@ def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:
     join.add("pose", 140, "too far")
     join.finish()
     assert len(done) == 1
-    assert health.last_error == "unjoined: stamp 120 ns never got its pose (the recording or the node ended)"
+    assert health.last_error == "unjoined: stamp 120 ns is incomplete, without pose (the recording or the node ended)"
 
 
 def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Health) -> None:
@@ -180,7 +180,7 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     )
     for stamp in (3, 1, 2):
         join.add("image", stamp, Heavy(4 << 20))
-    assert given_up == [(1, ["pose"], "later ones with 8 MB of data wait too")], "the oldest goes"
+    assert given_up == [(1, ["pose"], "later ones with 8 MB of data are queued")], "the oldest goes"
     join.add("image", 4, Heavy(20 << 20))
     assert [stamp for stamp, *_ in given_up] == [1, 2, 3], "one alone has room, whatever it holds"
     join.add("pose", 4, Heavy(0))

@@ -25,4 +25,4 @@ def test_kernels_are_compiled_without_the_nodes_that_ask_cameras(tmp_path: Path)
     command = [sys.executable, "-m", "ltm_ros.tower.compile_kernels", str(small.path)]
     ran = subprocess.run(command, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.startswith(f"kernels of {len(kinds) - 1} nodes are compiled")
+    assert ran.stdout.startswith(f"compiled the kernels of {len(kinds) - 1} nodes")

@@ -100,13 +100,13 @@ def test_the_border_is_within_the_picture() -> None:
 @pytest.mark.parametrize(
     ("sent", "status", "said"),
     [
-        (b"not json", 400, "not a mark"),
+        (b"not json", 400, "invalid mark"),
         (body(across=1.5), 400, "across"),
-        (body(across=float("nan")), 400, "not a mark"),
+        (body(across=float("nan")), 400, "invalid mark"),
         (body(more=1), 400, "more"),
-        (body(camera="../../etc"), 404, "no picture"),
-        (body(camera="east"), 404, "no picture"),
-        (body(stamp=STAMP / 1e9 - 5), 409, "another picture"),
+        (body(camera="../../etc"), 404, "no image"),
+        (body(camera="east"), 404, "no image"),
+        (body(stamp=STAMP / 1e9 - 5), 409, "a newer image"),
     ],
 )
 def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: bytes, status: int, said: str) -> None:
@@ -142,11 +142,11 @@ def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: 
     assert marks.wrong() == []
     hear(tracks(5, turned=TURNED))
     (said,) = marks.wrong()
-    assert "camera east is probably turned (97%), by the marks of 3 fires. Stated" in said
+    assert "camera east is probably misaligned (97%), by the marks of 3 fires. Stated" in said
     assert "2.0 degrees too small (sigma 0.1)" in said
     hear(tracks(5, turned=TURNED | {"by": ["pictures"], "fires": 0, "turned_deg": None, "sigma_deg": None}))
     (said,) = marks.wrong()
-    assert said == "camera east is probably turned (97%), by its images. Check its mount."
+    assert said == "camera east is probably misaligned (97%), by its images. Check its mount."
     hear(tracks(6))
     assert marks.wrong() == []
 

@@ -33,18 +33,21 @@ def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> No
         server = PatientServer(HealthConfig(port=port), ROUTES, health, told.append, warned.append, retry_s=0.01)
         assert server.url is None
         assert health.troubled
-        assert f"port: 127.0.0.1:{port} cannot be listened on (Address already in use)" in health.last_error
-        assert f"end what uses it (`ss -ltnp 'sport = :{port}'` names it), or name another" in health.last_error
-        assert "`health: {port: ..., address: ...}`; it is tried again every 0.01 s" in health.last_error
+        assert f"port: 127.0.0.1:{port} cannot be opened (Address already in use)" in health.last_error
+        assert (
+            f"end the program that uses it (`ss -ltnp 'sport = :{port}'` names it), or choose another"
+            in health.last_error
+        )
+        assert "`health: {port: ..., address: ...}`; retrying every 0.01 s" in health.last_error
         # Said again with each attempt, so that diagnostics say it for as long as it lasts; in the log once.
         monkeypatch.setattr(health, "_last_trouble", -float("inf"))
         wait_for(lambda: health.troubled, "another attempt")
         assert told == []
     wait_for(lambda: server.url is not None, "the port")
-    wait_for(lambda: told == [f"health at http://127.0.0.1:{port}"], "the word of it", lambda: told)
+    wait_for(lambda: told == [f"health port: http://127.0.0.1:{port}"], "the word of it", lambda: told)
     assert answers(port)
     assert len(warned) == 1
-    assert "all else runs" in warned[0]
+    assert "everything else runs" in warned[0]
     server.close()
     assert not answers(port)
 
@@ -56,7 +59,7 @@ def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
     config = HealthConfig(port=free_port(), token=tmp_path / "token").model_copy(update={"address": "192.0.2.1"})
     server = PatientServer(config, ROUTES, health, pytest.fail, lambda _: None)
     assert server.url is None
-    assert "this machine has no such address now: is that network up?" in health.last_error
+    assert "this machine has no such address now" in health.last_error
     server.close()
 
 

@@ -28,16 +28,16 @@ def port_site(tmp_path: Path) -> tuple[Path, HealthConfig]:
 
 def test_a_port_of_health_that_is_free(port_site: tuple[Path, HealthConfig]) -> None:
     (port,) = port_check.check_health_port(port_site[0])
-    assert (port.state, port.detail) == (DoctorState.OK, f"127.0.0.1:{port_site[1].port} is free: no tower runs")
+    assert (port.state, port.detail) == (DoctorState.OK, f"127.0.0.1:{port_site[1].port} is free: no tower is running")
 
 
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
         ({"site": NAME}, ""),
-        ({"site": "elsewhere"}, "the tower of elsewhere has it"),
-        ({"status": "up"}, "what answers there is no tower"),
-        (["up"], "what answers there is no tower"),
+        ({"site": "elsewhere"}, "the tower of elsewhere"),
+        ({"status": "up"}, "another program answers"),
+        (["up"], "another program answers"),
         (None, "no tower answers"),
     ],
 )
@@ -51,8 +51,8 @@ def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer
         assert (port.state, port.remedy) == (DoctorState.OK, "")
         return
     assert port.state is DoctorState.WARNING
-    assert f"127.0.0.1:{config.port} cannot be listened on (Address already in use): end what uses it" in port.remedy
-    assert f"of {site}; the tower runs without, and tries again" in port.remedy
+    assert f"127.0.0.1:{config.port} cannot be opened (Address already in use)" in port.remedy
+    assert f"of {site}; the tower runs without it, and retries" in port.remedy
 
 
 def test_a_site_without_a_port_and_one_that_cannot_be_read(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ def test_a_tower_that_has_not_begun_is_neither_alive_nor_ready() -> None:
     status = status_of(TowerWatch("ridge", NODES, 120.0))
     assert (status.alive, status.ready) == (False, False)
     assert {node.state for node in status.nodes} == {"missing"}
-    assert any("/ridge/fuel_map has not reported yet" in line for line in status.wrong)
-    assert any("camera north: no frame has come" in line for line in status.wrong)
+    assert any("/ridge/fuel_map no report yet" in line for line in status.wrong)
+    assert any("north: no frame since the start" in line for line in status.wrong)
 
 
 def test_what_is_wrong_is_said_in_words() -> None:
@@ -21,19 +21,21 @@ def test_what_is_wrong_is_said_in_words() -> None:
     north, east = status.cameras
     assert (north.frame_age_s, north.dropped) == (4.5, {"shed": 3, "no_pose": 2})
     assert north.wrong == ""
-    assert east.wrong == "camera east: its newest frame is 12 min old"
+    assert east.wrong == "east: no new frame for 12 min"
     assert status.alive
     assert not status.ready
-    assert any("kept right by nothing" in line for line in status.wrong)
+    assert any("not synchronised" in line for line in status.wrong)
     assert any("/state: 2.0 GB free of 100 GB" in line for line in status.wrong)
-    assert any("/gone: not there" in line for line in status.wrong)
+    assert any("/gone: does not exist" in line for line in status.wrong)
 
 
 def test_an_outbox_that_nobody_empties_is_said_in_words() -> None:
     made = healths()
     status = status_of(watch_of(made))
     assert status.outbox == OutboxState(412, 5_130_000, 7260.5, link_up=False)
-    assert "the region's map cannot be reached: 412 frames wait in the outbox, the oldest of 2.0 h ago" in status.wrong
+    assert (
+        "no connection to the region's map: 412 frames are queued in the outbox, the oldest for 2.0 h" in status.wrong
+    )
     made["/ridge/uplink"].gauge("link_up", 1)
     assert not any("region" in line for line in status_of(watch_of(made)).wrong)
     assert status_of(TowerWatch("ridge", NODES, 120.0)).outbox is None
@@ -44,7 +46,8 @@ def test_a_doubted_pose_is_said_where_frames_come() -> None:
     made["/ridge/east/capture"].gauge("newest_stamp", "1749999999.0")
     (said,) = [c.wrong for c in status_of(watch_of(made)).cameras if c.name == "east"]
     assert said == (
-        "camera east: its pose is doubted (pose_suspected: the skyline is 2.1 degrees off); has the mount moved?"
+        "east: the pose is uncertain (pose_suspected: the skyline is 2.1 degrees off); "
+        "check whether the mount has moved"
     )
 
 
@@ -63,7 +66,7 @@ def test_a_camera_clock_far_ahead_is_no_fresh_frame() -> None:
     made["/ridge/north/capture"].gauge("newest_stamp", "1750007300.0")
     (said,) = [c.wrong for c in status_of(watch_of(made)).cameras if c.name == "north"]
     assert not status_of(watch_of(made)).ready
-    assert said == "camera north: its clock is 2.0 h ahead of this machine's"
+    assert said == "north: the camera's clock is 2.0 h ahead of the system clock"
 
 
 def test_strangers_are_not_listened_to_and_words_are_bounded() -> None:

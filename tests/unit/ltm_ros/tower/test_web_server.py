@@ -219,7 +219,7 @@ def test_an_answer_that_a_bug_or_the_machine_prevents_says_so_and_is_in_the_log(
             "POST /mark": crash,
         }
     )
-    said = (500, b"it failed: see the log\n")
+    said = (500, b"internal error: see the log\n")
     try:
         assert get(server, "/status.json") == get(server, "/metrics") == said
         assert get(server, "/mark", {"Content-Type": "application/json"}, "POST", body=b"{}") == said
@@ -265,7 +265,7 @@ def test_a_token_that_is_none_is_refused_and_never_repeated(start: Start, tmp_pa
 
 def test_a_port_that_is_taken_is_named(start: Start) -> None:
     server = start()
-    with pytest.raises(ConfigError, match=f"127.0.0.1:{port_of(server)} cannot be listened on"):
+    with pytest.raises(ConfigError, match=f"127.0.0.1:{port_of(server)} cannot be opened"):
         start(port=port_of(server))
     with pytest.raises(ConfigError, match="no tower answers"):
         ask(HealthConfig(port=1), "/status.json")

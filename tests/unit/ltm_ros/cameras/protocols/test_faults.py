@@ -18,7 +18,7 @@ from scenes.timed_picture import jpeg, scene, time_in, with_time
 
 from ltm_core.base.types import UInt8Array
 from ltm_msgs_py.image import decode_rgb
-from ltm_ros.cameras.camera_source import Gaze
+from ltm_ros.cameras.camera_source import CameraDirection
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.runtime.clocks import SystemClock
@@ -146,7 +146,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
             stalled_after=STALL_S,
             stuck_after=STUCK_S,
         )
-        sourced = Sourced(config, clock, gaze=Gaze(direction=head))
+        sourced = Sourced(config, clock, gaze=CameraDirection(direction=head))
         yield Bench(camera, sourced, clock, head, monkeypatch, server)
         sourced.source.close()
 
@@ -232,10 +232,10 @@ def unsynchronised(bench: Bench) -> None:
 REFUSED = ("unauthorised", 15, "HTTP 401")
 FAULTS = (
     Fault("power off", Bench.power_off, "stalled", 15, "no connection"),
-    Fault("hangs up", lambda b: b.behave(hang_up=True), "stalled", 15, "breaks off"),
-    Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 15, "silent"),
-    Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 15, "silent"),
-    Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "breaks off"),
+    Fault("hangs up", lambda b: b.behave(hang_up=True), "stalled", 15, "closed the connection"),
+    Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 15, "does not respond"),
+    Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 15, "does not respond"),
+    Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "closed the connection"),
     Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
     Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
     Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "neither"),
@@ -249,16 +249,16 @@ FAULTS = (
     Fault("forbidden", lambda b: b.behave(status=403), "unauthorised", 15, "HTTP 403"),
     Fault("account locked", lambda b: b.behave(status=423), "unauthorised", 15, "HTTP 423"),
     Fault("password not set", unset_password, "unauthorised", 15, PASSWORD, mend=right_password),
-    Fault("no HTTP", lambda b: b.replace_by(not_http), "stalled", 15, "no HTTP"),
+    Fault("no HTTP", lambda b: b.replace_by(not_http), "stalled", 15, "did not answer HTTP"),
     Fault("silent port", lambda b: b.replace_by(lambda c: c.recv(1) and None), "stalled", 15, "camera"),
-    Fault("same bytes", lambda b: b.behave(frozen=True), "stuck", 85, "same picture", frames=1),
-    Fault("says unchanged", lambda b: b.behave(frozen=True, tags=True), "stuck", 85, "same picture", frames=1),
+    Fault("same bytes", lambda b: b.behave(frozen=True), "stuck", 85, "same image", frames=1),
+    Fault("says unchanged", lambda b: b.behave(frozen=True, tags=True), "stuck", 85, "same image", frames=1),
     Fault("dark", lambda b: b.render(painted(lambda i: i // 16)), "night", 15, "dark"),
     Fault("infrared", lambda b: b.render(painted(lambda i: i, "L")), "night", 15, "colour"),
     Fault("other size", lambda b: b.render(lambda t: jpeg(scene(640, 360))), "stalled", 50, "640 x 360 pixels"),
     Fault("4K", lambda b: b.render(lambda t: LARGE), "stalled", 50, "for 320 x 180"),
     Fault("too large", lambda b: b.render(lambda t: b"\xff\xd8\xff" * 2_000_000), "stalled", 50, "image_bytes"),
-    Fault("PTZ head slews", set_head(speed=1.0), "moved", 15, "moves"),
+    Fault("PTZ head slews", set_head(speed=1.0), "moved", 15, "moving"),
     Fault("PTZ head silent", set_head(error=SourceError("no answer")), "stalled", 15, "no answer"),
     Fault("PTZ head refuses", set_head(error=UnauthorisedError("no entry")), "unauthorised", 15, "no entry"),
     Fault("PTZ head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),

@@ -74,7 +74,7 @@ def test_an_upload_that_broke_off_is_said_and_does_not_hold_up_the_next(tmp_path
     whole = write(tmp_path / "b.jpg", jpeg(scene()))
     assert given_by(asking, 2) == [whole]
     clock.turn(61.0)
-    with pytest.raises(PictureError, match=r"a\.jpg has 900 bytes and no end of a picture after 61 s"):
+    with pytest.raises(PictureError, match=r"a\.jpg has 900 bytes and no end of image after 61 s"):
         asking.read()
     assert list(tmp_path.iterdir()) == []
 
@@ -96,11 +96,11 @@ def test_files_too_large_and_names_without_a_time_are_refused(tmp_path: Path) ->
     write(tmp_path / "huge.jpg", b"\xff\xd8\xff" + bytes(MOST_BYTES))
     asking = reader(tmp_path, name_time="north_%Y%m%d-%H%M%S.jpg")
     asking.read()
-    with pytest.raises(PictureError, match=f"at most {MOST_BYTES}"):
+    with pytest.raises(PictureError, match=f"maximum is {MOST_BYTES}"):
         asking.read()
     write(tmp_path / "north.jpg", jpeg(scene()))
     asking.read()
-    with pytest.raises(PictureError, match="mend name_time"):
+    with pytest.raises(PictureError, match="correct name_time"):
         asking.read()
 
 
@@ -123,12 +123,12 @@ def test_a_folder_that_is_gone_and_one_in_which_nothing_new_comes_are_stalled(tm
     sourced = Sourced(settings(kind="folder", path=str(folder), stalled_after=40), clock)
     sourced.steps(1)
     assert sourced.state == "stalled"
-    assert "is no folder" in sourced.source.why
+    assert "is not a readable folder" in sourced.source.why
     write(folder / "a.jpg", jpeg(scene()))
     sourced.steps(3)
     assert (sourced.state, len(sourced.frames)) == ("alive", 1)
     clock.turn(41.0)
     sourced.steps(1)
-    assert (sourced.state, sourced.source.why) == ("stalled", "nothing new comes")
+    assert (sourced.state, sourced.source.why) == ("stalled", "no new image")
     with pytest.raises(SourceError, match="zone"):
         reader(folder, zone="Middle/Earth")

@@ -50,10 +50,10 @@ def test_one_each_so_many_seconds() -> None:
 
 FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "ends": ({"frames": 3}, "ended"),
-    "silent": ({"stall_within_s": 3.0}, "silent"),
+    "silent": ({"stall_within_s": 3.0}, "does not respond"),
     "cut": ({"cut": True}, "ended"),
-    "no JPEG": ({"garbage": b"nothing of use"}, "no JPEG"),
-    "too large": ({"render": lambda _: b"\xff\xd8\xff" + bytes(5 << 20)}, "at most"),
+    "no JPEG": ({"garbage": b"nothing of use"}, "not a JPEG"),
+    "too large": ({"render": lambda _: b"\xff\xd8\xff" + bytes(5 << 20)}, "maximum"),
     "other size": ({"render": lambda _: jpeg(scene(640, 360))}, "640 x 360"),
 }
 

@@ -59,7 +59,7 @@ def test_stuck_after_so_long_and_well_again_at_the_first_change() -> None:
         stuck.look(same, None, now)
         assert not stuck.said(now)
     stuck.repeated(61.0)
-    assert stuck.said(61.0) == "the same picture for 61 s"
+    assert stuck.said(61.0) == "the same image for 61 s"
     stuck.look(thumbnail_of_bytes(jpeg(scene(640, 360))), None, 70.0)
     assert not stuck.said(70.0)
 

@@ -143,7 +143,7 @@ def test_a_wrong_password_is_told_without_it_and_a_right_one_works(turning: Turn
         fake.user, fake.password = "viewer", PASSWORD
     else:
         camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
-    with pytest.raises(UnauthorisedError, match="refuses the user viewer") as told:
+    with pytest.raises(UnauthorisedError, match="rejected user viewer") as told:
         opened(camera, kind, **_login("WRONG_PASSWORD")).read()
     assert "not-the-one" not in str(told.value)
     assert opened(camera, kind, **_login()).read().pan_deg == pytest.approx(123.4, abs=0.06)

@@ -20,7 +20,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig, ZoomPoint
 from ltm_core.pose_estimation.mount.mount_model import MountModel
 from ltm_core.site.source_config import OnvifConfig, PatrolConfig, SecretConfig, VapixConfig
-from ltm_ros.cameras.camera_source import Frame, Gaze
+from ltm_ros.cameras.camera_source import CameraDirection, Frame
 from ltm_ros.cameras.opening import MountPoses
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance
@@ -40,7 +40,7 @@ def sourced(camera: HttpCamera, patrol: tuple[str, ...] = (), lens: bool = False
     tolerance = tolerance_of(config)
     direction = PtzDirection(lambda: open_ptz(config, source))
     driven = PatrolConfig(presets=patrol, arrive_within=3.0, settle=0.1) if patrol else None
-    gaze = Gaze(
+    gaze = CameraDirection(
         direction=direction,
         model=MountPoses(MODEL, tolerance),
         tolerance=tolerance,
@@ -191,7 +191,7 @@ def test_a_head_dead_from_the_start_is_told_at_its_second_preset(camera: HttpCam
     tested = sourced(camera, ("north", "east"))
     tested.steps(2)
     assert tested.state == "stuck"
-    assert "from preset 'north' to 'east' and reads the same direction" in tested.source.why
+    assert "from preset 'north' to 'east', the PTZ head reads the same direction" in tested.source.why
 
 
 def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCamera, head: FakeHead) -> None:
@@ -203,7 +203,7 @@ def test_a_turret_that_is_stuck_while_its_presets_advance_is_told(camera: HttpCa
     before = len(tested.frames)
     tested.steps(4)
     assert tested.state == "stuck"
-    assert "the picture stays the same" in tested.source.why
+    assert "the image stays the same" in tested.source.why
     assert len(tested.frames) <= before + 1, "one turn alone may show the same: two say it"
     assert tested.health.dropped["stuck"] >= 2
 
@@ -227,7 +227,7 @@ def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpC
     head.rate = 30.0
     tested.steps(1)
     assert not tested.frames
-    assert "has not come to rest within 3 s" in tested.source.why
+    assert "did not come to rest within 3 s" in tested.source.why
 
 
 def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
@@ -239,11 +239,11 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
         source = settings(kind="snapshot", url=camera.url(), every=0.01)
         config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
         direction = PtzDirection(lambda: open_ptz(config, source))
-        gaze = Gaze(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
+        gaze = CameraDirection(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
         tested = Sourced(source, SystemClock(), gaze=gaze)
         (pause,) = tested.steps(1)
     assert tested.state == "unauthorised"
-    assert "refuses the user viewer by ONVIF" in tested.source.why
+    assert "rejected user viewer by ONVIF" in tested.source.why
     assert "the-one" not in tested.source.why
     assert pause >= 599.0
     assert not tested.frames
@@ -263,7 +263,7 @@ def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
         def close(self) -> None:
             """It has no connection."""
 
-    gaze = Gaze(model=MountPoses(MODEL, Tolerance()), lens=LENS)
+    gaze = CameraDirection(model=MountPoses(MODEL, Tolerance()), lens=LENS)
     tested = Sourced(settings(kind="snapshot", url="http://127.0.0.1"), SystemClock(), gaze=gaze, reader=Listed)
     tested.steps(2)
     frame = tested.frames[-1]

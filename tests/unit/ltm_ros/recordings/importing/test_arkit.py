@@ -100,7 +100,7 @@ def test_a_portrait_is_turned_upright_with_its_lens(tmp_path: Path, site: Site) 
 
 def test_without_a_row_the_place_is_asked_for(tmp_path: Path, site: Site) -> None:
     with pytest.raises(
-        PoseError, match=r"no position in Stray Scanner: give the place of its first frame in a row named"
+        PoseError, match=r"no position in Stray Scanner: give the position of its first frame in a row named"
     ):
         import_photos([stray(tmp_path / "scan1")], tmp_path / "bag", site=site)
 
@@ -109,10 +109,10 @@ def test_without_a_row_the_place_is_asked_for(tmp_path: Path, site: Site) -> Non
     ("changes", "complaint"),
     [
         ({"odometry.csv": "timestamp, frame, x\n1, 0, 2\n"}, "odometry.csv has no column qw"),
-        ({"odometry.csv": HEAD + "\n1, 0, 0, 0, 0, a, 0, 0, 1\n"}, "holds what is no number"),
+        ({"odometry.csv": HEAD + "\n1, 0, 0, 0, 0, a, 0, 0, 1\n"}, "contains an invalid number"),
         ({"odometry.csv": HEAD + "\n1, 0, 0, 0, 0, 0, 0, 0, 0\n"}, "must have a norm of 1"),
         ({"odometry.csv": HEAD + "\n"}, "has 0 rows"),
-        ({"camera_matrix.csv": "1,2\n"}, "is no 3 x 3 matrix"),
+        ({"camera_matrix.csv": "1,2\n"}, "is not a 3 x 3 matrix"),
         ({"camera_matrix.csv": None}, r"no camera_matrix\.csv, and no fx"),
         ({"camera_matrix.csv": "-5,0,1\n0,5,1\n0,0,1\n"}, "must be positive"),
     ],
@@ -147,7 +147,7 @@ def test_a_record3d_capture_needs_the_first_frames_whole_pose(tmp_path: Path, si
     """Its world is the first camera's: not even gravity is known."""
     path = record3d(tmp_path / "tree.r3d")
     stamp = ",2024-07-05T01:30:15Z"
-    with pytest.raises(PoseError, match="pitch is not known"):
+    with pytest.raises(PoseError, match="pitch is unknown"):
         import_photos([path], tmp_path / "bag", poses(tmp_path, "tree.r3d", stamp, ",stamp"), site)
     rows = poses(tmp_path, "tree.r3d", stamp + ",-4,1", ",stamp,pitch_deg,roll_deg")
     import_photos([path], tmp_path / "bag", rows, site)

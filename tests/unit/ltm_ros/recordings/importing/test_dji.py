@@ -158,10 +158,10 @@ def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "no place in its 0 blocks: switch `Video Captions` on"),
-        ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no place in its 1 blocks"),
-        (flight(NEW).replace("34.2", "94.2"), "no place in its 3 blocks"),
-        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no place in its 0 blocks"),
+        ("", "no position in its 0 blocks: enable `Video Captions`"),
+        ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no position in its 1 blocks"),
+        (flight(NEW).replace("34.2", "94.2"), "no position in its 3 blocks"),
+        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no position in its 0 blocks"),
         (re.sub(r"itude: [-.0-9]+", "itude: 0.000000", flight(NEW)), "--poses"),
     ],
 )
@@ -181,7 +181,7 @@ def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None
 def test_a_drone_that_tells_its_climb_alone_is_never_at_eye_height(tmp_path: Path, site: Site) -> None:
     path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude=None)
     with pytest.raises(
-        PoseError, match=r"its altitude is not known, and DJI tells 60\.0 m above the place of take-off"
+        PoseError, match=r"its altitude is not known, and DJI only gives 60\.0 m above the take-off place"
     ):
         import_photos([path], tmp_path / "bag", site=site)
 

@@ -73,7 +73,7 @@ def test_fractions_over_zero_are_left_out() -> None:
     "gps", [{1: "N", 2: (91, 0, 0), 3: "E", 4: (0, 0, 0)}, {1: "N", 2: (1, 0, 0), 3: "E", 4: (181, 0, 0)}]
 )
 def test_a_position_off_the_globe_is_refused(gps: dict[int, Any]) -> None:
-    with pytest.raises(ImageError, match=r"a\.jpg: EXIF position"):
+    with pytest.raises(ImageError, match=r"a\.jpg: invalid EXIF position"):
         facts(gps=gps)
 
 

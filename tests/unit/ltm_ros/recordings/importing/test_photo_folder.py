@@ -59,7 +59,7 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos/kept").touch()
-    with pytest.raises(RecordingError, match="is no empty folder"):
+    with pytest.raises(RecordingError, match="is not an empty folder"):
         import_photos(
             [tmp_path / "walk.zip"], tmp_path / "bag", site=site, assumed=LENS, photos_out=tmp_path / "photos"
         )
@@ -82,14 +82,14 @@ def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) 
     found["pose"] |= {"pitch_deg": 3.25, "roll_deg": -1.5, "azimuth_sigma_deg": 0.3}
     (folder / f"{WALK[1].stamp_ns // 1_000_000}.yaml").write_text(yaml.safe_dump(found))
     report = import_photos([tmp_path / "walk.zip"], tmp_path / "bag", folder, site, assumed=LENS)
-    assert any("does not name 1 of the 2 photos" in note for _, note in report.notes)
+    assert any("does not list 1 of the 2 photos" in note for _, note in report.notes)
     ((stamp, camera, pose, covariance),) = imported(tmp_path / "bag")
     assert (stamp, camera.fx) == (WALK[1].stamp_ns, 47.0)
     np.testing.assert_allclose(pose.angles_deg, [112.5, 3.25, -1.5], atol=1e-9)
     assert pose_sigmas(pose, covariance)[3] == pytest.approx(0.3)
     (folder / "other.yaml").write_text("camera: 3\n")
-    with pytest.raises(ConfigError, match=r"other\.yaml is no pose file"):
+    with pytest.raises(ConfigError, match=r"other\.yaml is not a pose file"):
         import_photos([tmp_path / "walk.zip"], tmp_path / "again", folder, site, assumed=LENS)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match="holds no pose files"):
+    with pytest.raises(ConfigError, match="contains no pose files"):
         read_pose_file(tmp_path / "empty")

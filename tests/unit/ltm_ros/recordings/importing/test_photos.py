@@ -120,7 +120,7 @@ def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None
     np.testing.assert_allclose(pose.angles_deg, [90.0 - convergence, 0.0, 0.0], atol=0.01)
     assert bytes(image.data) == file.read_bytes()
     assert image.format == "jpeg"
-    assert any("pitch is not known (EXIF has none): taken as 0 +- 3 deg" in note for _, note in report.notes)
+    assert any("pitch is unknown (EXIF has none): 0 +- 3 deg is assumed" in note for _, note in report.notes)
     assert report.cameras == {"phone": 1}
 
 
@@ -167,7 +167,7 @@ def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str
         (GROUND + 12.0, GROUND + 12.0, None),
         (GROUND - 30.0, GROUND + 1.75, "30.0 m under the terrain"),
         (GROUND + 45.0, GROUND + 45.0, "45.0 m above the terrain"),
-        (None, GROUND + 1.75, "height is not known"),
+        (None, GROUND + 1.75, "height is unknown"),
     ],
 )
 def test_heights(tmp_path: Path, site: Site, altitude: float | None, expected: float, note: str | None) -> None:
@@ -208,7 +208,7 @@ def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, sit
     np.testing.assert_allclose(pose.angles_deg, [230.77, -5.79, -0.77], atol=1e-9)
     assert by_exif.angles_deg[0] == pytest.approx(12.0)
     assert by_exif.position[2] == GROUND + 12.0
-    assert any("does not name 1 of the 3 photos" in note for _, note in report.notes)
+    assert any("does not list 1 of the 3 photos" in note for _, note in report.notes)
 
 
 def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
     assert stamps[1] - stamps[0] == 1_000_000
     (west,) = reader.messages(topics=["/site/west/pose"])
     assert west.log_time_ns == stamps[0]
-    assert any("moved 1 ms" in note for _, note in report.notes)
+    assert any("moved by 1 ms" in note for _, note in report.notes)
 
 
 def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
@@ -244,12 +244,12 @@ def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
     [
         ({"gps_2": None}, PoseError, "no position in EXIF"),
         ({"gps_17": None}, PoseError, "no direction in EXIF"),
-        ({"photo_0xA405": None}, CameraError, "no focal length|does not tell the focal length"),
+        ({"photo_0xA405": None}, CameraError, "no focal length|does not give the focal length"),
         ({"photo_0xA405": None, "photo_0x920A": 6.86}, CameraError, "focal length of 6.86 mm, --sensor-width-mm"),
         ({"photo_0x9003": None}, RecordingError, "has no date"),
         ({"photo_0x9003": "1969:07:04 18:30:15"}, RecordingError, "before 1970"),
         ({"gps_2": (35.0, 0.0, 0.0), "gps_6": None}, PoseError, "outside the DEM"),
-        ({"gps_2": (91.0, 0.0, 0.0)}, ImageError, "not on the globe"),
+        ({"gps_2": (91.0, 0.0, 0.0)}, ImageError, "invalid EXIF position"),
     ],
 )
 def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
@@ -278,9 +278,9 @@ def _cut(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "spoil", "complaint"),
     [
-        ("a.jpg", _cut, "cut short"),
-        ("a.png", _cut, "cannot be read|corrupt|cut short"),
-        ("a.heic", _cut, "cannot be read|cut short"),
+        ("a.jpg", _cut, "truncated"),
+        ("a.png", _cut, "cannot be read|corrupt|truncated"),
+        ("a.heic", _cut, "cannot be read|truncated"),
         ("a.jpg", lambda p: p.write_bytes(b""), "no photo that can be read"),
         ("a.jpg", lambda p: p.write_bytes(bytes(999)), "no photo that can be read"),
         ("a.jpg", lambda p: Image.fromarray(picture()).save(p, "TIFF"), "is TIFF; photos must be JPEG, PNG or HEIC"),
@@ -309,7 +309,7 @@ def test_finding_photos(tmp_path: Path) -> None:
     for paths, complaint in (
         ([tmp_path / "absent"], "no photo, folder or recording at"),
         ([tmp_path / "below.jpg"], "no photos in"),
-        ([tmp_path, tmp_path / "other"], r"two photos are called a\.png"),
+        ([tmp_path, tmp_path / "other"], r"two photos have the name a\.png"),
     ):
         with pytest.raises(RecordingError, match=complaint):
             find_pictures(paths, LEVEL)
@@ -326,10 +326,10 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None
     with pytest.raises(ConfigError, match="--site"):
         import_photos([file], tmp_path / "bag", rows)
     two = site.model_copy(update={"cameras": {**site.cameras, "tower": site.cameras["phone"]}})
-    with pytest.raises(ConfigError, match="phone, tower: say which"):
+    with pytest.raises(ConfigError, match="phone, tower: name the photos' camera"):
         import_photos([file], tmp_path / "bag", site=two)
     rows.write_text("name,z\nabsent.jpg,3\n")
-    with pytest.raises(RecordingError, match=r"1 photos that are not there: absent\.jpg"):
+    with pytest.raises(RecordingError, match=r"1 missing photos: absent\.jpg"):
         import_photos([file], tmp_path / "bag", rows, site)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/kept").touch()
@@ -360,8 +360,8 @@ def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site)
     ]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"}, catch_exceptions=False)
     assert result.exit_code == 0
-    assert "pitch is not known" in result.output
-    assert "left out b.jpg" in result.output
+    assert "pitch is unknown" in result.output
+    assert "skipped b.jpg" in result.output
     assert "/ridge/phone/" in result.output
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     assert pose.angles_deg[1] == pytest.approx(-4.5)
@@ -374,7 +374,7 @@ def covariance_of(bag: Path) -> Float64Array | None:
 
 def test_an_unknown_pitch_is_refused_and_never_taken_as_level(tmp_path: Path, site: Site) -> None:
     file = save(tmp_path / "a.jpg", phone())
-    with pytest.raises(PoseError, match=r"a\.jpg: its pitch is not known .*pitch_deg in a pose file.*--pitch-deg"):
+    with pytest.raises(PoseError, match=r"a\.jpg: its pitch is unknown .*pitch_deg in a pose file.*--pitch-deg"):
         import_photos([file], tmp_path / "bag", site=site)
     assert not (tmp_path / "bag").exists()
 
@@ -452,7 +452,7 @@ def test_a_fixed_cameras_pose_and_calibration_come_from_the_site_file(tmp_path: 
 
 def test_a_calibration_of_another_size_is_refused(tmp_path: Path, site: Site) -> None:
     tower = fixed(tmp_path, width=2 * W)
-    with pytest.raises(ImageError, match=r"a\.jpg is 64 x 40 pixels but camera .* 128 x 40"):
+    with pytest.raises(ImageError, match=r"a\.jpg has 64 x 40 pixels but camera .* 128 x 40"):
         import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=tower)
 
 
@@ -483,14 +483,14 @@ def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
     ((_, camera, _, image),) = contents(tmp_path / "bag")
     assert (camera.width, camera.height) == (H, W)
     assert compressed_to_rgb(image).shape == (W, H, 3)
-    assert ("portrait.jpg", f"EXIF turns it by 90 degrees clockwise: taken upright, as {H} x {W} pixels") in [
-        (name, note.partition(", of which")[0]) for name, note in report.notes
+    assert ("portrait.jpg", f"EXIF turns it by 90 degrees clockwise: the upright image of {H} x {W} pixels") in [
+        (name, note.partition(" is used")[0]) for name, note in report.notes
     ]
     poses = tmp_path / "poses.csv"
     poses.write_text(f"name,cx,cy\nportrait.jpg,{W - 5},{H / 2}\n")
     with pytest.raises(
         CameraError,
-        match=r"portrait.jpg: principal point .* beside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
+        match=r"portrait.jpg: principal point .* outside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
     ):
         import_photos([file], tmp_path / "beside", poses, site=site, assumed=LEVEL)
     assert not (tmp_path / "beside").exists()
@@ -504,13 +504,13 @@ def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path
     fixed = load_site(tmp_path / "site.yaml")
     import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed, assumed=LEVEL)
     with pytest.raises(
-        ImageError, match=r"portrait.jpg is 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
+        ImageError, match=r"portrait.jpg has 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
     ):
         import_photos(
             [save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed, assumed=LEVEL
         )
     small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
-    with pytest.raises(ImageError, match=r"small.jpg is 64 x 30 pixels but camera phone .* 64 x 40: give it a photo"):
+    with pytest.raises(ImageError, match=r"small.jpg has 64 x 30 pixels but camera phone .* 64 x 40: use a photo"):
         import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
 
 

@@ -133,7 +133,7 @@ def test_the_angles_in_the_file_say_whose_axes_they_are(tmp_path: Path, site: Si
 def test_quaternions_that_contradict_their_angles_are_refused(tmp_path: Path) -> None:
     path = recorded(tmp_path)
     wrong = column_set(member(path, "Orientation.csv"), "pitch", "0.9")
-    with pytest.raises(RecordingError, match=r"do not go with the yaw, pitch and roll.*--poses"):
+    with pytest.raises(RecordingError, match=r"do not match the yaw, pitch and roll.*--poses"):
         read_sensor_logger(CaptureFiles(changed(path, {"Orientation.csv": wrong})))
 
 
@@ -224,7 +224,7 @@ def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, 
         import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
     kept = Assumptions(focal_35mm=27.0, height_above_ground=1.6, keep_unknown=True)
     report = import_photos([path], tmp_path / "bag", site=site, assumed=kept)
-    assert any("direction is not known: taken as unknown" in note for _, note in report.notes)
+    assert any("direction is unknown" in note for _, note in report.notes)
     _, _, pose, covariance = imported(tmp_path / "bag")[0]
     np.testing.assert_allclose(
         covariance,
@@ -245,9 +245,9 @@ def nowhere(path: Path) -> dict[str, str | bytes | None]:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        (lambda path: {"Location.csv": None}, "without Location: switch the sensor"),
-        (negative, r"none of \d+ places in Location is valid \(negative accuracy"),
-        (nowhere, "the phone had no fix"),
+        (lambda path: {"Location.csv": None}, "without Location: enable the sensor"),
+        (negative, r"none of \d+ positions in Location is valid \(negative accuracy"),
+        (nowhere, "the phone had no GPS fix"),
         (lambda path: {"Location.csv": "time,lat\n1,2\n"}, "has no column 'latitude'"),
         (lambda path: {"Location.csv": "latitude,longitude\n1,2\n"}, "has no column `time`"),
         (lambda path: {"Location.csv": "a,b,c\n1,2\n3,4,5\n"}, "line 2: has fewer values than the 3 columns"),
@@ -268,7 +268,7 @@ def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, sit
     path = recorded(tmp_path)
     late = changed(path, {f"Camera/{STAMP // 1_000_000 + 3_600_000}.jpg": _jpeg()})
     with pytest.raises(
-        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from its nearest"
+        PoseError, match=r"no position in Sensor Logger: the photo's time .* is 3578 s from the nearest"
     ):
         import_photos([late], tmp_path / "bag", site=site, assumed=LENS)
     report = import_photos([late], tmp_path / "bag", site=site, assumed=LENS, skip_bad=True)
@@ -278,9 +278,7 @@ def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, sit
 def test_a_place_under_the_ground_is_taken_as_above_it_and_told(tmp_path: Path, site: Site) -> None:
     deep = Assumptions(focal_35mm=27.0, start_height=GROUND - 20.0)
     report = import_photos([recorded(tmp_path)], tmp_path / "bag", site=site, assumed=deep)
-    assert any(
-        "barometer's height 1480.0 m is 20.0 m under the terrain: taken as 2 m above" in n for _, n in report.notes
-    )
+    assert any("barometer's height 1480.0 m is 20.0 m under the terrain: 2 m above" in n for _, n in report.notes)
 
 
 def _jpeg() -> bytes:
@@ -320,7 +318,7 @@ class TestArchives:
     def test_a_zip_that_was_cut_short(self, tmp_path: Path, site: Site, share: float) -> None:
         path = recorded(tmp_path)
         path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-        with pytest.raises(RecordingError, match=r"is no whole zip.*export or copy it again"):
+        with pytest.raises(RecordingError, match=r"is not a complete zip.*export or copy it again"):
             import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
 
     def test_a_member_that_is_damaged(self, tmp_path: Path, site: Site) -> None:
@@ -336,7 +334,7 @@ class TestArchives:
     def test_a_zip_of_something_else(self, tmp_path: Path, site: Site) -> None:
         with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
             archive.writestr("IMG_1.jpg", _jpeg())
-        with pytest.raises(RecordingError, match=r"a zip of no app that is known \(it holds IMG_1\.jpg\)"):
+        with pytest.raises(RecordingError, match=r"a zip of an unknown app \(it contains IMG_1\.jpg\)"):
             import_photos([tmp_path / "other.zip"], tmp_path / "bag", site=site, assumed=LENS)
 
     @pytest.mark.parametrize("text", ["{", "[1, 2]", '{"a": 1}', "[" * 100_000])

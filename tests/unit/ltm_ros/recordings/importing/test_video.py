@@ -90,7 +90,7 @@ def test_a_recording_of_the_same_time_tells_the_direction(tmp_path: Path, site: 
         (movie(frames(1), 2, BEGIN), KEPT, PoseError, "has no position in the video's tags"),
         (movie(frames(1), 2, BEGIN, location=HERE), Assumptions(keep_unknown=True), CameraError, "--focal-35mm"),
         (movie(frames(1), 2, BEGIN)[:400], KEPT, RecordingError, "cannot be read as a video|no frame"),
-        (b"\0\0\0\x18ftypmp42" + bytes(60), KEPT, RecordingError, "cannot be read as a video|without pictures"),
+        (b"\0\0\0\x18ftypmp42" + bytes(60), KEPT, RecordingError, "cannot be read as a video|without images"),
     ],
 )  # fmt: skip
 def test_videos_that_tell_too_little_are_told_with_the_remedy(
