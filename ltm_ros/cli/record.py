@@ -98,7 +98,7 @@ def replay(
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
     from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
-    from ltm_ros.runtime.diagnostics import node_rows
+    from ltm_ros.runtime.health import node_rows
 
     console = Console()
     if publish_only:

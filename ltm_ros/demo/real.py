@@ -29,7 +29,7 @@ from ltm_ros.demo.report import ReportData, Table, write_report
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.recorded_run import RecordedFrame, recorded_frames
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
-from ltm_ros.runtime.diagnostics import NodeRow, node_rows
+from ltm_ros.runtime.health import NodeRow, node_rows
 
 PHOTO = "IMG_8902.jpg"
 CONTROL_POINTS = "gcp8902.csv"

@@ -19,7 +19,7 @@ from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_ros.demo.score import SHARED, RunScore
 from ltm_ros.pages.render import render_page
-from ltm_ros.runtime.diagnostics import NodeRow
+from ltm_ros.runtime.health import NodeRow
 
 MAX_WIDTH = 1280
 """Maximum width of embedded images in pixels."""

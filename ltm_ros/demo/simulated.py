@@ -32,7 +32,7 @@ from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
 from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
-from ltm_ros.runtime.diagnostics import NodeRow, node_rows
+from ltm_ros.runtime.health import NodeRow, node_rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -51,41 +49,3 @@ class DiagnosticsPublisher:
             message=summary["last_error"] if troubled else "ok",
             values=[KeyValue(key=key, value=value) for key, value in summary.items()],
         )
-
-
-@dataclass(frozen=True)
-class NodeRow:
-    """Final report of a node; latencies since capture, NaN without any."""
-
-    node: str
-    received: int
-    published: int
-    dropped: int
-    latency_p50_ms: float = math.nan
-    latency_p95_ms: float = math.nan
-    work_p50_ms: float = math.nan
-    causes: str = ""
-    """Causes of drops: `overload 2, pose 1`."""
-    reasons: tuple[str, ...] = ()
-    """Reason of the first drop of each cause, after its name."""
-
-    @classmethod
-    def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
-        """Parse the key -> value texts of a node's `/diagnostics` status."""
-        causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
-        return cls(
-            node,
-            int(summary.get("frames_in", 0)),
-            int(summary.get("frames_out", 0)),
-            int(summary.get("dropped", 0)),
-            float(summary.get("latency_p50_ms", math.nan)),
-            float(summary.get("latency_p95_ms", math.nan)),
-            float(summary.get("work_p50_ms", math.nan)),
-            ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
-        )
-
-
-def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
-    """Return one row per node, by name, from the key -> value texts of their diagnostics."""
-    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]

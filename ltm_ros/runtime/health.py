@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -175,3 +178,41 @@ def note_picture(health: Health, seen: SceneView) -> None:
     if seen.masked:
         health.gauge("mask", seen.masked)
     health.gauge("picture", seen.unusable or smoke or doubtful or "usable")
+
+
+@dataclass(frozen=True)
+class NodeRow:
+    """Final report of a node; latencies since capture, NaN without any."""
+
+    node: str
+    received: int
+    published: int
+    dropped: int
+    latency_p50_ms: float = math.nan
+    latency_p95_ms: float = math.nan
+    work_p50_ms: float = math.nan
+    causes: str = ""
+    """Causes of drops: `overload 2, pose 1`."""
+    reasons: tuple[str, ...] = ()
+    """Reason of the first drop of each cause, after its name."""
+
+    @classmethod
+    def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
+        """Parse the key -> value texts of a node's `/diagnostics` status."""
+        causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
+        return cls(
+            node,
+            int(summary.get("frames_in", 0)),
+            int(summary.get("frames_out", 0)),
+            int(summary.get("dropped", 0)),
+            float(summary.get("latency_p50_ms", math.nan)),
+            float(summary.get("latency_p95_ms", math.nan)),
+            float(summary.get("work_p50_ms", math.nan)),
+            ", ".join(f"{cause} {count}" for cause, count in causes.items()),
+            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
+        )
+
+
+def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
+    """Return one row per node, by name, from the key -> value texts of their diagnostics."""
+    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]

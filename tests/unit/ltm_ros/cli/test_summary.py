@@ -5,8 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from ltm_ros.cli.output import outcome, print_nodes
-from ltm_ros.runtime.diagnostics import node_rows
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import Health, node_rows
 
 
 def test_verdicts_and_cells_are_counted() -> None:

@@ -23,7 +23,7 @@ from ltm_ros.demo.report import (
     render_report,
     write_report,
 )
-from ltm_ros.runtime.diagnostics import NodeRow
+from ltm_ros.runtime.health import NodeRow
 
 LABELS = LabelSet.load()
 VOID = {"meta", "img", "input", "br"}
