@@ -83,7 +83,7 @@ class CalibrationConfig(PartialCalibration):
     @model_validator(mode="after")
     def _one_focal_length(self) -> Self:
         if self.hfov_deg is None and self.fx is None:
-            raise ValueError("give either hfov_deg or fx, not neither")
+            raise ValueError("give either hfov_deg or fx")
         return self
 
     def camera(self) -> Camera:
@@ -202,7 +202,7 @@ class PartialPose(StrictModel):
             return frame.true_to_grid_deg(azimuth, x, y)
         if on is None:
             raise ConfigError(
-                f"azimuth_deg {azimuth:g} is magnetic, and which day it was read on is not known: give it from true "
+                f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known: give it from true "
                 "north (azimuth_ref: true) or from grid north"
             )
         return frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
@@ -216,7 +216,7 @@ class PlacedPose(PartialPose):
         if self.x is None and self.lon is None:
             raise ValueError("give x and y, or lon and lat")
         if self.z is None and self.height_above_ground is None:
-            raise ValueError("give either z or height_above_ground, not neither")
+            raise ValueError("give either z or height_above_ground")
         return self
 
     def described(self, frame: SiteFrame) -> str:
@@ -271,5 +271,7 @@ def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, f
         raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
     moved = transformer.transform(x, y)
     if not np.isfinite(moved).all():
-        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
+        raise PoseError(
+            f"position ({x}, {y}) in {source} cannot be converted to {target}; with EPSG:4326 give longitude first"
+        )
     return float(moved[0]), float(moved[1])

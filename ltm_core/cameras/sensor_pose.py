@@ -141,7 +141,7 @@ def sensed_pose(
         if abs(stamp - stamp_ns) > age * 1e9:
             raise PoseError(
                 f"the nearest {what} is {(stamp - stamp_ns) / 1e9:+.2f} s from the image of stamp {stamp_ns} ns, at "
-                f"most {age:g} s are taken: publish it more often, with stamps of the images' clock"
+                f"most {age:g} s are allowed: publish it more often, stamped by the clock of the images"
             )
     x, y = (float(v) for v in frame.from_lonlat(fix.lon, fix.lat))
     position_sigma, altitude_sigma = config.gps_sigma, config.altitude_sigma
@@ -185,7 +185,7 @@ def _height(
             return z, altitude_sigma
     if not np.isfinite(ground):
         raise PoseError(
-            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies beside the DEM, and its height is not known: give "
+            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies outside the DEM, so its height is not known: give "
             "`geoid_undulation` under the camera's `sensors` in the site file"
         )
     return ground + config.height_above_ground, config.ground_sigma

@@ -31,7 +31,7 @@ class NetworkDepth:
 
     def __post_init__(self) -> None:
         if self.kind not in DEPTH_KINDS:
-            raise ImageError(f"network depth of kind {self.kind!r}; kinds are {', '.join(DEPTH_KINDS)}")
+            raise ImageError(f"network depth of kind {self.kind!r}; supported kinds: {', '.join(DEPTH_KINDS)}")
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or min(values.shape) < 2:
             raise ImageError(f"network depth must be an image of 2 x 2 or more numbers, got shape {values.shape}")
@@ -48,7 +48,7 @@ class DepthNetwork:
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         if not manifest.output.is_depth:
             raise ModelError(
-                f"model {manifest.name!r} gives {manifest.output.kind} of labels, not depth; "
+                f"model {manifest.name!r} outputs {manifest.output.kind} of labels, not depth; "
                 f"a depth model's output is one of {', '.join(DEPTH_KINDS)}"
             )
         self.manifest = manifest

@@ -38,8 +38,9 @@ def read_landscape(path: Path) -> Landscape:
             raise RasterError(f"{path}: a landscape is north-up with square cells, this has {tuple(t)[:6]}")
         if source.crs is None or not source.crs.is_projected:
             raise RasterError(
-                f"{path}: is in {source.crs or 'no CRS'}; a fire needs a projected CRS in metres: export it again with "
-                "`ltm export --crs EPSG:...`, of an LCP keep its .prj beside it"
+                f"{path}: the CRS is {source.crs or 'missing'}; a fire needs a projected CRS in metres: export "
+                "it again with "
+                "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
         _check_units(source, path)
         check_size(source, path, source.height, source.width)
@@ -81,7 +82,7 @@ def _check_units(source: Any, path: Path) -> None:
     wrong = [f"{name} {told[name]}" for name, unit in _LCP_UNITS.items() if told.get(name, unit) != unit]
     if wrong:
         raise RasterError(
-            f"{path}: its header has units that are not LANDFIRE's ({', '.join(wrong)}); write it again with elevation "
+            f"{path}: the header has units other than LANDFIRE's ({', '.join(wrong)}); write it again with elevation "
             "in m, slope in degrees, heights in m x 10 and density in kg/m3 x 100"
         )
 

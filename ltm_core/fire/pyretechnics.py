@@ -62,8 +62,8 @@ def interpreter() -> Path:
     if found.is_file():
         return found
     raise ConfigError(
-        f"{found}: no Python with the fire model Pyretechnics is there; make its environment with `make fire` (its "
-        f"pins exclude ours), or name one in {VARIABLE}"
+        f"{found}: no Python with the fire model Pyretechnics; build its environment with `make fire` (its "
+        f"pinned versions conflict with ours), or name one in {VARIABLE}"
     )
 
 
@@ -132,7 +132,7 @@ class Pyretechnics:
             self._process.stdin.write(json.dumps(question) + "\n")
             self._process.stdin.flush()
         except OSError as error:
-            raise FireModelError(f"Pyretechnics has ended: {self._last_words()}") from error
+            raise FireModelError(f"Pyretechnics exited: {self._last_words()}") from error
         return self._answer()
 
     def _answer(self) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class Pyretechnics:
         line = self._process.stdout.readline()
         if not line:
             self._process.wait()
-            raise FireModelError(f"Pyretechnics has ended: {self._last_words()}")
+            raise FireModelError(f"Pyretechnics exited: {self._last_words()}")
         answer: dict[str, Any] = json.loads(line)
         return answer
 

@@ -38,7 +38,7 @@ class Moisture:
     def parse(cls, text: str | None) -> Moisture:
         """Raises ConfigError for nothing, and for what is neither a scenario nor five percentages."""
         if not text:
-            raise ConfigError(f"a fire needs the moisture of its fuel: give --moisture, {MOISTURE_HELP}")
+            raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
         name = text.strip().upper()
         if len(name) == 4 and name[:2] in _DEAD and name[2:] in _LIVE:
             return cls(*_DEAD[name[:2]], *_LIVE[name[2:]])
@@ -47,7 +47,7 @@ class Moisture:
         except ValueError:
             values = []
         if len(values) != 5 or not all(0 < v <= 400 for v in values):
-            raise ConfigError(f"--moisture {text}: is neither {MOISTURE_HELP}")
+            raise ConfigError(f"--moisture {text}: invalid; give {MOISTURE_HELP}")
         return cls(*values)
 
     def described(self) -> str:
@@ -72,7 +72,7 @@ class Wind:
             speed, direction = (float(part) for part in text.split(","))
         except ValueError:
             raise ConfigError(
-                f"--wind {text}: give the speed at 10 m in m/s and the direction that it blows from, degrees clockwise "
+                f"--wind {text}: give the speed at 10 m in m/s and the direction it blows from, degrees clockwise "
                 "from north, such as 8,45"
             ) from None
         if not 0 <= speed <= 60 or not 0 <= direction <= 360:
@@ -95,7 +95,7 @@ class FireScenario:
 
     def __post_init__(self) -> None:
         if not 0 < self.hours <= _MOST_HOURS:
-            raise ConfigError(f"--hours {self.hours:g}: a fire under one wind runs for up to {_MOST_HOURS:g} hours")
+            raise ConfigError(f"--hours {self.hours:g}: give at most {_MOST_HOURS:g} hours for a constant wind")
 
 
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
@@ -117,7 +117,7 @@ def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int
         try:
             x, y = Transformer.from_crs(crs, g.crs, always_xy=True).transform(x, y)
         except CRSError as error:
-            raise ConfigError(f"--ignition-crs {crs}: is no CRS ({error})") from error
+            raise ConfigError(f"--ignition-crs {crs}: not a CRS ({error})") from error
     known = bool(np.isfinite([x, y]).all())
     row, col = (int(v) for v in g.cell_of(x, y)) if known else (-1, -1)
     if not g.contains(np.array(row), np.array(col)):

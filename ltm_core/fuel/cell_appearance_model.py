@@ -41,7 +41,7 @@ class CellAppearanceFile(StrictModel):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if any(b <= a for a, b in zip(self.incidence, self.incidence[1:], strict=False)):
-            raise ValueError(f"incidence must rise, got {self.incidence}")
+            raise ValueError(f"incidence must increase, got {self.incidence}")
         if len(self.weights) < 2 or not set(self.weights) <= set(_NAMES):
             raise ValueError(f"weights must be of two or more of {', '.join(_NAMES)}; got {', '.join(self.weights)}")
         for form, rows in self.weights.items():

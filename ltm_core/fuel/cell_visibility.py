@@ -38,7 +38,7 @@ class CellVisibility:
     def __post_init__(self) -> None:
         lengths = [np.shape(column) for column in self.columns()]
         if len(set(lengths)) != 1 or len(lengths[0]) != 1:
-            raise ImageError(f"the columns of a cell visibility disagree in shape: {lengths}")
+            raise ImageError(f"the columns of a cell visibility differ in shape: {lengths}")
 
     def columns(self) -> tuple[Float32Array, ...]:
         return self.cos_incidence, self.footprint, self.sigma_along, self.sigma_across, self.bearing

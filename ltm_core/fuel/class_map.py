@@ -40,7 +40,7 @@ class MajorityFuelMap:
         Raises ImageError for votes on another grid or over other classes.
         """
         if votes.geometry != self.geometry:
-            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, this map is on {self.geometry}")
+            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if votes.counts.shape[1] != self.totals.shape[2]:
             raise ImageError(
                 f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {self.totals.shape[2]}"
@@ -112,7 +112,7 @@ def write_fuel_map(
         raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
     path = Path(path)
     if not path.parent.is_dir():
-        raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+        raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
     partial = path.with_name(f".{path.name}.partial")
     try:
         write_geotiff(
@@ -126,7 +126,7 @@ def write_fuel_map(
         partial.replace(path)
     except OSError as error:  # rasterio's own errors of opening a file among them
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: the fuel map cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot write the fuel map ({error})") from error
     return path
 
 

@@ -254,7 +254,7 @@ class FuelClimate(StrictModel):
             known = models.codes(system)
             for key, code in getattr(self.changed, system).model_dump().items():
                 if code not in known:
-                    raise ValueError(f"changed.{system}.{key} is {code}, no code of {system}")
+                    raise ValueError(f"changed.{system}.{key} is {code}, which is not a code of {system}")
         pairs = {"crosswalk": self.crosswalk, "under_trees": {k: to for k, (_, to) in self.under_trees.items()}}
         if set(self.crosswalk) != set(models.fbfm40):
             wrong = sorted(set(self.crosswalk) ^ set(models.fbfm40))
@@ -285,7 +285,7 @@ class FuelClimate(StrictModel):
         path = folder / f"{name}.yaml"
         if not is_file(path):
             there = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-            raise ConfigError(f"no fuel climate is called {name!r}; there are {there}")
+            raise ConfigError(f"unknown fuel climate {name!r}; choose from {there}")
         return load_yaml(path, cls)
 
     def as_crosswalk(self) -> Crosswalk:

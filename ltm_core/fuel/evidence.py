@@ -123,11 +123,9 @@ class EvidenceMap:
         or of a time that is not in 1970 to 2106.
         """
         if votes.geometry != self.geometry:
-            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, this map is on {self.geometry}")
+            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if not 0 <= votes.stamp_ns < _LATEST_NS:
-            raise ImageError(
-                f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, which is not in 1970 to 2106"
-            )
+            raise ImageError(f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, outside 1970 to 2106")
         errors = self._errors_of.get(votes.source, self._errors)
         frame = frame_evidence(votes, self._forms, errors, self.rules, self._stands)
         if len(frame) == 0:
@@ -159,7 +157,7 @@ class EvidenceMap:
         if cells.shape != self.geometry.shape:
             raise ImageError(f"burned cells of shape {cells.shape} do not fit a fuel grid of {self.geometry.shape}")
         if not 0 <= stamp_ns < _LATEST_NS:
-            raise ImageError(f"a burn has the stamp {stamp_ns} ns, which is not in 1970 to 2106")
+            raise ImageError(f"a burn has the stamp {stamp_ns} ns, outside 1970 to 2106")
         second = max(stamp_ns // 10**9, 1)
         fresh = cells & (self._state["burned_at"] < second)
         self._forget(fresh)
@@ -293,5 +291,5 @@ class EvidenceMap:
     def _slices(self, window: Window) -> tuple[slice, slice]:
         row, col, height, width = window
         if row < 0 or col < 0 or row + height > self.geometry.height or col + width > self.geometry.width:
-            raise RasterError(f"window {window} is not inside a fuel grid of {self.geometry.shape}")
+            raise RasterError(f"window {window} is not within a fuel grid of {self.geometry.shape}")
         return slice(row, row + height), slice(col, col + width)

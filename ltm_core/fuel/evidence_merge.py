@@ -164,9 +164,7 @@ def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
 
 def _merge_into_tile(tile: Tile, other: Tile) -> None:
     if not np.array_equal(tile["burned_at"], other["burned_at"]):
-        raise ArchiveError(
-            "evidence that knows of different burns cannot be merged: tell all burns to every part before its frames"
-        )
+        raise ArchiveError("parts with different burns cannot be merged: add all burns to every part before its frames")
     merge_cells(*(tile[name] for name in _MERGED), *(other[name] for name in _MERGED))
 
 
@@ -176,7 +174,7 @@ def _distinct(camera: str, parts: list[Int64Array]) -> Int64Array:
     twice = found[counts > 1]
     if len(twice):
         raise ArchiveError(
-            f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in two parts that are to "
-            "be merged and would count twice; merge each result once"
+            f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in two parts and would "
+            "count twice; merge each result once"
         )
     return found

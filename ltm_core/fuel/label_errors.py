@@ -78,7 +78,9 @@ class _ErrorsFile(StrictModel):
     def _names_are_life_forms(self) -> _ErrorsFile:
         for form, row in (self.shares or {}).items():
             if strange := [name for name in (form, *row) if name not in _NAMES]:
-                raise ValueError(f"shares.{form}: {', '.join(strange)} is no life form; they are {', '.join(_NAMES)}")
+                raise ValueError(
+                    f"shares.{form}: {', '.join(strange)} not a life form; life forms are {', '.join(_NAMES)}"
+                )
             if min(row.values(), default=0) < 0 or not sum(row.values()) > 0:
                 raise ValueError(f"shares.{form}: shares must be 0 or more, not all 0; got {row}")
         return self

@@ -141,7 +141,7 @@ def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
             stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
             areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
         except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise ConfigError(f"{place}: is no area ({type(error).__name__}: {error})") from error
+            raise ConfigError(f"{place}: not an area ({type(error).__name__}: {error})") from error
     burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
     return [burn for burn in burns if len(burn.cells)]
 
@@ -154,16 +154,18 @@ def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
 def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
     kinds = {"Polygon": lambda found: [found], "MultiPolygon": list}
     if shape["type"] not in kinds:
-        raise ConfigError(f"{place}: is a {shape['type']}; what burned is a Polygon or MultiPolygon")
+        raise ConfigError(f"{place}: is a {shape['type']}; a burned area must be a Polygon or MultiPolygon")
     found = []
     for rings in kinds[shape["type"]](shape["coordinates"]):
         turned = []
         for ring in rings:
             points = np.asarray([point[:2] for point in ring], np.float64)
             if len(points) < 4:
-                raise ConfigError(f"{place}: a ring of {len(points)} points; it needs four, the last as the first")
+                raise ConfigError(
+                    f"{place}: a ring of {len(points)} points; give at least four, the last equal to the first"
+                )
             if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
-                raise ConfigError(f"{place}: points are longitude and latitude, in this order, degrees")
+                raise ConfigError(f"{place}: points must be [longitude, latitude] in degrees")
             x, y = turn.transform(points[:, 0], points[:, 1])
             turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
         if not turned:
@@ -181,5 +183,5 @@ def _stamp_ns(text: Any, place: str) -> int:
         ) from error
     stamp_ns = stamp_of_moment(moment)
     if not 0 <= stamp_ns < _LATEST_NS:
-        raise ConfigError(f"{place}: burned at {text}, which is not in 1970 to 2105")
+        raise ConfigError(f"{place}: burned at {text}, outside 1970 to 2105")
     return stamp_ns

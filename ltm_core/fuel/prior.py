@@ -129,7 +129,7 @@ class FuelPrior:
             if band is not None and band.shape != wanted:
                 raise RasterError(f"{name} of shape {band.shape} do not fit a fuel grid of {shape}")
         if not (self.codes != NODATA).any():
-            raise RasterError("the prior fuel map holds no code at all on the fuel grid: does it lie elsewhere?")
+            raise RasterError("the prior fuel map has no code on the fuel grid; check that it covers the site")
 
 
 def system_of(prior: FuelPrior | None) -> FuelSystem:

@@ -105,11 +105,11 @@ def _bands_of(config: PriorConfig) -> dict[str, _Band]:
         return _bands_of_folder(config.path, {name: _Band(path) for name, path in config.files().items()})
     if config.files():
         raise RasterError(
-            f"{config.path}: is no folder, so that {', '.join(config.files())} cannot be named beside it; name all "
+            f"{config.path}: not a folder, so {', '.join(config.files())} cannot be given with it; name all "
             "files, or a folder"
         )
     if not is_there(config.path):
-        raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
+        raise RasterError(f"{config.path}: no such file (prior fuel map of the site)")
     with open_raster(config.path) as source:
         count, is_lcp = source.count, source.driver == "LCP"
         tags = [source.tags(band) for band in range(1, count + 1)] if count in _BAND_COUNTS else []
@@ -137,7 +137,7 @@ def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Ban
         found = _files_of(name, files)
         if len(found) > 1 and name != "elevation":
             raise RasterError(
-                f"{folder}: {', '.join(p.name for p in found)} may all be {name}; name the one: `fuel: {{prior: "
+                f"{folder}: {', '.join(p.name for p in found)} could all be {name}; name one: `fuel: {{prior: "
                 f"{{path: {folder.name}, {name}: {folder.name}/{found[0].name}}}}}`"
             )
         if found:
@@ -145,8 +145,8 @@ def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Ban
     if not {"fbfm40", "fbfm13"} & bands.keys():
         there = ", ".join(p.name for p in files) or "no raster"
         raise RasterError(
-            f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); it has {there}: where one of "
-            f"these holds them, name it: `fuel: {{prior: {{path: {folder.name}, fbfm40: FILE}}}}`"
+            f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); found {there}: if one of "
+            f"these contains them, name it: `fuel: {{prior: {{path: {folder.name}, fbfm40: FILE}}}}`"
         )
     return bands
 
@@ -175,7 +175,7 @@ def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
     usual = "0" if name == "elevation" else "3"
     unit = next((value for key, value in tags.items() if key.endswith("_UNIT")), usual)
     if unit not in _LCP_FACTORS[name]:
-        raise RasterError(f"{path}: its {name} has the unit {unit}, which the format does not know")
+        raise RasterError(f"{path}: its {name} has the unknown unit {unit}")
     return _LCP_FACTORS[name][unit]
 
 
@@ -186,10 +186,10 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
 
     with open_raster(band.path) as source:
         if source.crs is None and crs is None:
-            raise RasterError(f"{band.path}: the raster carries no CRS; name it with `fuel: {{prior: {{crs: ...}}}}`")
+            raise RasterError(f"{band.path}: the raster has no CRS; give it with `fuel: {{prior: {{crs: ...}}}}`")
         kind = np.dtype(source.dtypes[band.band - 1])
         if kind.kind not in "iu" and not (kind.kind == "f" and band.band == 1):
-            raise RasterError(f"{band.path}: band {band.band} is {kind}, codes and canopy are whole numbers")
+            raise RasterError(f"{band.path}: band {band.band} is {kind}; codes and canopy must be integers")
         options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
         with WarpedVRT(
             source,
@@ -223,7 +223,7 @@ def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str)
     values, counts = np.unique(codes[~known], return_counts=True)
     strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[:5], counts[:5], strict=True))
     raise RasterError(
-        f"{path}: holds codes that {system} does not have: {strange}; if they mark what is no fuel (ELMFIRE: 256 for "
-        "buildings), take them for unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`, or for built-up land: "
-        "`unknown_codes: built`, or let them pass into exports: `unknown_codes: keep`"
+        f"{path}: contains codes that {system} does not define: {strange}; if they mark non-fuel (ELMFIRE: 256 for "
+        "buildings), read them as unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`, or as built-up land: "
+        "`unknown_codes: built`, or copy them into exports: `unknown_codes: keep`"
     )

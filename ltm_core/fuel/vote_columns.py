@@ -65,7 +65,8 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
     names = checked_names(class_names)
     if votes.counts.shape[1] != len(names):
         raise MessageError(
-            f"votes of {votes.source} count {votes.counts.shape[1]} classes, {len(names)} are named: {', '.join(names)}"
+            f"votes of {votes.source} count {votes.counts.shape[1]}classes, but {len(names)} are named: "
+            f"{', '.join(names)}"
         )
     centres = votes.centres()
     columns: Columns = {axis: centres[:, i] for i, axis in enumerate(_AXES)}
@@ -149,14 +150,15 @@ def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: st
     if not centred.all():
         first = int(np.argmin(centred))
         raise MessageError(
-            f"{what}: point {first} at ({x[first]}, {y[first]}) is no cell's centre: sender and receiver use "
+            f"{what}: point {first} at ({x[first]}, {y[first]}) is not a cell centre: sender and receiver use "
             "different fuel grids"
         )
     steps = np.diff(rows.astype(np.int64) * geometry.width + cols)
     if (steps <= 0).any():
         first = int(np.argmax(steps <= 0)) + 1
         raise MessageError(
-            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which comes twice or out of row-major order"
+            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which is duplicated or not in "
+            "row-major order"
         )
     return rows, cols
 

@@ -47,13 +47,13 @@ class CellVotes:
         n = len(self.rows)
         if self.cols.shape != (n,) or self.z.shape != (n,) or self.counts.ndim != 2 or len(self.counts) != n:
             raise ImageError(
-                f"votes of {self.source} disagree in length: {n} rows, {self.cols.shape} columns, "
+                f"votes of {self.source} differ in length: {n} rows, {self.cols.shape} columns, "
                 f"{self.counts.shape} counts, {self.z.shape} heights"
             )
         if self.confidence is not None and self.confidence.shape != (n,):
-            raise ImageError(f"votes of {self.source} for {n} cells carry confidence of {self.confidence.shape}")
+            raise ImageError(f"votes of {self.source} for {n} cells have confidence of shape {self.confidence.shape}")
         if self.visibility is not None and len(self.visibility) != n:
-            raise ImageError(f"votes of {self.source} for {n} cells carry {len(self.visibility)} visibilities")
+            raise ImageError(f"votes of {self.source} for {n} cells have {len(self.visibility)} visibilities")
         inside = self.geometry.contains(self.rows, self.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -150,7 +150,7 @@ class VoteCaster:
         images: list[tuple[str, NDArray[Any] | None]] = [("labels", labels), ("distances", distance)]
         for name, image in [*images, ("confidence", confidence)]:
             if image is not None and image.shape != shape:
-                raise ImageError(f"{name} of {image.shape} and a camera of {shape} of {source} are not of one image")
+                raise ImageError(f"{name} of {image.shape} does not match the camera of {shape} of {source}")
         # Here, for who only passes votes on (the uplink, the viewer) needs no numba.
         from ltm_core.fuel.vote_kernel import sum_pixels
 

@@ -101,7 +101,9 @@ class Camera:
         if not all(math.isfinite(v) for v in values):
             raise CameraError(f"camera intrinsics must be finite, got {values}")
         if max(map(abs, self.distortion)) > 1e15:  # beyond it the model's own terms overflow
-            raise CameraError(f"distortion {self.distortion} is no lens's; it is (k1, k2, p1, p2, k3) of plumb_bob")
+            raise CameraError(
+                f"distortion {self.distortion} is not that of a lens; give (k1, k2, p1, p2, k3) of plumb_bob"
+            )
         if not (1 <= self.width <= MOST_A_SIDE and 1 <= self.height <= MOST_A_SIDE):
             raise CameraError(f"camera images have 1 to {MOST_A_SIDE} pixels a side, got {self.width} x {self.height}")
         if self.fx <= 0 or self.fy <= 0:

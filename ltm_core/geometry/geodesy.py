@@ -105,7 +105,7 @@ def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0
     }
     epoch = 5 * math.floor(year / 5)
     if epoch not in epochs:
-        raise ConfigError(f"no World Magnetic Model for {on}: the models cover 2010-2029; give true-north azimuths")
+        raise ConfigError(f"no World Magnetic Model for {on}; the models cover 2010-2029; give true-north azimuths")
     model = GeoMag(coefficients_file=epochs[epoch])
     return float(model.calculate(glat=lat, glon=lon, alt=height / 1000, time=year).d)
 

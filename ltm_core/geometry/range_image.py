@@ -79,7 +79,7 @@ class RangeImage:
     def cells(self) -> Int32Array:
         """The DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's img-DEM."""
         if self.geometry is None:
-            raise ImageError("this range image was made without a raster, so it has no cells")
+            raise ImageError("this range image has no raster, so it has no cells")
         points = self.points()
         seen = np.isfinite(points[..., 0])
         row, col = self.geometry.cell_of(np.where(seen, points[..., 0], 0), np.where(seen, points[..., 1], 0))

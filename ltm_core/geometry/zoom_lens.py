@@ -59,8 +59,8 @@ class LensConfig(StrictModel):
         for a, b in zip(self.zoom, self.zoom[1:], strict=False):
             if not (a.zoom < b.zoom and a.hfov_deg > b.hfov_deg):
                 raise ValueError(
-                    f"zoom goes from wide to long: {a.zoom:g} with {a.hfov_deg:g} deg and {b.zoom:g} with "
-                    f"{b.hfov_deg:g} deg do not"
+                    f"the field of view must fall with zoom: {a.zoom:g} with {a.hfov_deg:g} deg and {b.zoom:g} with "
+                    f"{b.hfov_deg:g} deg"
                 )
         return self
 

@@ -70,7 +70,7 @@ def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], con
     """The head that explains the samples best under the ridge."""
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
-        raise ImageError("no pixel of a known class in any photo: name areas in them first")
+        raise ImageError("no labelled pixel in any photo; label areas first")
     scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
     weight = np.concatenate([class_weights(s, config.rarity) for s in samples])
     weight /= weight.sum()

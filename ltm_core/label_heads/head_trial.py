@@ -96,17 +96,17 @@ def teach_head(
     """
     manifest = segmenter.manifest
     if not manifest.maps:
-        raise ModelError(f"model {manifest.name!r} states no decoder maps in its manifest; heads need them")
+        raise ModelError(f"model {manifest.name!r} has no decoder maps in its manifest; label heads need them")
     ids = [segmenter.labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes]
     if ids != list(range(len(ids))):
         raise ModelError(
-            f"model {manifest.name!r}: a head needs a network whose classes are the labels, in their order"
+            f"model {manifest.name!r}: a label head needs a network whose classes are the labels, in order"
         )
     photos = len(frames)
     if photos < 2 and not one_view:
         raise ModelError(
-            "one photo cannot both teach a head and judge it; name areas in a photo of another site too, or say that "
-            "the head is for this view alone (--one-view)"
+            "one photo cannot both train and test a label head; label a photo of another site too, or "
+            "restrict the label head to this view (--one-view)"
         )
     rng = np.random.default_rng(_SEED)
     sites = sites_of(list(frames))
@@ -119,7 +119,7 @@ def teach_head(
     counted = _shared(samples)
     if not counted:
         where = "areas" if one_view else "photos of two sites"
-        raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
+        raise ModelError(f"no class is labelled in two {where}, so nothing can be tested; label more areas")
     rules = withdrawal or Withdrawal()
 
     def taught(by: Sequence[PhotoSamples]) -> LabelHead:

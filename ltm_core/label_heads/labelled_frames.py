@@ -69,8 +69,8 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
         frames.sort(key=lambda frame: frame.path.name)
     if not frames:
         raise RecordingError(
-            f"{folder}: no frames; expected pictures NNNN.png or .jpg with NNNN{LABELS_SUFFIX} beside them, or "
-            f"{POLYGONS_FILE} that names areas of them"
+            f"{folder}: no frames; expected images NNNN.png or .jpg with NNNN{LABELS_SUFFIX} beside them, or "
+            f"{POLYGONS_FILE} that labels areas in them"
         )
     return frames
 
@@ -113,10 +113,10 @@ def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: in
     check_picture(photo)
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     if image is None:
-        raise ImageError(f"{photo}: cannot be read as a picture, though {source} names areas of it")
+        raise ImageError(f"{photo}: cannot be read as an image, but {source} labels areas in it")
     labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
     if ((labels >= classes) & (labels != UNLABELLED)).any():
-        raise ImageError(f"{source}: names a class of {photo.name} that is none of the first {classes}")
+        raise ImageError(f"{source}: a class of {photo.name} is not among the first {classes}")
     return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), labels, photo)
 
 
@@ -124,7 +124,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     labels = cv2.imread(str(truth), cv2.IMREAD_UNCHANGED)
     if image is None or labels is None:
-        raise ImageError(f"{photo if image is None else truth}: cannot be read as a picture; render the frame again")
+        raise ImageError(f"{photo if image is None else truth}: cannot be read as an image; render the frame again")
     if sampled:
         labels = _spread(labels, image.shape[0], image.shape[1])
     if labels.shape != image.shape[:2] or labels.dtype != np.uint8:
@@ -132,7 +132,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     ids = np.unique(labels)
     wrong = ids[(ids >= classes) & (ids < LAND)]
     if wrong.size:
-        raise ImageError(f"{truth}: holds label {wrong[0]}, expected ids below {classes} or {UNLABELLED}")
+        raise ImageError(f"{truth}: contains label {wrong[0]}; expected ids below {classes} or {UNLABELLED}")
     return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), np.asarray(labels, np.uint8), photo)
 
 

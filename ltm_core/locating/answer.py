@@ -62,7 +62,7 @@ def place_views(
     """
     target = np.asarray(place, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():
-        raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}: is it on the DEM?")
+        raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}; check that it is on the DEM")
     return [_view(sight, camera, target, extent) for camera in cameras]
 
 

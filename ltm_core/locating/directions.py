@@ -75,7 +75,7 @@ def marked_directions(
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
-        raise RegionError(f"pixel ({u:g}, {v:g}) lies beyond the lens's model: no ray goes through it; check k1 to k3")
+        raise RegionError(f"pixel ({u:g}, {v:g}) is outside the lens model and has no ray; check k1 to k3")
     d = rays @ pose.rotation.T
     level = np.hypot(d[:, 0], d[:, 1])
     slope = d[:, 2] / np.maximum(level, 1e-12)
@@ -83,7 +83,7 @@ def marked_directions(
     if steep.any():
         u, v = mark.pixels[steep][0]
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) looks {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
+            f"pixel ({u:g}, {v:g}) is {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
             f"only directions within {STEEPEST_DEG:g} degrees of it are located"
         )
     first = np.arctan2(d[0, 0], d[0, 1])
@@ -106,8 +106,8 @@ def marked_directions(
     found = MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
     if not found.azimuth_sigma < math.radians(LEAST_KNOWN_DEG):
         raise RegionError(
-            f"the mark's azimuth is known to {math.degrees(found.azimuth_sigma):.3g} degrees, sigma; more than "
-            f"{LEAST_KNOWN_DEG:g} locates nothing: check the pose's covariance"
+            f"the azimuth of the mark has a sigma of {math.degrees(found.azimuth_sigma):.3g} degrees; with more than "
+            f"{LEAST_KNOWN_DEG:g} nothing can be located: check the pose covariance"
         )
     return found
 
@@ -128,7 +128,7 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
         columns.append(both / step)
     jacobian = np.stack(columns, axis=-1)
     if not np.isfinite(jacobian).all() or (np.abs(np.linalg.det(jacobian)) < 1e-9).any():
-        raise RegionError("the region lies at the fold of the lens's model, where pixels have no direction; check k1")
+        raise RegionError("the region is at the edge of the lens model, where pixels have no direction; check k1")
     return np.asarray(np.linalg.inv(jacobian), np.float64)
 
 

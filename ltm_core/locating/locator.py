@@ -107,7 +107,7 @@ class Locator:
         camera under the ground or a covariance that is none.
         """
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
-            raise RegionError(f"1 to {MOST_SIGHTINGS} sightings are located at once, got {len(sightings)}")
+            raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")
         terrain = LocatingTerrain(self.dem, self.bend, self.config, smoke)
         names = list(dict.fromkeys(sighting.name for sighting in sightings))
         sights = [terrain.look(sighting) for sighting in sightings]
@@ -145,7 +145,7 @@ class Locator:
 def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
     posterior = Posterior.of_raster(fused.weight, fused.window)
     if posterior is None:
-        raise RegionError("no place on the map is possible for all sightings: they show different things")
+        raise RegionError("no place on the map fits all sightings; they show different objects")
     lift = float(posterior.probability @ fused.lift[posterior.rows, posterior.cols])
     return Location(posterior, fused.least, agreement, lift)
 

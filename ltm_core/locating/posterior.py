@@ -191,7 +191,7 @@ def read_mask(path: Path, camera: Camera) -> BoolArray:
         mask = np.asarray(source.convert("L")) > 0
     if mask.shape != (camera.height, camera.width):
         raise RegionError(
-            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, the camera's pictures have "
+            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, but the camera's images have "
             f"{camera.width} x {camera.height}"
         )
     return mask

@@ -75,11 +75,11 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
     u, v = place
     if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) is not in the picture of {camera.width} x {camera.height}; (0, 0) is the centre of "
+            f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}; (0, 0) is the centre of "
             "its top-left pixel"
         )
     if _masked(camera, place[None], mask)[0]:
-        raise RegionError(f"pixel ({u:g}, {v:g}) is masked: what it shows is not to be located")
+        raise RegionError(f"pixel ({u:g}, {v:g}) is masked and cannot be located")
     return ImageMark(place[None], np.ones(1), np.full((1, 2), sigma))
 
 
@@ -123,13 +123,13 @@ def marked_polygon(
     u_high, v_high = points.max(axis=0)
     if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
         raise RegionError(
-            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is not in the picture of "
+            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is outside the image of "
             f"{camera.width} x {camera.height}"
         )
     if v_high >= camera.height - 1:
         raise RegionError(
-            f"the region's lower edge is cut off by the picture's (row {v_high:g} of {camera.height}): its foot may be "
-            "out of view; turn the camera down, or mark the foot as a pixel"
+            f"the region touches the image's lower edge (row {v_high:g} of {camera.height}), so its base may be "
+            "out of view; turn the camera down, or mark the base as a pixel"
         )
     left, right = max(u_low, 0.0), min(u_high, camera.width - 1.0)
     columns = np.linspace(left, right, _COLUMNS) if right - left > sigma else np.array([(left + right) / 2])
@@ -139,7 +139,7 @@ def marked_polygon(
     pixels = np.column_stack([columns, edge])
     kept = ~_masked(camera, pixels, mask) if len(pixels) else np.zeros(0, np.bool_)
     if not kept.any():
-        raise RegionError("the region's lower edge is masked, or above the picture: there is nothing to locate")
+        raise RegionError("the region's lower edge is masked or above the image; nothing can be located")
     spacing = (right - left) / max(1, _COLUMNS - 1)
     height = float(v_high - v_low)
     weights = np.ones(len(pixels))
@@ -169,7 +169,7 @@ def _masked(camera: Camera, pixels: Float64Array, mask: BoolArray | None) -> Boo
     if mask is None:
         return np.zeros(len(pixels), np.bool_)
     if mask.shape != (camera.height, camera.width):
-        raise RegionError(f"a mask of shape {mask.shape} does not fit a picture of {camera.height} x {camera.width}")
+        raise RegionError(f"a mask of shape {mask.shape} does not fit an image of {camera.height} x {camera.width}")
     col = np.clip(np.rint(pixels[:, 0]), 0, camera.width - 1).astype(np.int64)
     row = np.clip(np.rint(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
     return np.asarray(mask[row, col], np.bool_)

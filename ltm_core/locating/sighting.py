@@ -186,7 +186,7 @@ class LocatingTerrain:
             return
         name, fan = sight.name, sight.fan
         if not np.isfinite(fan.heights).any():
-            raise RegionError(f"{name}: no terrain is known in the direction of the mark; is the DEM large enough?")
+            raise RegionError(f"{name}: no known terrain in the direction of the mark; check the extent of the DEM")
         with np.errstate(invalid="ignore"):
             slopes = (fan.heights - sight.position[2]) / fan.ranges - self.bend * fan.ranges
         highest, lowest = float(np.nanmax(slopes)), float(np.nanmin(slopes))
@@ -196,14 +196,14 @@ class LocatingTerrain:
             what = "smoke that stands clear of the ground" if self.smoke else "sky"
             raise RegionError(
                 f"{name}: the mark shows {what}: it is {above:.1f} degrees above the highest ground known there; mark "
-                + ("its foot, or where it rises from a ridge" if self.smoke else "a place on the ground")
+                + ("its base, or where it rises from a ridge" if self.smoke else "a place on the ground")
             )
         near = fan.ranges < self.config.min_range
         if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
             raise RegionError(
-                f"{name}: the mark shows ground nearer than {self.config.min_range:g} m, too near to be located"
+                f"{name}: the mark is on ground nearer than {self.config.min_range:g} m, too near to be located"
             )
-        raise RegionError(f"{name}: the mark shows ground that the terrain model does not know (a hole, or its edge)")
+        raise RegionError(f"{name}: the mark is on unknown terrain (a hole or the edge of the DEM)")
 
 
 def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:

@@ -303,5 +303,5 @@ def _area(cells: BoolArray, coverage: CoverageMap) -> str:
 
 def _sheet(maps: Mapping[str, RgbImage]) -> RgbImage:
     if not maps:
-        raise ImageError("no camera has seen any cell of the fuel map: there is no coverage to draw")
+        raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])

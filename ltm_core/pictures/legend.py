@@ -83,10 +83,10 @@ def to_png(picture: RgbImage) -> bytes:
 
 def _encode(picture: RgbImage, suffix: str, options: list[int]) -> bytes:
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or picture.size == 0:
-        raise ImageError(f"a picture must be (H, W, 3) uint8 RGB, got {picture.shape} {picture.dtype}")
+        raise ImageError(f"an image must be (H, W, 3) uint8 RGB, got {picture.shape} {picture.dtype}")
     done, data = cv2.imencode(suffix, np.ascontiguousarray(picture[..., ::-1]), options)
     if not done:
-        raise ImageError(f"OpenCV could not write a picture of {picture.shape} as {suffix}")
+        raise ImageError(f"OpenCV could not write an image of {picture.shape} as {suffix}")
     return bytes(data)
 
 

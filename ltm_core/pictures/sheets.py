@@ -71,7 +71,7 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
 def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, gap: int = 14) -> RgbImage:
     """A sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
     if not pictures or columns < 1:
-        raise ImageError(f"a panel needs at least one picture and one column, got {len(pictures)} and {columns}")
+        raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
     size = max(13, round(width / 42))
     title = round(size * 1.8)
     columns = min(columns, len(pictures))

@@ -54,7 +54,7 @@ class PosedImage:
         if self.image.shape != expected or self.image.dtype != np.uint8:
             raise ImageError(
                 f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
-                f"its calibration says {expected} uint8"
+                f"its calibration expects {expected} uint8"
             )
 
 

@@ -148,7 +148,7 @@ def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkMani
     encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
     model = config.model or site.depth_model
     if not model:
-        raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
+        raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
     return NetworkManifest.find(model).serving(site.camera(camera).label_head)
 
 

@@ -49,7 +49,7 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
         return given_terrain(site)
     entry = versions.manifest().entry(name)
     if entry is None:
-        raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+        raise StoreError(f"{versions.folder}: no confirmed surface {name!r}; old ones are deleted")
     # The version first: a follower tries a damaged file again and again, and must not read the rasters each time.
     surface = versions.load(entry)
     given = given_terrain(site)
@@ -165,16 +165,18 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
     Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
     """
     if site.terrain is None:
-        raise ConfigError(f"site {site.name} has no section `terrain`; {path} needs that of the site that made it")
+        raise ConfigError(f"site {site.name} has no section `terrain`; use the site file that created {path}")
     if not is_file(path):
-        raise ConfigError(f"{path}: no such file; a terrain store is terrain.sqlite in the folder that keeps the map")
+        raise ConfigError(f"{path}: no such file; the terrain store is terrain.sqlite in the folder of the map")
     bare = site.open_dem()
     surface = site.open_surface(bare) if site.surface is not None else None
     reference = Reference.of(bare, surface, site.terrain.resolution)
     store = TileStore.open_read_only(path, KIND)
     if differences := schema_of(site.in_crs(reference.geometry)).differences(store.schema):
         store.close()
-        raise ConfigError(f"{path}: not a terrain of site {site.name}: {differences}; name the site that made it")
+        raise ConfigError(
+            f"{path}: not a terrain of site {site.name}: {differences}; use the site file that created it"
+        )
     return SurfaceMap(reference, site.terrain, tuple(site.cameras), store, site.curvature, site.refraction)
 
 
@@ -186,7 +188,7 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
     try:
         files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
     except OSError as error:
-        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
+        raise StoreError(f"{error.filename}: {error.strerror}; correct `dem` in the site file") from error
     ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
     lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
     return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()

@@ -110,8 +110,8 @@ def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridG
     row1, col1 = min(row1, whole.height - 1), min(col1, whole.width - 1)
     if row1 <= row0 or col1 <= col0:
         raise RasterError(
-            f"{path}: covers {tuple(round(v) for v in whole.bounds)} in {whole.crs}, nothing of "
-            f"{tuple(round(v) for v in bounds)}: it is not around this site"
+            f"{path}: covers {tuple(round(v) for v in whole.bounds)} in {whole.crs}, which does not overlap "
+            f"{tuple(round(v) for v in bounds)}; give a DEM of this site"
         )
     return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
 
@@ -179,7 +179,7 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
         raise RasterError(f"{path}: unknown CRS {given!r}: give an EPSG code such as EPSG:32611 ({error})") from error
     crs = named if stated is None else CRS.from_user_input(stated)
     if crs is None:
-        raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
+        raise RasterError(f"{path}: the raster has no CRS; give it with --crs or `dem: {{crs: EPSG:...}}`")
     for axis in crs.axis_info[2:]:
         if axis.unit_name != "metre":
             raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; {_TO_METRES}")
@@ -218,7 +218,7 @@ class Dem:
         if min(elevation.shape) < 2:
             raise RasterError(f"a DEM needs at least 2 x 2 heights to span a surface, got {elevation.shape}")
         if not any(np.isfinite(row).any() for row in elevation):  # no mask of the whole raster
-            raise RasterError("the DEM holds no height at all: every cell is nodata")
+            raise RasterError("the DEM has no height: every cell is nodata")
         object.__setattr__(self, "elevation", elevation)
 
     @property

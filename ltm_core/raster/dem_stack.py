@@ -193,7 +193,7 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
         raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")
     if a.resolution > b.resolution:
         raise RasterError(
-            f"a stack's rasters go from fine to coarse, but one of {a.resolution:g} m stands before one of "
+            f"a stack's rasters go from fine to coarse, but one of {a.resolution:g} m comes before one of "
             f"{b.resolution:g} m"
         )
     west, north, east, south = _excess(a, b)

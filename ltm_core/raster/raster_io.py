@@ -50,7 +50,10 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 def _check_bands(source: Any, path: Path | str) -> None:
     """Raises RasterError."""
     if source.count > MOST_BANDS:
-        raise RasterError(f"{path}: has {source.count} bands, at most {MOST_BANDS}; cut out the one that is meant (-b)")
+        raise RasterError(
+            f"{path}: has {source.count} bands, at most {MOST_BANDS} are supported; extract the one you need "
+            "(gdal_translate -b)"
+        )
 
 
 def _check_rows(source: Any, path: Path | str) -> None:
@@ -61,13 +64,13 @@ def _check_rows(source: Any, path: Path | str) -> None:
 
     size = Path(path).stat().st_size if is_file(Path(path)) else None
     if size is not None and 2 * source.width > size + 1:
-        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; fetch it again")
+        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; download it again")
     for row in range(source.height):
         try:
             source.read(1, window=Window(0, row, source.width, 1))
         except RasterioError as error:
             raise RasterError(
-                f"{path}: row {row + 1} of {source.height} is missing or holds what is no number; fetch it again"
+                f"{path}: row {row + 1} of {source.height} is missing or not numeric; download it again"
             ) from error
 
 
@@ -80,7 +83,7 @@ def _check_is_data(path: Path) -> None:
     except OSError:
         return  # a folder, or GDAL's name of a part of a file; what is not there GDAL says best
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"<", b"{") and b"<VRTDataset" not in head:
-        raise RasterError(f"{path}: not a raster but a text that names other places ({head[:40]!r}); give the raster")
+        raise RasterError(f"{path}: not a raster but a text file ({head[:40]!r}); give the raster itself")
 
 
 def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
@@ -94,8 +97,8 @@ def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
     # A VRT holds nothing itself, and names files that may be elsewhere.
     if cells > MOST_CELLS or (source.driver != "VRT" and cells > size * _MOST_FOR_A_BYTE):
         raise RasterError(
-            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells are read, "
-            f"and {_MOST_FOR_A_BYTE} for each byte: cut it to the site (gdalwarp -te)"
+            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells, "
+            f"and {_MOST_FOR_A_BYTE} per byte, are read: clip it to the site (gdalwarp -te)"
         )
 
 
@@ -122,7 +125,7 @@ def write_geotiff(
     from rasterio.windows import Window
 
     if geometry.crs is None:
-        raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
+        raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster has none")
     bands = array if array.ndim == 3 else array[None]
     if bands.shape[1:] != geometry.shape:
         raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")

@@ -122,7 +122,7 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
     """
     step = max(1, round(image[1] / shape[1]))
     if (-(-image[0] // step), -(-image[1] // step)) != tuple(shape):
-        raise ImageError(f"truth of {shape} is no sampling of an image of {image}")
+        raise ImageError(f"truth of {shape} is not a sampling of an image of {image}")
     if depth.shape == shape:
         return depth
     if depth.shape == image:

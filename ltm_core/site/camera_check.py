@@ -32,7 +32,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         pose = config.pose.pose(dem, site.frame) if config.pose is not None else None
         if camera is not None and camera.width * camera.height > site.limits.pixels:
             raise PoseError(
-                f"calibration of {camera.width} x {camera.height} pixels, at most {site.limits.pixels} are taken: "
+                f"calibration of {camera.width} x {camera.height} pixels, the limit is {site.limits.pixels}: "
                 "raise pixels under `limits`"
             )
     except LtmError as error:
@@ -143,7 +143,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
         lens = mount.lens
         if lens is not None and lens.width * lens.height > site.limits.pixels:
             raise PoseError(
-                f"lens of {lens.width} x {lens.height} pixels, at most {site.limits.pixels} are taken: raise pixels "
+                f"lens of {lens.width} x {lens.height} pixels, the limit is {site.limits.pixels}: raise pixels "
                 "under `limits`"
             )
     except LtmError as error:

@@ -113,20 +113,20 @@ class CameraConfig(StrictModel):
         if len(given) > 1:
             raise ValueError(
                 f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a PTZ head (mount), "
-                "or its sensors tell where it is (sensors)"
+                "or has sensors for its pose (sensors)"
             )
         if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
-            raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
+            raise ValueError("give either calibration (fixed lens) or mount.lens (zoom), not both")
         return self
 
     @model_validator(mode="after")
     def _views_turn(self) -> Self:
         if self.view_masks and self.pose is not None:
-            raise ValueError("view_masks are of a camera that turns; one with a pose looks one way: write `mask`")
+            raise ValueError("view_masks are for a camera that turns; for a camera with a pose write `mask`")
         names = [view.name for view in self.view_masks]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"view_masks: {', '.join(twice)} stands there twice; each view has its own name")
+            raise ValueError(f"view_masks: {', '.join(twice)} is repeated; give each view its own name")
         return self
 
     @model_validator(mode="after")
@@ -134,16 +134,16 @@ class CameraConfig(StrictModel):
         if self.ptz is None:
             return self
         if self.mount is None:
-            raise ValueError("ptz needs mount: what makes a pose of what the PTZ head says")
+            raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
         if self.source is None:
-            raise ValueError("ptz needs source: a PTZ head is asked where it looks before and after each picture")
+            raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
         if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
             raise ValueError(
-                f"a patrol needs a source of kind snapshot, which is asked at each preset, not {self.source.kind}"
+                f"a patrol needs a source of kind snapshot, which is read at each preset, not {self.source.kind}"
             )
         if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
             raise ValueError(
-                f"a source of kind {self.source.kind} has no address: write that of the PTZ head as ptz.url"
+                f"a source of kind {self.source.kind} has no address: give the address of the PTZ head as ptz.url"
             )
         return self
 
@@ -184,6 +184,6 @@ class HealthConfig(StrictModel):
             raise ValueError("give certificate and key together")
         if not local and (self.certificate is None or self.token is None):
             raise ValueError(
-                f"address {self.address} is not this machine alone: give certificate, key and token, or 127.0.0.1"
+                f"address {self.address} is reachable from other hosts: give certificate, key and token, or 127.0.0.1"
             )
         return self

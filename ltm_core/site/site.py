@@ -32,7 +32,7 @@ from ltm_core.vision.manifest import DEFAULT_MODEL
 
 def _ros_name(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise ValueError(f"{name!r} becomes part of topic names: use a-z, 0-9 and _, starting with a letter")
+        raise ValueError(f"{name!r} is used in topic names: use a-z, 0-9 and _, starting with a letter")
     return name
 
 
@@ -47,7 +47,7 @@ SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "
 
 def _camera_name(name: str) -> str:
     if name in SITE_NAMES:
-        raise ValueError(f"{name!r} is a node of the site, so no camera can have this name")
+        raise ValueError(f"{name!r} is the name of a node; choose another name for the camera")
     return name
 
 
@@ -158,7 +158,7 @@ class Site(StrictModel):
         x_middle, y_middle = (terrain.x_min + terrain.x_max) / 2, (terrain.y_min + terrain.y_max) / 2
         wanted = f"[{y:.10g}, {x:.10g}]" if swapped else f"[{round(x_middle, -3):.0f}, {round(y_middle, -3):.0f}]"
         raise ConfigError(
-            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km away from the DEM, which covers "
+            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km from the DEM, which covers "
             f"{terrain.described()}: "
             + ("x and y are swapped, write " if swapped else "it must lie near the site, such as ")
             + wanted

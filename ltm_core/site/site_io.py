@@ -79,9 +79,9 @@ def _mask_file(path: Path, place: str, folder: Path) -> Path:
         file = (folder / path).resolve()
         inside = file.is_relative_to(folder)
     except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
-        raise ConfigError(f"{place}: {str(path)!r} is no file ({error})") from error
+        raise ConfigError(f"{place}: {str(path)!r} is not a file ({error})") from error
     if not inside:
-        raise ConfigError(f"{place}: {path} leads out of the site's folder; copy the mask into {folder}")
+        raise ConfigError(f"{place}: {path} is outside the site's folder; copy the mask into {folder}")
     return file
 
 
@@ -121,18 +121,16 @@ def edited(text: str, camera: str, key: str | None, section: dict[str, Any], pla
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
     if cameras is None or not isinstance(cameras, yaml.MappingNode) or cameras.flow_style or not cameras.value:
-        raise ConfigError(f"{place}: has no section `cameras:` written in lines, into which {camera} could be put")
+        raise ConfigError(f"{place}: has no multi-line section `cameras:` to add {camera} to")
     step = cameras.value[0][0].start_mark.column
     found = _value(cameras, camera)
     if found is None:
         content = section if key is None else {key: section}
         return "".join(_inserted(lines, _end(lines, cameras), _block({camera: content}, step)))
     if key is None:
-        raise ConfigError(f"{place}: has a camera {camera} already")
+        raise ConfigError(f"{place}: camera {camera} exists already")
     if not isinstance(found, yaml.MappingNode) or found.flow_style:
-        raise ConfigError(
-            f"{place}: camera {camera} is written within braces, on one line: write its keys on lines of their own"
-        )
+        raise ConfigError(f"{place}: camera {camera} is written in braces on one line: write each key on its own line")
     indent = found.value[0][0].start_mark.column if found.value else 2 * step
     old = next((pair for pair in found.value if pair[0].value == key), None)
     if old is None:
@@ -198,7 +196,7 @@ def _replace(path: Path, text: str) -> None:
         try:
             load_site(new)
         except ConfigError as error:
-            raise ConfigError(f"{path} was left as it is: {str(error).replace(str(new), 'with the change')}") from error
+            raise ConfigError(f"{path} was not changed: {str(error).replace(str(new), 'with the change')}") from error
         new.chmod(path.stat().st_mode & 0o777)
         new.replace(path)
     finally:

@@ -27,8 +27,8 @@ class SecretConfig(StrictModel):
     def _not_the_secret(cls, data: object) -> object:
         if not isinstance(data, dict):
             raise ValueError(
-                "a password does not stand in a site file: write {environment: NAME}, {file: PATH} or "
-                "{credential: NAME} (systemd), and set it there"
+                "a site file must not contain a password: write {environment: NAME}, {file: PATH} or "
+                "{credential: NAME} (systemd), and set the password there"
             )
         return data
 
@@ -79,7 +79,7 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
         raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
     if "@" in parts.netloc:
         raise ValueError(
-            "a URL in a site file holds no user and password: write them as `user: NAME` and "
+            "a URL in a site file must not contain user and password: write them as `user: NAME` and "
             "`password: {environment: NAME}` (or file, credential)"
         )
     for name, value in parse_qsl(parts.query, keep_blank_values=True):
@@ -178,7 +178,7 @@ class V4l2Config(SourceSettings):
     @classmethod
     def _device(cls, path: Path) -> Path:
         if path.parts[:2] != ("/", "dev") or ".." in path.parts:
-            raise ValueError("a camera's device lies below /dev: /dev/video0, or better /dev/v4l/by-id/...")
+            raise ValueError("give a device below /dev: /dev/video0, or better /dev/v4l/by-id/...")
         return path
 
 
@@ -211,7 +211,7 @@ class FolderConfig(SourceSettings):
     @classmethod
     def _below(cls, pattern: str) -> str:
         if not pattern or pattern.startswith("/") or ".." in pattern.split("/"):
-            raise ValueError("a pattern stays below the folder: no leading / and no ..")
+            raise ValueError("a pattern must stay below the folder: no leading / and no ..")
         return pattern
 
 
@@ -322,7 +322,7 @@ class OnvifConfig(PtzSettings):
         for name in ("pan_range_deg", "tilt_range_deg"):
             first, last = getattr(self, name)
             if first == last:
-                raise ValueError(f"{name} is from one angle to another, not {first:g} to {last:g}")
+                raise ValueError(f"{name} must go from a smaller to a larger angle, not {first:g} to {last:g}")
         return self
 
 

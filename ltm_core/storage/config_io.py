@@ -67,7 +67,7 @@ class _Bounds(_AnyLoader):
         if self.check_event(yaml.AliasEvent):
             node = super().compose_node(parent, index)
             if id(node) not in self._values:
-                raise yaml.composer.ComposerError(None, None, "an alias within what it stands for", mark)
+                raise yaml.composer.ComposerError(None, None, "an alias that contains itself", mark)
             values = self._values[id(node)]
         else:
             if len(self._open) >= LARGEST_DEPTH:
@@ -87,7 +87,7 @@ class _Bounds(_AnyLoader):
             if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
-                        "in a mapping", node.start_mark, f"the key {key.value!r} stands twice", key.start_mark
+                        "in a mapping", node.start_mark, f"the key {key.value!r} is repeated", key.start_mark
                     )
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
@@ -95,9 +95,7 @@ class _Bounds(_AnyLoader):
     def construct_scalar(self, node: Any) -> Any:
         value = super().construct_scalar(node)
         if isinstance(value, str) and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value):
-            raise yaml.constructor.ConstructorError(
-                None, None, "a character that neither names nor texts have", node.start_mark
-            )
+            raise yaml.constructor.ConstructorError(None, None, "an invalid character", node.start_mark)
         return value
 
     def construct_yaml_int(self, node: Any) -> int:
@@ -183,7 +181,7 @@ def _composed(text: str, place: str) -> yaml.Node | None:
 
 def _read(text: str, place: str, take: Callable[[_Bounds], Any]) -> Any:
     if len(text) > LARGEST_FILE:
-        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
+        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters)")
     if _FAST is not None and _ALIKE.fullmatch(text):
         with contextlib.suppress(*_BROKEN):  # said below in words that show the line
             return take(_FAST(text))

@@ -40,9 +40,9 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except FileNotFoundError as error:
-        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
+        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; create it first") from error
     except OSError as error:
-        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
+        raise ConfigError(f"{folder}: not a usable folder ({error.strerror})") from error
 
 
 def disk_bytes(path: Path) -> int:
@@ -143,7 +143,7 @@ def require_folder(folder: Path, what: str = "results") -> None:
     """Raises ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
     reason = _why_not_into(folder)
     if reason is not None:
-        raise ConfigError(f"{folder}: {what} cannot be written there ({reason}): name another folder")
+        raise ConfigError(f"{folder}: cannot write {what} ({reason}): name another folder")
 
 
 def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
@@ -153,12 +153,12 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
     """
     for file in files:
         if is_folder(file):
-            raise ConfigError(f"{file}: is a folder, {what} need the name of a file")
+            raise ConfigError(f"{file}: is a folder; give a file name for {what}")
         if is_there(file) and not overwrite:
-            raise ConfigError(f"{file}: exists already; name another place, or write over it with --overwrite")
+            raise ConfigError(f"{file}: exists already; name another file, or replace it with --overwrite")
         reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
         if reason is not None:
-            raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
+            raise ConfigError(f"{file}: cannot write {what} ({reason}): name another file")
 
 
 def _why_not_into(folder: Path) -> str | None:

@@ -40,7 +40,7 @@ def read_text(path: Path, most: int, error: type[LtmError], encoding: str = "utf
     except (OSError, ValueError) as reason:  # ValueError: a name that no file can have
         raise error(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from reason
     if len(content) > most:
-        raise error(f"{path}: cannot be read (it has more than {most} bytes: no such file is that large); split it")
+        raise error(f"{path}: cannot be read (it has more than {most} bytes); split it")
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as reason:
@@ -60,7 +60,7 @@ def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]
     try:
         return _array(BytesIO(content), len(content))
     except _BROKEN as reason:
-        raise error(f"{what} is damaged: no array of NumPy ({type(reason).__name__}: {reason})") from reason
+        raise error(f"{what} is damaged: not a NumPy array ({type(reason).__name__}: {reason})") from reason
 
 
 def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[LtmError]) -> list[NDArray[Any]]:
@@ -138,7 +138,7 @@ def read_picture(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         raise ImageError(f"{path}: cannot be read ({error})") from error
     if len(data) > LARGEST_FILE:
-        raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; send a smaller photo")
+        raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; use a smaller photo")
     return data
 
 
@@ -155,22 +155,20 @@ def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
                 if image.width * image.height > MAX_PIXELS:
                     raise ImageError(
                         f"{path}: states a size of {image.width} x {image.height}: more than "
-                        f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; send a smaller photo"
+                        f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; use a smaller photo"
                     )
                 yield image
     except UnidentifiedImageError as error:
-        raise ImageError(
-            f"{path}: cannot be read: it is no photo that can be read, of another format or cut short"
-        ) from error
+        raise ImageError(f"{path}: cannot be read: it has an unsupported format or is truncated") from error
     except BROKEN as error:
-        raise ImageError(f"{path}: cannot be read as a picture ({type(error).__name__}: {error})") from error
+        raise ImageError(f"{path}: cannot be read as an image ({type(error).__name__}: {error})") from error
 
 
 def check_picture(path: Path) -> None:
     """Before OpenCV decodes a file. Raises ImageError: no picture, or one that takes more memory than a picture."""
     with open_picture(path) as (image, data):
         if image.format == "PNG" and not png_is_whole(data):
-            raise ImageError(f"{path} ({len(data)} bytes) is cut short: its chunks state more bytes than it has")
+            raise ImageError(f"{path} ({len(data)} bytes) is truncated: its chunks state more bytes than it has")
 
 
 def png_is_whole(data: bytes) -> bool:

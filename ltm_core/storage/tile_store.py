@@ -97,7 +97,7 @@ class TileStore:
         """
         path = Path(path)
         if not path.parent.is_dir():
-            raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+            raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
         lock = lock_store(path)
         try:
             if not path.exists():
@@ -129,7 +129,7 @@ class TileStore:
         database, schema = open_store(path, read_only=True)
         if schema.kind != kind:
             database.close()
-            raise ConfigError(f"{path}: holds {schema.kind}, not {kind}")
+            raise ConfigError(f"{path}: contains {schema.kind}, not {kind}")
         return cls(database, schema, str(path), None)
 
     @classmethod

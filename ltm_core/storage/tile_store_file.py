@@ -53,7 +53,7 @@ def lock_store(path: Path) -> int:
         lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise StoreError(
-            f"{path}: the folder cannot be written ({error.strerror}); check its owner and disk"
+            f"{path}: cannot write to the folder ({error.strerror}); check its owner and the disk"
         ) from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -82,7 +82,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
         finally:
             os.close(folder)
     except OSError as error:
-        raise StoreError(f"{path}: cannot be made ({error.strerror}); check its folder and the disk") from error
+        raise StoreError(f"{path}: cannot be created ({error.strerror}); check its folder and the disk") from error
 
 
 def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
@@ -124,7 +124,7 @@ def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
         expected = ours.execute(query).fetchall()
     if (found := db.execute(query).fetchall()) != expected:
         names = ", ".join(f"{kind} {name!r:.40}" for kind, name, _ in set(found) ^ set(expected))
-        raise ConfigError(f"{path}: the store is damaged: its tables are not those of a store ({names}); restore it")
+        raise ConfigError(f"{path}: the store is damaged: unexpected tables ({names}); restore it")
 
 
 def _check_header(path: Path) -> None:
@@ -133,16 +133,18 @@ def _check_header(path: Path) -> None:
         with path.open("rb") as file:
             header = file.read(100)
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such store") from error
+        raise ConfigError(f"{path}: no such store") from error
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
     if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
-        raise ConfigError(f"{path}: not a tile store; it stays as it is: move it away or name another file")
+        raise ConfigError(f"{path}: not a tile store; it was not changed. Move it away or name another file")
     layout, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
     if application != APPLICATION_ID:
-        raise ConfigError(f"{path}: an SQLite file of another program; it stays as it is: name another file")
+        raise ConfigError(f"{path}: an SQLite file of another program; it was not changed. Name another file")
     if layout != LAYOUT:
-        raise ConfigError(f"{path}: a store of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+        raise ConfigError(
+            f"{path}: a store of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
+        )
 
 
 @contextlib.contextmanager
@@ -173,7 +175,7 @@ def checked_rows(
     for row in rows:
         if tuple(map(type, row)) != types:
             found = ", ".join(f"{value!r:.40}" for value in row)
-            raise ConfigError(f"{name}: the store is damaged: a row holds {found}; restore it from a copy")
+            raise ConfigError(f"{name}: the store is damaged: a row contains {found}; restore it from a copy")
     return rows
 
 
@@ -249,7 +251,7 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
         try:
             db.execute("INSERT INTO frames VALUES (?, ?)", (sources[frame.source], frame.stamp_ns))
         except sqlite3.IntegrityError as error:
-            raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
+            raise ValueError(f"frame {frame.stamp_ns} of {frame.source} was counted before") from error
     if keep:
         db.executemany(
             "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",

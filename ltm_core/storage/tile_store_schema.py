@@ -73,7 +73,9 @@ class StoreSchema:
 
     def __post_init__(self) -> None:
         if self.tile < 1 or not self.fields:
-            raise ConfigError(f"a tile store needs tiles of a cell or more and a field, got {self.tile}, {self.fields}")
+            raise ConfigError(
+                f"a tile store needs tiles of at least one cell and a field, got {self.tile}, {self.fields}"
+            )
 
     @property
     def tiles(self) -> tuple[int, int]:
@@ -111,7 +113,7 @@ class StoreSchema:
             raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
         size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
         if size > LARGEST_TILE:
-            raise ConfigError(f"{place}: its description states tiles of {size} bytes, at most {LARGEST_TILE} are read")
+            raise ConfigError(f"{place}: its description states tiles of {size} bytes; the limit is {LARGEST_TILE}")
         return schema
 
     def differences(self, other: StoreSchema) -> str:
@@ -143,7 +145,7 @@ class StoreSchema:
         whole = decompressed(content, sum(sizes.values()))
         if len(whole) != sum(sizes.values()):
             raise ConfigError(
-                f"the store's content is damaged: {len(whole)} bytes in place of {sum(sizes.values())}; restore it"
+                f"the store's content is damaged: {len(whole)} bytes instead of {sum(sizes.values())}; restore it"
             )
         arrays, offset = {}, 0
         for name, spec in self.fields.items():
@@ -193,11 +195,11 @@ class CellChanges:
         """`shape`: of the grid. Raises ConfigError where the bytes are damaged, or cells lie outside the grid."""
         whole = decompressed(content, prod(shape) * _CHANGE.itemsize)
         if len(whole) % _CHANGE.itemsize:
-            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes are no changes; restore it")
+            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes cannot be decoded; restore it")
         table = np.frombuffer(whole, _CHANGE)
         for name, count in zip(("row", "col"), shape, strict=True):
             if len(table) and not (table[name].min() >= 0 and table[name].max() < count):
-                raise ConfigError(f"the store's journal is damaged: a {name} is none of {count}; restore it")
+                raise ConfigError(f"the store's journal is damaged: a {name} is not below {count}; restore it")
         return cls(layer, stamp_ns, table["row"], table["col"], table["old"], table["new"])
 
 
@@ -223,7 +225,9 @@ def decompressed(content: bytes, most: int) -> bytes:
         # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
         stated = zstandard.frame_content_size(content)
         if not 0 <= stated <= most:
-            raise ConfigError(f"the store's content is damaged: it states {stated} bytes, at most {most}; restore it")
+            raise ConfigError(
+                f"the store's content is damaged: it states {stated} bytes, the limit is {most}; restore it"
+            )
         return zstandard.ZstdDecompressor().decompress(content, max_output_size=most)
     except zstandard.ZstdError as error:
         raise ConfigError(f"the store's content is damaged ({error}); restore it from a copy") from error

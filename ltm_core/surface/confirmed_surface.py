@@ -194,7 +194,7 @@ class SurfaceVersion(StrictModel):
     @model_validator(mode="after")
     def _named_by_content(self) -> SurfaceVersion:
         if not self.digest.startswith(self.version):
-            raise ValueError(f"version {self.version} does not begin its digest {self.digest}")
+            raise ValueError(f"version {self.version} is not the start of its digest {self.digest}")
         return self
 
     @property
@@ -251,7 +251,7 @@ class SurfaceManifest(StrictModel):
                 since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
                 kept = f"{KEPT} are kept, the first of {since} UTC; ask for a later moment"
             raise StoreError(
-                f"which surface counted then is forgotten: {kept}, or export bare earth as given with a site file "
+                f"the surface used at that time is not kept: {kept}, or export bare earth as given with a site file "
                 "without terrain.trace_confirmed"
             )
         return None

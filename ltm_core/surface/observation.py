@@ -95,7 +95,7 @@ class DepthFrame:
             matrix = np.asarray(self.covariance, np.float64)
             if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
                 raise PoseError(
-                    f"the pose of {self.source} has a covariance that is none: it must be a finite 6 x 6 matrix "
+                    f"the pose of {self.source} has an invalid covariance: it must be a finite 6 x 6 matrix "
                     f"without negative variances, got {matrix.tolist()}"
                 )
 

@@ -75,7 +75,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
         partial.replace(path)
     except (OSError, RasterioIOError) as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error}); name a place that can") from error
+        raise ConfigError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int]) -> list[Float32Array]:
@@ -107,7 +107,7 @@ def write_surface(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: the folder does not exist; make it first")
+        raise ConfigError(f"{folder}: the folder does not exist; create it first")
     seen = layers.last_seen > 0
     age = np.where(seen, (newest_ns // 1_000_000_000 - layers.last_seen.astype(np.int64)) / 3600, np.nan)
     change = np.where(layers.observed | (layers.change > 0), layers.change, np.uint8(UNSEEN)).astype(np.uint8)

@@ -87,7 +87,7 @@ class SurfaceMap:
         assumed_pose_error: PoseErrorConfig | None = None,
     ) -> None:
         if len(cameras) > CAMERAS:
-            raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
+            raise ConfigError(f"a terrain supports {CAMERAS} cameras, this site has {len(cameras)}; split the site")
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
         self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
         # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
@@ -139,7 +139,7 @@ class SurfaceMap:
     def add(self, frame: DepthFrame) -> Added:
         """Take a frame in. Raises ConfigError for an unknown camera, PoseError as the tracer does, StoreError."""
         if frame.source not in self.cameras:
-            raise ConfigError(f"no camera {frame.source!r}; there are {', '.join(self.cameras)}")
+            raise ConfigError(f"no camera {frame.source!r}; cameras: {', '.join(self.cameras)}")
         config = self.config
         covariance = frame.covariance
         if covariance is None:

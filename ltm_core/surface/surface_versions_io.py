@@ -85,13 +85,13 @@ class SurfaceVersions:
         except ValidationError as error:
             if later := of_later_release(content, error):
                 raise StoreError(
-                    f"{path}: a later release wrote this list of surfaces ({later}), and it stays as it is; start that "
-                    "release again, or move the folder away to begin anew"
+                    f"{path}: a later release wrote this list of surfaces ({later}); it was not changed. Start that "
+                    "release again, or move the folder away to start afresh"
                 ) from error
             problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
             raise BrokenManifestError(problem) from error
         if found.site != self.site:
-            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
+            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site its own folder")
         return found
 
     def manifest_of_writer(self) -> tuple[SurfaceManifest, str]:
@@ -106,7 +106,7 @@ class SurfaceVersions:
             try:
                 self.folder.rename(aside)
             except OSError as broken:
-                raise StoreError(f"{error}; it could not be put aside ({broken.strerror or broken})") from broken
+                raise StoreError(f"{error}; it could not be moved away ({broken.strerror or broken})") from broken
             return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
 
     def file(self, version: str) -> Path:
@@ -121,14 +121,14 @@ class SurfaceVersions:
         except OSError as error:
             raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
         if hashlib.sha256(content).hexdigest() != entry.digest:
-            raise StoreError(f"{path}: is not the file that was written as this version; take the version back")
+            raise StoreError(f"{path}: not the file written for this version; revert the version")
         try:
             surface = _of_bytes(content)
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile, RasterError) as error:
-            raise StoreError(f"{path}: holds no confirmed surface ({error}); take the version back") from error
+            raise StoreError(f"{path}: contains no confirmed surface ({error}); revert the version") from error
         if surface.geometry != self.geometry:
             raise StoreError(
-                f"{path}: of a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
+                f"{path}: has a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
                 f"has {self.geometry.shape} of {self.geometry.resolution} m: the site's DEM or terrain.resolution has "
                 "changed; move the folder away"
             )
@@ -183,7 +183,7 @@ class SurfaceVersions:
         before = self.manifest()
         entry = before.entry(before.current)
         if entry is None:
-            raise StoreError(f"{self.folder}: no confirmed surface counts; there is nothing to take back")
+            raise StoreError(f"{self.folder}: no confirmed surface is in use; nothing to revert")
         history = before.history[:-1]
         current = history[-1].version if history else AS_GIVEN
         after = before.model_copy(update={"current": current, "held": True, "history": history})

@@ -104,7 +104,7 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
             width, height = source.size
         turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(
-            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned} but the pose file's camera has "
+            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned}, but the pose file's camera has "
             f"{camera.width} x {camera.height}; give the calibration of "
             + ("the upright image" if turned else "this image size")
         )
@@ -114,7 +114,7 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
 def cell_counts(traced: RangeImage) -> UInt32Array:
     """How many pixels see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
-        raise ImageError("this range image was made without a raster, so it has no cells")
+        raise ImageError("this range image has no raster, so it has no cells")
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
     # Not by bincount: over a large raster that takes twice the DEM's own memory.

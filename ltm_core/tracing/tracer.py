@@ -259,7 +259,7 @@ class TerrainTracer:
         ceiling = self._hole_ceiling(origin)
         if ceiling is not None and z <= ceiling:
             raise PoseError(
-                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) stands in a nodata hole of the DEM, {ceiling - z:.2f} m below "
+                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is in a nodata hole of the DEM, {ceiling - z:.2f} m below "
                 f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
             )
 

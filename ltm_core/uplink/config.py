@@ -49,7 +49,7 @@ class UplinkConfig(StrictModel):
     @model_validator(mode="after")
     def _not_the_aggregator(self) -> Self:
         if self.tower == AGGREGATOR:
-            raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+            raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
         return self
 
 
@@ -88,12 +88,11 @@ class RegionConfig(StrictModel):
     def _towers_told_apart(self) -> Self:
         for tower in self.towers:
             if tower == AGGREGATOR:
-                raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+                raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
             clash = [other for other in self.towers if other.startswith(f"{tower}_")]
             if clash or self.towers.count(tower) > 1:
                 raise ValueError(
-                    f"towers {tower!r} and {(clash or [tower])[0]!r}: TOWER_CAMERA would not say whose camera it is; "
-                    "rename one"
+                    f"towers {tower!r} and {(clash or [tower])[0]!r}: TOWER_CAMERA would be ambiguous; rename one"
                 )
         return self
 

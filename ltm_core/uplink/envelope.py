@@ -53,7 +53,7 @@ def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
     if len(header) > LARGEST_HEADER or len(certificate) > LARGEST_CERTIFICATE or size > LARGEST:
         raise MessageError(
             f"a header of {len(header)}, a certificate of {len(certificate)} and a body of {len(body)} bytes "
-            f"do not fit an envelope of {LARGEST}"
+            f"exceed the envelope limit of {LARGEST}"
         )
     lengths = _LENGTHS.pack(MAGIC, len(header), len(certificate), len(body))
     return lengths + header + certificate + body
@@ -66,7 +66,7 @@ def unpacked(content: bytes) -> Envelope:
     magic, header, certificate, body = _LENGTHS.unpack_from(content)
     end = _LENGTHS.size + header + certificate + body
     if magic != MAGIC or header > LARGEST_HEADER or certificate > LARGEST_CERTIFICATE:
-        raise MessageError(f"no envelope: it begins with {content[: _LENGTHS.size]!r}")
+        raise MessageError(f"not an envelope: it begins with {content[: _LENGTHS.size]!r}")
     if not 0 < len(content) - end <= LARGEST_SIGNATURE:
         raise MessageError(f"an envelope states {end} bytes and a signature, it has {len(content)}")
     first, second = _LENGTHS.size + header, _LENGTHS.size + header + certificate
@@ -181,7 +181,7 @@ def _parsed(kind: type[HeaderT], content: bytes, what: str) -> HeaderT:
         return kind.model_validate_json(content)
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, e['loc'])) or what}: {e['msg']}" for e in error.errors()[:3])
-        raise MessageError(f"the {what} of an envelope cannot be taken: {found}") from error
+        raise MessageError(f"invalid {what} of an envelope: {found}") from error
 
 
 def _edges(geometry: GridGeometry) -> dict[str, float]:

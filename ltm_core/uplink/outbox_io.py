@@ -128,7 +128,7 @@ class Outbox:
         self.damage = ""
         """Where a damaged file was put aside and a new one begun: what that means, in words."""
         if not self._path.parent.is_dir():
-            raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; make it first")
+            raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; create it first")
         self._lock = lock_store(self._path)
         try:
             self._db = self._opened()
@@ -160,7 +160,7 @@ class Outbox:
         with transaction(self._db, str(self._path)) as db:
             for frame in frames:
                 if len(frame.message) > LARGEST_FRAME:
-                    raise ValueError(f"a frame of {len(frame.message)} bytes; {LARGEST_FRAME} at most are kept")
+                    raise ValueError(f"a frame of {len(frame.message)} bytes; the limit is {LARGEST_FRAME}")
                 row = (frame.camera, frame.stamp_ns, frame.view, frame.model, frame.message)
                 if db.execute("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, 0)", row).rowcount:
                     new, size = new + 1, size + len(frame.message)
@@ -251,7 +251,7 @@ class Outbox:
                     self._path.with_name(self._path.name + end).unlink(missing_ok=True)
                 self._path.replace(aside)
             except OSError as failed:
-                raise StoreError(f"{self._path}: cannot be moved aside ({failed.strerror}); check the disk") from failed
+                raise StoreError(f"{self._path}: cannot be moved away ({failed.strerror}); check the disk") from failed
             self.damage = f"{error}; it lies in {aside} now, what waited in it was not sent, and a new one has begun"
             return _connect(self._path)
 
@@ -306,6 +306,8 @@ def _check_header(path: Path) -> None:
         header = file.read(100)
     application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
     if not header.startswith(b"SQLite format 3\0") or application not in (0, APPLICATION_ID):
-        raise ConfigError(f"{path}: not an outbox; it stays as it is: move it away or name another folder")
+        raise ConfigError(f"{path}: not an outbox; it was not changed. Move it away or name another folder")
     if layout not in (0, LAYOUT):
-        raise ConfigError(f"{path}: an outbox of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+        raise ConfigError(
+            f"{path}: an outbox of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
+        )

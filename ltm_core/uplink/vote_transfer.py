@@ -40,17 +40,17 @@ class VoteTransfer:
         if source.resolution != target.resolution:
             raise MessageError(
                 f"the tower's fuel cells are {source.resolution:g} m wide, the region's {target.resolution:g} m: "
-                "evidence of other cells does not add up; set fuel.resolution of the tower's site"
+                "evidence of different cells cannot be added; set fuel.resolution of the tower's site"
             )
         if source.width * source.height > MOST_CELLS:
-            raise MessageError(f"the tower's fuel grid has {source.shape} cells; {MOST_CELLS} at most are taken")
+            raise MessageError(f"the tower's fuel grid has {source.shape} cells; the limit is {MOST_CELLS}")
         self.source, self._in_map = source, in_map
         self._source_frame, self._target_frame = SiteFrame(str(source.crs)), SiteFrame(str(target.crs))
         number = np.arange(source.width * source.height, dtype=np.int64).reshape(source.shape)
         try:
             from_cell = GridTransfer(source, target).layer(number, -1).ravel()
         except ProjError as error:
-            raise MessageError(f"nothing leads from {target.crs} to the tower's {source.crs} ({error})") from error
+            raise MessageError(f"no transformation from {target.crs} to the tower's {source.crs} ({error})") from error
         cells = np.flatnonzero(from_cell >= 0)
         self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
         """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
@@ -94,7 +94,5 @@ class VoteTransfer:
         own = self._source_frame.grid_convergence_deg(float(x), float(y))
         other = self._target_frame.grid_convergence_deg(float(there[0]), float(there[1]))
         if not math.isfinite(own - other):
-            raise MessageError(
-                f"{self.source.crs} is not defined where the region is: name the CRS of the tower's site"
-            )
+            raise MessageError(f"{self.source.crs} is not defined in the region: check the CRS of the tower's site")
         return np.full(len(votes), math.radians(own - other))

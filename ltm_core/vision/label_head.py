@@ -67,7 +67,7 @@ class LabelHead:
             if values.ndim != 3 or len(values) != weights.shape[1]:
                 raise ModelError(
                     f"label head {self.name!r}: map {name!r} is {values.shape}, expected ({weights.shape[1]}, h, w); "
-                    "the label head was taught for another network"
+                    "the label head was trained for another network"
                 )
             # einsum and not a matrix product: BLAS would wake its own threads for a millisecond of work.
             part = np.einsum("kc,cn->kn", weights, values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
@@ -129,17 +129,17 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
     if content.sha256 != manifest.sha256:
         raise ModelError(
             f"{path}: is a label head of network {content.network!r} with sha256 {content.sha256}; the camera's "
-            f"network is {manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model "
+            f"network is {manifest.name!r} with {manifest.sha256}. Train it again: ltm train head PHOTOS --model "
             f"{manifest.name}"
         )
     if content.classes != manifest.classes:
         raise ModelError(
-            f"{path}: is of classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
+            f"{path}: has the classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
         )
     absent = [name for name in content.maps if name not in manifest.maps]
     if absent:
         raise ModelError(
-            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} states {', '.join(manifest.maps) or 'none'} "
+            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} has {', '.join(manifest.maps) or 'none'} "
             "(`maps` in its manifest)"
         )
     wrong = [f"{name} ({len(rows[0])}, not {manifest.maps[name]})" for name, rows in content.maps.items()
@@ -177,7 +177,7 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
         if is_file(place):
             return place
     raise ModelError(
-        f"no label head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm "
+        f"no label head {name!r} of network {manifest.name!r}; searched {', '.join(map(str, places))}. Train one: ltm "
         f"train head PHOTOS --out {Path(name).stem}"
     )
 

@@ -144,7 +144,7 @@ class Calibration(StrictModel):
         count = len(self.classes)
         if labels.names[:count] != self.classes:
             raise ModelError(
-                f"calibration is of classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
+                f"calibration has the classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
             )
         matrix = np.eye(len(labels))
         matrix[:count, :count] = self.confusion

@@ -95,7 +95,7 @@ class LabelSet:
         try:
             return self.names.index(name)
         except ValueError:
-            raise ConfigError(f"no label is called {name!r}; labels: {', '.join(self.names)}, unlabelled") from None
+            raise ConfigError(f"no label {name!r}; labels: {', '.join(self.names)}, unlabelled") from None
 
     def name_of(self, label: int) -> str:
         """Class name of an id; `unlabelled` for any id that is no class."""

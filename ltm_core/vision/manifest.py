@@ -186,10 +186,10 @@ class NetworkManifest(StrictModel):
     def _classes_are_known(self) -> NetworkManifest:
         strangers = sorted(set(self.output.offsets) - set(self.classes))
         if strangers:
-            raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
+            raise ValueError(f"output.offsets names {', '.join(strangers)}, not among classes")
         strangers = sorted(set(self.output.redness) - set(self.classes))
         if strangers:
-            raise ValueError(f"output.redness names {', '.join(strangers)}, none of classes")
+            raise ValueError(f"output.redness names {', '.join(strangers)}, not among classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
         if self.maps and self.output.kind != "logits":
@@ -240,7 +240,7 @@ class NetworkManifest(StrictModel):
         path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if is_file(p)), None)
         if path is None:
             names = ", ".join([*shipped_names(), *added_names()]) or "none"
-            raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
+            raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
         return cls.load(path)
 
     def serving(self, head: str) -> NetworkManifest:
@@ -285,7 +285,7 @@ class NetworkManifest(StrictModel):
         looked = ", ".join(dict.fromkeys(str(place) for place in places))
         source = f" (source: {self.source})" if self.source else ""
         raise ModelError(
-            f"model {self.name!r}: no file {file}; looked at {looked}. "
+            f"model {self.name!r}: no file {file}; searched {looked}. "
             f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
         )
 

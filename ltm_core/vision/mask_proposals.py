@@ -82,11 +82,11 @@ def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tup
 
 def _common_shape(frames: Sequence[UInt8Array]) -> tuple[int, int]:
     if not frames:
-        raise ImageError("no pictures to propose a mask from")
+        raise ImageError("no images to propose a mask from")
     shapes = {frame.shape for frame in frames}
     if len(shapes) > 1:
         said = ", ".join(sorted(f"{shape[1]} x {shape[0]}" for shape in shapes))
-        raise ImageError(f"the pictures have different sizes ({said}); name those of one camera alone")
+        raise ImageError(f"the images have different sizes ({said}); give images of one camera only")
     return frames[0].shape[0], frames[0].shape[1]
 
 

@@ -90,11 +90,11 @@ class CameraMask:
 
     def __post_init__(self) -> None:
         if not self.hidden.any():
-            raise ConfigError(f"{self.place}: the mask hides nothing; draw what it shall hide, or leave the key out")
+            raise ConfigError(f"{self.place}: the mask hides nothing; draw an area, or remove the key")
         if self.hidden.all():
             raise ConfigError(
-                f"{self.place}: the mask hides the whole picture, nothing is left to see; masked is what is not 0 in "
-                "the PNG: is it inverted?"
+                f"{self.place}: the mask hides the whole image; non-zero pixels of the PNG are masked, so it may be "
+                "inverted"
             )
 
     @classmethod
@@ -105,7 +105,7 @@ class CameraMask:
             points = np.array(polygon.polygon, np.float64)
             if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
                 raise ConfigError(
-                    f"{place}.{number}: the polygon lies beside the picture of {width} x {height} pixels (it spans "
+                    f"{place}.{number}: the polygon is outside the image of {width} x {height} pixels (it spans "
                     f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()})"
                 )
             fill(drawn, points.tolist())
@@ -125,8 +125,8 @@ class CameraMask:
         """Raises ConfigError where the camera's pictures have another size."""
         if self.size != (width, height):
             raise ConfigError(
-                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, the camera's pictures have "
-                f"{width} x {height}; draw it anew in that size (`ltm mask`)"
+                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
+                f"{width} x {height}; draw it again in that size (`ltm mask`)"
             )
 
 
@@ -144,10 +144,10 @@ def read_mask(path: Path, place: str) -> CameraMask:
     try:
         with open_picture(path) as (source, _):
             if source.format != "PNG":
-                raise ConfigError(f"{place}: {path} is a {source.format}, whose edges are not sharp; save it as PNG")
+                raise ConfigError(f"{place}: {path} is a {source.format}, which blurs edges; save it as PNG")
             if source.mode not in ("1", "L", "P", "I", "I;16"):
                 raise ConfigError(
-                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a PNG of one channel, "
+                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a single-channel PNG, "
                     "0 where the landscape is seen"
                 )
             hidden = np.asarray(source) != 0

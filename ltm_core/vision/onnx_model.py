@@ -96,7 +96,7 @@ class OnnxModel:
         if found != manifest.sha256:
             raise ModelError(
                 f"model {manifest.name!r}: {self.path} has sha256 {found}, expected {manifest.sha256}; "
-                "fetch the file again, or state the new checksum if the network was changed on purpose"
+                "download the file again, or update the checksum if you changed the network"
             )
         # Who opens the same file in this process gets the same session, which any number of threads may run.
         with _one_at_a_time:
@@ -153,7 +153,7 @@ class OnnxModel:
         except Exception as reason:  # of the runtime's errors, which have no common base
             raise ModelError(
                 f"model {self.manifest.name!r} ({self.path}): ONNX Runtime {ort.__version__} cannot run it ({reason}); "
-                "give the network that the manifest describes"
+                "use the network that the manifest describes"
             ) from reason
 
     def _checked_input(self) -> str:
@@ -252,7 +252,7 @@ def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
     except Exception as reason:
         raise ModelError(
             f"{path}: expected an ONNX network, found {len(content)} bytes that ONNX Runtime "
-            f"{ort.__version__} refuses: {reason}"
+            f"{ort.__version__} rejects: {reason}"
         ) from reason
 
 

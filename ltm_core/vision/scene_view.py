@@ -125,7 +125,7 @@ class SceneFilter:
         """Of a picture (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
         mask is for another size, ImageError for another shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
-            raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
+            raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
         return SceneView(hidden, self.judge(picture, hidden, stamp_ns), self._masked(looking))
 

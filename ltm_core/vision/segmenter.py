@@ -59,7 +59,7 @@ class Segmenter:
     ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
-                f"model {manifest.name!r} gives {manifest.output.kind} depth, not labels; name a segmentation model"
+                f"model {manifest.name!r} outputs {manifest.output.kind} depth, not labels; choose a segmentation model"
             )
         self.manifest = manifest
         self.labels = LabelSet.load() if labels is None else labels
@@ -167,7 +167,7 @@ class Segmenter:
         """
         _check(image)
         if self.manifest.output.kind == "ids":
-            raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
+            raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
         return self._of_whole(image, *self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
@@ -242,7 +242,7 @@ class Segmenter:
         if low < -1e-3 or high > 1.0 + 1e-3:
             raise ModelError(
                 f"model {self.manifest.name!r}: output lies in {low:.3g}..{high:.3g}, expected probabilities of "
-                "0..1; if these are logits, say `kind: logits` in the manifest"
+                "0..1; if these are logits, write `kind: logits` in the manifest"
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
@@ -271,7 +271,7 @@ def _class_labels(manifest: NetworkManifest, classes: tuple[str, ...], labels: L
     for name, label in manifest.mapping.items():
         if label != "unlabelled" and label not in labels.names:
             raise ModelError(
-                f"model {manifest.name!r}: mapping.{name}: no label is called {label!r}; "
+                f"model {manifest.name!r}: mapping.{name}: no label {label!r}; "
                 f"labels: {', '.join(labels.names)}, unlabelled"
             )
     return np.array([labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in classes], np.uint8)

@@ -89,7 +89,7 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
     Raises ImageError for another shape.
     """
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
-        raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
+        raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     height, width = picture.shape[:2]
     size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)

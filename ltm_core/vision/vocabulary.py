@@ -46,7 +46,7 @@ class Vocabulary:
         for label, words in vocabulary.synonyms.items():
             for word in words:
                 if word in seen:
-                    raise ConfigError(f"{path}: {word!r} stands for {seen[word]} and for {label}; it needs one label")
+                    raise ConfigError(f"{path}: {word!r} is mapped to {seen[word]} and to {label}; give it one label")
                 seen[word] = label
         return vocabulary
 
@@ -100,7 +100,7 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
     if manifest.text is not None:
         close = ", ".join(difflib.get_close_matches(query, words, 4, 0.4)) or ", ".join(list(words)[:12])
         raise ConfigError(
-            f"{query!r} is not among the {len(words)} words whose embeddings {manifest.name} has (near: {close}); "
+            f"{query!r} is not among the {len(words)} words whose embeddings {manifest.name} has (similar: {close}); "
             "add its embedding to the text file"
         )
     for phrase, how in ((query, ""), (query.rpartition(" ")[2], " by its last word")):
@@ -109,10 +109,10 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
         if classes:
             return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} knows no finer word")
         if label is not None:
-            raise ConfigError(f"{query!r} is {label}, of which {manifest.name} knows no class")
+            raise ConfigError(f"{query!r} means {label}, for which {manifest.name} has no class")
     known = sorted(vocabulary.label_of)
     close = ", ".join(difflib.get_close_matches(query, known, 4, 0.5)) or ", ".join(vocabulary.synonyms)
-    raise ConfigError(f"nothing here knows {query!r}; near it: {close} (words stand in config/vocabulary.yaml)")
+    raise ConfigError(f"unknown word {query!r}; similar words: {close} (see config/vocabulary.yaml)")
 
 
 def open_vocabulary(
@@ -124,7 +124,7 @@ def open_vocabulary(
     unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
     """
     if len(queries) > UNLABELLED:
-        raise ConfigError(f"{len(queries)} classes; a label image holds {UNLABELLED} at most")
+        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
     readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
     labels = LabelSet(
         names=tuple(queries),

@@ -57,11 +57,11 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
             "row a name, as text.dimensions states"
         )
     if len(set(names)) != len(names):
-        raise ModelError(f"{path}: names repeat; each word once")
+        raise ModelError(f"{path}: repeated names; give each word once")
     unknown = sorted(set(manifest.mapping) - set(names))
     if unknown:
         raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
-        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; make the file again")
+        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; generate the file again")
     return TextEmbeddings(names, vectors / length, spec.scale)

@@ -231,7 +231,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
     assert not (Path(options.out) / STORE_FILE).exists()
     record = json.loads((Path(options.out) / "run.json").read_text())
     assert record["frames"]["failed"] == 1
-    assert "cut short" in record["failures"][0]["why"]
+    assert "truncated" in record["failures"][0]["why"]
     summary = reprocessed(replace(options, max_failed=0.1))
     assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
     assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)

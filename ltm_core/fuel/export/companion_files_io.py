@@ -81,7 +81,7 @@ def _write(path: Path, renderer: Element) -> Path:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path
 
 
@@ -154,5 +154,5 @@ def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path

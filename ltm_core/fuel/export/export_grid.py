@@ -36,7 +36,7 @@ def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridG
 
     SiteFrame(crs)
     if geometry.crs is None:
-        raise ConfigError("a fuel grid in a bare map frame cannot be put into another CRS")
+        raise ConfigError("a fuel grid without a CRS cannot be reprojected")
     return GridGeometry.snapped(transform_bounds(geometry.crs, crs, *geometry.bounds), geometry.resolution, phase, crs)
 
 

@@ -65,7 +65,7 @@ class Landscape:
                 f"got {self.bands.shape} {self.bands.dtype}"
             )
         if self.geometry.crs is None:
-            raise RasterError("a landscape needs a CRS, but this grid is in a bare map frame")
+            raise RasterError("a landscape needs a CRS, but this grid has none")
 
     def band(self, name: str) -> Int16Array:
         return np.asarray(self.bands[LANDSCAPE_BANDS.index(name)])

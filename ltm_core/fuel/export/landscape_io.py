@@ -56,7 +56,7 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: the landscape cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot write the landscape ({error.strerror})") from error
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
@@ -121,11 +121,11 @@ def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, s
     path = Path(path)
     cells = landscape.geometry.width * landscape.geometry.height
     if cells >= MOST_CELLS:
-        raise RasterError(f"{path}: {cells} cells; FlamMap takes less than {MOST_CELLS}: export a part")
+        raise RasterError(f"{path}: {cells} cells; FlamMap reads fewer than {MOST_CELLS}: export a smaller area")
     unknown = float((landscape.bands == NODATA).any(axis=0).mean())
     if unknown > MOST_NODATA:
         raise RasterError(
-            f"{path}: {unknown:.0%} of the cells have no data, FlamMap takes at most {MOST_NODATA:.0%}: give the site "
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: give the site "
             "a prior fuel map, or a DEM that covers it"
         )
     write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
@@ -142,7 +142,7 @@ def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, s
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
     for name, band in {**_ELMFIRE, fuel: "fuel"}.items():
         unit = LANDSCAPE_UNITS[LANDSCAPE_BANDS.index(band)]
@@ -177,7 +177,7 @@ def write_raster(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot be written ({error})") from error
 
 
 def write_layers(
@@ -194,7 +194,7 @@ def write_layers(
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
     for name, layer in vars(layers).items():
         # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
@@ -249,4 +249,4 @@ def write_cog(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot be written ({error})") from error

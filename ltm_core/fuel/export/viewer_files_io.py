@@ -59,6 +59,7 @@ def write_kmz(
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
         f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
+        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
         f"<LatLonBox><north>{north:.9f}</north><south>{south:.9f}</south><east>{east:.9f}</east>"
         f"<west>{west:.9f}</west></LatLonBox></GroundOverlay>"
         "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"
@@ -76,7 +77,7 @@ def write_kmz(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _told(made: Provenance | None) -> str:
@@ -177,7 +178,7 @@ def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) ->
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -187,4 +188,4 @@ def _write(path: Path, content: bytes) -> None:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error

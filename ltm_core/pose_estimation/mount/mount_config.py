@@ -51,10 +51,10 @@ class MountConfig(PoseConfig):
         if self.covariance_deg2 is None:
             return self
         if len(self.covariance_deg2) != _ANGLES or any(len(row) != _ANGLES for row in self.covariance_deg2):
-            raise ValueError("covariance_deg2 is 4 by 4: azimuth, pitch, roll, tilt zero")
+            raise ValueError("covariance_deg2 must be 4 by 4: azimuth, pitch, roll, tilt zero")
         matrix = np.array(self.covariance_deg2)
         if not np.allclose(matrix, matrix.T, rtol=1e-4, atol=1e-12) or np.linalg.eigvalsh(matrix)[0] < -1e-9:
-            raise ValueError("covariance_deg2 is no covariance: it must be symmetric, without negative variances")
+            raise ValueError("covariance_deg2 is not a covariance: it must be symmetric, without negative variances")
         return self
 
     @property

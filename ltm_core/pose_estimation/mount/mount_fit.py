@@ -78,7 +78,7 @@ def fit_mount(
     which was free in the searches, too; 0 holds it. Raises PoseError without pictures.
     """
     if not priors or len(priors) != len(searches):
-        raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
+        raise PoseError(f"{len(priors)} stated poses for {len(searches)} images; give one for each")
     pictures = [
         MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)

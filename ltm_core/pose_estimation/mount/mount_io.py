@@ -60,13 +60,13 @@ def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
             name = (row[columns["name"] or ""] or "").strip()
             place = f"{path}, line {reader.line_num}"
             if not name or name in found:
-                raise PoseError(f"{place}: {'the name ' + name + ' stands twice' if name else 'no name'}")
+                raise PoseError(f"{place}: {'the name ' + name + ' is repeated' if name else 'no name'}")
             pan, tilt, zoom = (_number(row[columns[key] or ""], key, place) for key in READING_COLUMNS)
             found[name] = pan, tilt, zoom
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not found:
-        raise PoseError(f"{path}: holds no reading")
+        raise PoseError(f"{path}: contains no reading")
     return found
 
 
@@ -137,7 +137,7 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        raise StoreError(f"{path}: what is known of the mount cannot be kept ({error.strerror})") from error
+        raise StoreError(f"{path}: cannot save the state of the mount ({error.strerror})") from error
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
@@ -150,14 +150,12 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     try:
         memory = _Memory.model_validate_json(read_text(path, _LARGEST, StoreError))
     except ValidationError as error:
-        raise StoreError(
-            f"{path}: does not hold what is known of a mount ({error.error_count()} errors); remove it"
-        ) from error
+        raise StoreError(f"{path}: not a valid mount state ({error.error_count()} errors); remove it") from error
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
     if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
-        raise StoreError(f"{path}: its angles and tilt_covariance are no covariance; remove it")
+        raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
     watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True

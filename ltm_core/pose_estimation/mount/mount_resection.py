@@ -87,8 +87,7 @@ def resect_mount(
             break
     if not fits:
         raise PoseError(
-            f"no mount within {math.degrees(STEEPEST_LEAN):.0f} deg of the stated lean explains the landmarks. "
-            + REMEDY
+            f"no mount within {math.degrees(STEEPEST_LEAN):.0f} deg of the stated lean fits the landmarks. " + REMEDY
         )
     best = min(fits, key=lambda signs: fits[signs][0])
     if stated in fits and fits[stated][0] <= _SIGN_GAIN * max(fits[best][0], sigma_px):
@@ -106,7 +105,7 @@ def _check(points: PtzPoints, lens: ZoomLens) -> None:
     if len(different) < LEAST_LANDMARKS:
         raise PoseError(
             f"{len(different)} landmarks: a mount needs at least {LEAST_LANDMARKS} different ones, spread in pan: "
-            "its lean and the zero of its tilt cannot be told apart with fewer"
+            "with fewer, its lean and the zero of its tilt cannot be separated"
         )
     u, v = points.pixels.T
     outside = (u < -0.5) | (v < -0.5) | (u > lens.width - 0.5) | (v > lens.height - 0.5)
@@ -162,7 +161,7 @@ class _Adjustment:
             if now.mean() < 1 - MAX_OUTLIER_SHARE or now.sum() < LEAST_LANDMARKS:
                 worst = [k for k in np.argsort(-off) if not now[k]]
                 named = ", ".join(f"{self._points.names[k]} (off by {off[k]:.0f} px)" for k in worst[:8])
-                raise PoseError(f"{len(worst)} of {count} landmarks fit no common mount: {named}. {REMEDY}")
+                raise PoseError(f"{len(worst)} of {count} landmarks do not fit a common mount: {named}. {REMEDY}")
             settled = bool((now == used).all())
             used = now
             state = self._least(state, used, "linear", self._sigma_px)

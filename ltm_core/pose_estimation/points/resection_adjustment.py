@@ -78,7 +78,7 @@ class Adjustment:
             used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise PoseError(
-                    f"{(~used).sum()} of {len(used)} control points fit no common pose: "
+                    f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
                     f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())

@@ -56,11 +56,9 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
         crs = crs or pose.crs
         local = None
         if crs is None:
-            raise ConfigError(
-                "without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem"
-            )
+            raise ConfigError("the control points have no CRS: give --crs EPSG:... or --dem")
         if pose.z is None:
-            raise ConfigError("without a DEM the camera's height above the ground does not help: give its z, or --dem")
+            raise ConfigError("a height above the ground needs a DEM: give z, or --dem")
         x, y = pose.xy(SiteFrame(crs)) or (0.0, 0.0)
         frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
         position = (x - frame.x_origin, y - frame.y_origin, pose.z)
@@ -95,7 +93,7 @@ def read_point_rows(
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not rows:
-        raise PoseError(f"{path}: holds no control point")
+        raise PoseError(f"{path}: contains no control point")
     names, values = tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows])
     x, y = values[:, 0], values[:, 1]
     if columns["x"].strip().lower().startswith("lon"):

@@ -68,7 +68,7 @@ def coarse_poses(
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
         raise PoseError(
-            f"the pixels of the control points {', '.join(points.names)} have no rays under the distortion "
+            f"the pixels of the control points {', '.join(points.names)} have no rays with the distortion "
             f"{camera.distortion}: check it"
         )
     return starts
@@ -139,9 +139,10 @@ def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tupl
     far = (apart > MIN_SEPARATION * diagonal) & (turn > 1e-3)
     if not far.any():
         raise PoseError(
-            f"the control points {', '.join(points.names)} crowd in one place: they span {apart.max():.0f} px of the "
+            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} "
+            "px of the "
             f"image (at least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees "
-            "seen from the camera; mark points further apart"
+            "as seen from the camera; mark points further apart"
         )
     pairs = pairs[far]
     if len(pairs) > MAX_PAIRS:

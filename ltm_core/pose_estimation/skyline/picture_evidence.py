@@ -86,7 +86,8 @@ def picture_evidence(
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(
-            f"photo {photo.shape}, labels {labels.shape} and camera {size} must be of one size, (H, W, 3) and (H, W)"
+            f"photo {photo.shape}, labels {labels.shape} and camera {size} must have the same size, (H, W, 3) "
+            "and (H, W)"
         )
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
     width = min(camera.width, config.working_width)

@@ -82,7 +82,7 @@ def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
         labels = np.asarray(source)
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
         raise ImageError(
-            f"{path}: labels must be a PNG of one channel of class ids, {camera.width} x {camera.height} pixels, got "
+            f"{path}: labels must be a single-channel PNG of class ids, {camera.width} x {camera.height} pixels, got "
             f"{labels.shape} {labels.dtype}"
         )
     return labels

@@ -189,7 +189,7 @@ def terrain_horizon(
         x, y, _ = (float(v) for v in position)
         raise PoseError(
             f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
-            "camera's place and its crs, or give a DEM that surrounds it"
+            "camera's position and its crs, or give a DEM that surrounds it"
         )
     return TerrainHorizon(
         np.array(position, np.float64),

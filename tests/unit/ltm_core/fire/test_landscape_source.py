@@ -57,7 +57,7 @@ def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:
         read_landscape(tmp_path / "degrees.tif")
     path = write_lcp(tmp_path / "a.lcp", landscape())
     path.with_suffix(".prj").unlink()
-    with pytest.raises(RasterError, match=r"no CRS; .*keep its .prj"):
+    with pytest.raises(RasterError, match=r"CRS is missing; .*\.prj"):
         read_landscape(path)
     path = write_lcp(tmp_path / "percent.lcp", landscape())
     content = bytearray(path.read_bytes())

@@ -75,7 +75,7 @@ def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite,
     entry = versions.add(sunk(small, 4.0), BEGIN, 500)
     versions.file(entry.version).write_bytes(b"cut")
     without = small.site.model_copy(update={"dem": DemConfig(path=tmp_path / "gone.tif")})
-    with pytest.raises(StoreError, match="is not the file that was written"):
+    with pytest.raises(StoreError, match="not the file written"):
         confirmed_terrain(without, versions, entry.version)
 
 

@@ -64,7 +64,7 @@ def test_a_camera_that_is_not_there_is_added_behind_the_others() -> None:
 
 @pytest.mark.parametrize("text", ["name: x\n", "cameras: {north: {}}\n", "cameras: [1]\n", ""])
 def test_a_file_without_cameras_in_lines_is_told(text: str) -> None:
-    with pytest.raises(ConfigError, match="no section `cameras:` written in lines"):
+    with pytest.raises(ConfigError, match="section `cameras:`"):
         edited(text, "north", "mount", SECTION, "site.yaml")
 
 
