@@ -57,7 +57,7 @@ class ArchiveError(LtmError):
 class SiteVerdict(StrEnum):
     OK = "ok"
     DOUBTFUL = "doubtful"
-    """It runs, but may not be what is meant."""
+    """It runs, but the setting may not be intended."""
     WRONG = "wrong"
     """It cannot work."""
 

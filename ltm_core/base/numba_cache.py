@@ -27,9 +27,9 @@ from pathlib import Path
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PREFIX = "ltm-kernels-"
 _MIXED = "mixed"
-"""A file in a folder that may hold kernels of more than one state."""
+"""Name of a file that marks a folder whose kernels may be from more than one state."""
 _KEPT = 3
-"""Folders of former states of the source that stay, for processes that still run them."""
+"""Number of folders of earlier source states to keep, for processes that still run them."""
 _IMPORT = re.compile(rb"^\s*(?:import\s+([\w.]+)|from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*))", re.MULTILINE)
 _NAME = re.compile(rb"\w+")
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 SECRET_KEYS = ("password", "passwd", "pass", "pwd", "token", "secret", "api_key", "apikey", "auth", "loginpas")
-"""Names under which cameras and people write a password into a URL or a file; compared without regard to case."""
+"""Names of parameters that hold a password in URLs and files; case is ignored."""
 HIDDEN = "***"
 
 _USER_INFO = re.compile(r"(?<=://)[^/\s'\"<>]*@")

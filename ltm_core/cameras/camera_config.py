@@ -29,15 +29,15 @@ class PartialCalibration(StrictModel):
     width: int | None = Field(None, gt=0)
     height: int | None = Field(None, gt=0)
     hfov_deg: float | None = Field(None, gt=0, lt=180)
-    """Between the image's outer edges; instead of fx."""
+    """Horizontal field of view in degrees between the image's outer edges; instead of fx."""
     fx: float | None = Field(None, gt=0)
-    """Focal length; fy is the same unless given."""
+    """Focal length in pixels; fy is the same unless given."""
     fy: float | None = Field(None, gt=0)
     cx: float | None = None
-    """Principal point; the image's centre unless given."""
+    """Column of the principal point in pixels; default: the image's centre (cy likewise)."""
     cy: float | None = None
     k1: float = 0.0
-    """Distortion after Brown and Conrady, as are k2, p1, p2, k3: CameraInfo's plumb_bob."""
+    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3 (plumb_bob of CameraInfo)."""
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
@@ -101,33 +101,33 @@ _PARTS = (
     (("pitch_deg",), ("pitch_sigma_deg",)),
     (("roll_deg",), ("roll_sigma_deg",)),
 )
-"""Keys of a pose that are known together, and those of their standard deviations."""
+"""Keys of a pose that are given together, and those of their standard deviations."""
 
 
 class PartialPose(StrictModel):
     """What is known of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
 
     x: float | None = None
-    """In `crs` (not minus an origin), as is y."""
+    """Easting in `crs`, in metres, without subtracting an origin; y is the northing."""
     y: float | None = None
     crs: str | None = None
-    """Of x and y; default that of the site, or of the DEM. In EPSG:4326 they are longitude and latitude."""
+    """CRS of x and y; default: that of the site or of the DEM. In EPSG:4326, x and y are longitude and latitude."""
     lon: float | None = Field(None, ge=-180, le=180)
-    """WGS 84, as is lat; instead of x and y."""
+    """Longitude in WGS 84 degrees, instead of x; lat is the latitude."""
     lat: float | None = Field(None, ge=-90, le=90)
     z: float | None = None
-    """In the DEM's vertical datum."""
+    """Height in metres in the DEM's vertical datum."""
     height_above_ground: float | None = Field(None, ge=0)
-    """Above the DEM (mast, tripod); instead of z."""
+    """Height in metres above the DEM (mast, tripod), instead of z."""
     azimuth_deg: AzimuthDeg | None = None
-    """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
+    """Azimuth of the optical axis in degrees, clockwise from the north that `azimuth_ref` names."""
     azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
     pitch_deg: PitchDeg | None = None
-    """Up from the horizon."""
+    """Pitch in degrees, up from the horizon."""
     roll_deg: RollDeg | None = None
-    """Of the camera, clockwise about its viewing direction."""
+    """Roll in degrees, clockwise about the viewing direction."""
     position_sigma: float | None = Field(None, gt=0)
-    """Of x and of y."""
+    """Standard deviation of x and of y in metres."""
     height_sigma: float | None = Field(None, gt=0)
     azimuth_sigma_deg: float | None = Field(None, gt=0)
     pitch_sigma_deg: float | None = Field(None, gt=0)

@@ -16,14 +16,14 @@ from pydantic import AfterValidator
 from ltm_core.base.types import Float32Array, Float64Array
 
 FOOT = 0.3048
-"""Metres."""
+"""One foot in metres."""
 TALLEST_MAST = 150.0
-"""Metres above the ground beyond which a camera's height is doubted: fire-watch towers and masts stand lower, aircraft
-and cameras at the brink of a cliff that a coarse DEM rounds off do not."""
+"""Height in metres above the ground above which a camera is suspicious. Fire-watch towers and masts are lower;
+aircraft, and cameras at a cliff edge that a coarse DEM smooths, are not."""
 _SLACK = 10.0
-"""Metres by which a height in feet may still come out under the ground: surveyed places and DEMs differ by as much."""
+"""Metres by which a height in feet may still be below the ground; surveyed positions and DEMs differ by as much."""
 _DEEP = 50.0
-"""Metres under the ground that no datum and no coarse DEM explains."""
+"""Metres below the ground that no datum and no coarse DEM explains."""
 
 
 def _azimuth(value: float) -> float:
@@ -98,15 +98,15 @@ def doubt_of_height(z: float, ground: float) -> str | None:
 
 
 HIGHEST, LOWEST = 8_900.0, -500.0
-"""Metres: no ground is higher or lower."""
+"""Highest and lowest ground on Earth in metres."""
 _STEEP = 0.8
-"""Rise per metre along rows that half the ground has at most: half the Alps' slopes rise by less than 0.45; in feet, by
-1.5."""
+"""Maximum median slope along rows, in metres per metre. Half of the slopes in the Alps are below 0.45; with heights in
+feet, below 1.5."""
 _LEAST_CELLS = 50
 _ALIKE = 0.08
-"""Share by which a ratio of heights may miss that of feet to metres."""
+"""Relative tolerance of a ratio of heights around that of feet to metres."""
 _FAR_OFF = 50.0
-"""Metres by which two rasters of one ground differ in the median: more than datums do on land, trees included."""
+"""Median difference in metres between two rasters of the same ground that no land datum explains, trees included."""
 
 
 def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:

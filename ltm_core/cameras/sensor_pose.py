@@ -34,11 +34,11 @@ from ltm_core.raster.dem import Dem
 
 ENU_FROM_ENU = np.eye(3)
 ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Apple's CoreMotion with x to the north and z up."""
+"""Rotation from the world of Apple's CoreMotion (x north, z up) to east, north, up."""
 ENU_FROM_EUS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""ARKit with `gravityAndHeading`: x east, y up, z south."""
+"""Rotation from ARKit's world with `gravityAndHeading` (x east, y up, z south) to east, north, up."""
 OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
-"""Camera axes x right, y up, z backward (ARKit, OpenGL) from the optical frame's x right, y down, z forward."""
+"""Rotation from the optical frame (x right, y down, z forward) to ARKit and OpenGL axes (x right, y up, z backward)."""
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
@@ -76,26 +76,26 @@ class SensorsConfig(StrictModel):
     """How a camera's pose comes from its fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
 
     mount: Literal["phone", "phone_sensor"] | tuple[float, float, float, float] = "phone"
-    """How the camera lies in the frame of the attitude: as a phone's back camera, whose images its app turns upright
-    (`phone`) or sends as the sensor reads them, always landscape (`phone_sensor`); or the quaternion (x, y, z, w) of
-    the optical frame in it, as tf has it."""
+    """Orientation of the camera in the attitude's frame: a phone's back camera whose app turns images upright (`phone`)
+    or sends them as read, always landscape (`phone_sensor`), or the quaternion (x, y, z, w) of the optical frame as in
+    tf."""
     north: Literal["magnetic", "true"] = "magnetic"
-    """Which north the attitude's world has: Android's magnetic, iOS' true."""
+    """North of the attitude's world: magnetic (Android) or true (iOS)."""
     geoid_undulation: float | None = None
-    """Metres of the geoid above the ellipsoid, from which fixes count heights; None: the terrain tells the height."""
+    """Height in metres of the geoid above the ellipsoid of the fixes; None: the height comes from the terrain."""
     height_above_ground: float = Field(1.6, ge=0)
-    """Where no altitude tells it."""
+    """Height in metres above the ground, if no altitude is available."""
     fix_age: float = Field(15.0, gt=0)
-    """Seconds by which a fix may miss its image."""
+    """Maximum time difference in seconds between a fix and its image."""
     attitude_age: float = Field(0.1, gt=0)
-    """Seconds by which an attitude may miss its image."""
+    """Maximum time difference in seconds between an attitude and its image."""
     gps_sigma: float = Field(5.0, gt=0)
-    """Metres, of fixes that state no covariance."""
+    """Standard deviation in metres of fixes that state no covariance."""
     altitude_sigma: float = Field(10.0, gt=0)
     ground_sigma: float = Field(1.0, gt=0)
-    """Metres, of a height above the terrain."""
+    """Standard deviation in metres of a height above the terrain."""
     compass_sigma_deg: float = Field(8.2, gt=0)
-    """Of attitudes that state no covariance."""
+    """Standard deviation in degrees of the heading of attitudes that state no covariance."""
     tilt_sigma_deg: float = Field(1.0, gt=0)
 
 

@@ -30,9 +30,9 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 
 OCTAVES = 28
-"""Half octaves of depth, from 4 m on."""
+"""Number of half octaves of depth, starting at 4 m."""
 FIRST = 4.5
-"""2 log2 of the first half octave's middle, metres."""
+"""2 log2 of the middle of the first half octave in metres."""
 _FARTHEST = 40_000.0
 _STEPS = 4096  # of each of three tables of logarithms
 _NEAR, _MIDDLE, _FAR = (
@@ -170,7 +170,7 @@ def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[n
 
 
 REGIONS = (9, 16)
-"""Rows and columns in which samples are gathered."""
+"""Rows and columns of the regions in which samples are collected."""
 _FINE = 4  # cells of the tables in one region, each way
 
 

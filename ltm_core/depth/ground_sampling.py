@@ -13,7 +13,7 @@ from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig, SamplingCon
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 
 GROUND_CLASSES = ("grass", "bare", "water", "shrub")
-"""Whose depth is that of the terrain but for their cover height: what a network may be fitted to."""
+"""Classes whose depth is that of the terrain plus their cover height; networks are fitted to them."""
 VEGETATION = ("grass", "shrub", "tree")
 
 

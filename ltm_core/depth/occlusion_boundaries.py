@@ -26,7 +26,7 @@ from ltm_core.depth.occlusion_prior import DepthDiscontinuities, mixture_moments
 from ltm_core.geometry.camera import Camera
 
 _Answer = tuple[np.float32, np.float32, np.float32, np.float32]
-"""True inverse depth, by how much less the network says there, the sigma of that, all 1/m, and its logarithm."""
+"""True inverse depth, the network's bias and its sigma there (all in 1/m), and the logarithm of the sigma."""
 
 
 class BoundaryRules(NamedTuple):
@@ -50,7 +50,7 @@ class BoundaryRules(NamedTuple):
     jump: np.float32
     open: np.float32
     sure: np.float32
-    """1 - open."""
+    """The value 1 - open."""
 
     @classmethod
     def of(cls, config: FusionConfig, highest: float, focal: float) -> BoundaryRules:

@@ -30,7 +30,7 @@ from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
 
 OWN = 4.0
-"""Times a network's own variance up to which a joint variance is bounded beforehand (`DecisionRules.widest`)."""
+"""Multiple of the network's own variance that bounds a joint variance in advance (`DecisionRules.widest`)."""
 
 
 class DecisionRules(NamedTuple):
@@ -48,12 +48,12 @@ class DecisionRules(NamedTuple):
     blurred: np.float32
     ranges: np.float32
     sure: np.float32
-    """1 - open."""
+    """The value 1 - open."""
     few: np.float32
     """Log odds of `open`."""
     per_likelihood_weight: np.float32
     widest: np.float32
-    """Log of the greatest that a likelihood against what stands nearer can be for its exponential."""
+    """Log of the largest likelihood ratio against a nearer object for which the exponential is evaluated."""
 
     @classmethod
     def of(cls, config: DecisionConfig) -> DecisionRules:

@@ -40,7 +40,7 @@ class PoseCheck:
     suspected: bool
     reason: str
     checked: bool = True
-    """Whether there was enough to tell a wrong pose by."""
+    """Whether there was enough evidence to detect a wrong pose."""
 
     @classmethod
     def none(cls) -> PoseCheck:

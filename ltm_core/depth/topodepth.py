@@ -54,15 +54,16 @@ class FusionVerdict(StrEnum):
 
     OK = "ok"
     POSE_SUSPECTED = "pose_suspected"
-    """The terrain does not lie where the photo has it: traced depth as it is, nothing fused."""
+    """The terrain does not match the photo: traced depth is returned unchanged, and nothing is fused."""
     NETWORK_UNUSABLE = "network_unusable"
-    """The network's depth does not fit the terrain: the terrain's answer alone, refined by photo and labels."""
+    """The network's depth does not fit the terrain: only terrain depth is used, refined by the photo and labels."""
     NO_TERRAIN = "no_terrain"
     """No pixel was traced to known ground."""
     MOSTLY_UNKNOWN = "mostly_unknown"
-    """As ok, but of most of the photo nothing is known: the terrain explains too little of it."""
+    """As ok, but most of the photo is unknown: the terrain explains too little of it."""
     PICTURE_UNUSABLE = "picture_unusable"
-    """The photo shows too little of the landscape, by night or in fog: traced depth as it is, nothing fused."""
+    """The photo shows too little of the landscape (night or fog): traced depth is returned unchanged, and nothing is
+    fused."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -173,7 +173,7 @@ def _root(parent: Int64Array, k: int) -> int:
 
 
 MOST_UNKNOWN = 0.5
-"""Share of a picture from which on it is said that little of it is explained."""
+"""Share of unknown pixels above which a photo is reported as mostly unknown."""
 _EVERY = 4  # pixels looked at, each way
 
 

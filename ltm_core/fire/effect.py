@@ -55,7 +55,7 @@ class FireEffect:
     hours: float
     probability: Float32Array | None = None
     members: tuple[tuple[float, ...], ...] = ()
-    """Of each draw, the hectares at the hours of `hours_shown`."""
+    """Burned area of each draw in hectares at the hours of `hours_shown`."""
 
     def difference(self) -> Float32Array:
         """(H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
@@ -107,12 +107,12 @@ def burn_probability(runs: Sequence[FireRun]) -> Float32Array:
 
 
 _USUAL_STAND: Final = 0.4
-"""Correlation of two looks at cells of a stand, where none was measured."""
+"""Correlation of two observations of cells of a stand if none was measured."""
 _RARE: Final = (LifeForm.BARE, LifeForm.WATER, LifeForm.BUILT, LifeForm.BURNED)
-"""Forms that a cell is drawn to be only where a camera has shown them: a prior map errs in plants, hardly in lakes.
-Were bare ground drawn wherever the prior may err, it would break up the fuel of all that nobody has seen."""
+"""Life forms that are drawn only if a camera has seen them, because prior maps rarely miss lakes. Bare ground drawn
+wherever the prior may err would break up the fuel of all unseen cells."""
 _SHOWN: Final = 1.0
-"""Evidence from which on a form counts as shown."""
+"""Evidence above which a life form counts as seen."""
 
 
 @dataclass(frozen=True, eq=False)

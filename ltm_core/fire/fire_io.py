@@ -22,7 +22,7 @@ _LCP_UNITS: Final[Mapping[str, str]] = {
     "ELEVATION_UNIT": "0", "SLOPE_UNIT": "0", "ASPECT_UNIT": "2", "CANOPY_HT_UNIT": "3", "CBH_UNIT": "3",
     "CBD_UNIT": "3",
 }  # fmt: skip
-"""As GDAL tells the header's units: m, degrees, azimuth, m x 10, m x 10, kg/m3 x 100."""
+"""Units of the LCP header as reported by GDAL: m, degrees, azimuth, m x 10, m x 10, kg/m3 x 100."""
 
 
 def read_landscape(path: Path) -> Landscape:
@@ -97,7 +97,7 @@ BANDS: Mapping[str, str] = {
     "changed": "0 no, 1 yes",
     "burn_probability": "1",
 }
-"""Name and unit of each band; the last one only of an ensemble."""
+"""Name and unit of each band; the last one exists only for ensembles."""
 
 
 def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Mapping[str, str]) -> None:

@@ -18,7 +18,8 @@ from pyretechnics.space_time_cube import SpaceTimeCube
 
 BARE = 99
 WOODY_13 = (4, 5, 7, 10)
-"""Models of Anderson's whose live fuel is wood, which Pyretechnics' table takes for herbs (BehavePlus: wood)."""
+"""Anderson's fuel models with woody live fuel, which the table of Pyretechnics treats as herbaceous (BehavePlus:
+woody)."""
 
 
 def cubes(bands: Any, weather: dict[str, float], shape: tuple[int, int, int]) -> dict[str, Any]:

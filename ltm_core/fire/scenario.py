@@ -14,7 +14,8 @@ from ltm_core.geometry.grid import GridGeometry
 
 _DEAD: Final = {"D1": (3.0, 4.0, 5.0), "D2": (6.0, 7.0, 8.0), "D3": (9.0, 10.0, 11.0), "D4": (12.0, 13.0, 14.0)}
 _LIVE: Final = {"L1": (30.0, 60.0), "L2": (60.0, 90.0), "L3": (90.0, 120.0), "L4": (120.0, 150.0)}
-"""Scott and Burgan (2005), tables 5 and 6: very low, low, moderate, high; fully cured, two thirds, one third, green."""
+"""Live fuel moistures of Scott and Burgan (2005), tables 5 and 6: very low, low, moderate, high; fully, two thirds and
+one third cured, green."""
 MOISTURE_HELP: Final = (
     "a scenario of Scott and Burgan such as D2L2 (dead D1 very low to D4 high, live L1 cured to L4 green), or five "
     "percentages: dead 1 h, 10 h, 100 h, live herbaceous, live woody, such as 6,7,8,60,90"

@@ -31,15 +31,15 @@ from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
 TALL = 2.0
-"""Metres above ground from which on plants are canopy: the height break of airborne surveys of tree cover."""
+"""Height in metres above which plants are canopy, the height break of airborne surveys of tree cover."""
 ALIKE = 5.0
-"""Metres within which heights of a stand err and vary together, as the surface map smooths them."""
+"""Distance in metres within which heights of a stand are correlated, as smoothed by the surface map."""
 _MOST_SAMPLES = 30
-"""Of the surface, a side of a fuel cell."""
+"""Maximum number of surface samples per side of a fuel cell."""
 _STANDING = 0.5
-"""Standard error of the cover of a thinned cell, by that cover."""
+"""Standard error of the cover of a thinned cell, as a share of the cover."""
 _CELLS = 1000
-"""Fuel cells that are worked on at a time."""
+"""Number of fuel cells processed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +174,14 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
 
 
 _STRIP = 256
-"""Rows of the terrain that are worked on at a time."""
+"""Number of terrain rows processed at a time."""
 _LEAST_SHARE = 0.1
-"""Of a fuel cell that must have been seen as standing."""
+"""Minimum share of a fuel cell that must have been seen as standing."""
 _SEEN_ABOVE = 0.8
-"""Mean height of a canopy from above by that of what is seen of it from the side, weighted by height; this and what
-follows was chosen on rendered sites (docs/exports.md)."""
+"""Ratio of a canopy's mean height from above to its mean height from the side, weighted by height. This and the
+following constants were chosen on rendered sites (docs/exports.md)."""
 _SAID = 1 / 3
-"""Standard error of a height that a map said before, by that height."""
+"""Standard error of a height from a prior map, as a share of the height."""
 
 
 def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> tuple[Float32Array, Float32Array]:

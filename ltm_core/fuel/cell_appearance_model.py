@@ -23,10 +23,10 @@ from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_core.fuel.life_form import FORMS, LifeForm
 
 SEEN: Final = 1 + 4 * FORMS
-"""What is looked at: a one, the shares of labels in the cell, these times how sure the labels are, and the shares in
-the cell before it and in the cell behind it."""
+"""Features: a constant, the label shares in the cell, these times the confidence of the labels, and the shares in the
+cells in front of it and behind it."""
 USUAL: Final = 0.7
-"""Confidence of labels from which is told how sure they are, and that of labels that do not say."""
+"""Reference confidence of labels, and the confidence of labels that have none."""
 _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 
 

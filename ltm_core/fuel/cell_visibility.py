@@ -16,7 +16,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import arrival_directions
 
 _LEAST_FACING = 0.02
-"""Sine of about 1 degree: a flatter line of sight is treated as this one, where first order would give infinities."""
+"""Sine of about 1 degree, the flattest line of sight; flatter ones would give infinities to first order."""
 
 
 @dataclass(frozen=True, eq=False)

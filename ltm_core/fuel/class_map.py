@@ -19,7 +19,7 @@ from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
 from ltm_core.vision.labels import LabelSet
 
 UNSEEN = 255
-"""Class of a cell that no pixel has voted in."""
+"""Class of a cell without votes."""
 
 
 class MajorityFuelMap:

@@ -30,7 +30,7 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 
 CUSTOM: Final = range(14, 90)
-"""Numbers that both systems leave to an analyst's own fuel models (Scott and Burgan 2005, table 3)."""
+"""Codes that both systems reserve for custom fuel models (Scott and Burgan 2005, table 3)."""
 _GRASS, _SHRUB, _TIMBER, _SLASH = range(1, 4), range(4, 8), range(8, 11), range(11, 14)
 _TYPES: Final[Mapping[range, range]] = {
     range(101, 110): _GRASS,
@@ -41,7 +41,7 @@ _TYPES: Final[Mapping[range, range]] = {
     range(201, 205): _SLASH,
 }
 _ENOUGH_PAIRS: Final = 20
-"""Cells of a code in a map of both systems, to learn its partner there."""
+"""Minimum number of cells with a code in maps of both systems to learn its partner there."""
 
 
 def partners(code: int) -> range:
@@ -143,15 +143,15 @@ class FuelModel(StrictModel):
     name: str
     description: str
     depth: float = Field(gt=0)
-    """Depth of the fuel bed, feet."""
+    """Depth of the fuel bed in feet."""
     extinction: float = Field(gt=0)
-    """Moisture of dead fuel at which fire dies, %."""
+    """Dead fuel moisture of extinction in %."""
     load: tuple[float, float, float, float, float]
-    """1 h, 10 h, 100 h, live herbaceous, live woody, short tons an acre."""
+    """Fuel load in short tons per acre: 1 h, 10 h, 100 h, live herbaceous, live woody."""
     sav: tuple[float | None, float | None, float | None]
-    """Surface to volume ratio of 1 h, live herbaceous, live woody fuel, 1/ft."""
+    """Surface-to-volume ratio in 1/ft: 1 h, live herbaceous, live woody fuel."""
     heat: float = Field(default=8000.0, gt=0)
-    """Btu/lb."""
+    """Heat content in Btu/lb."""
 
 
 class NonburnableModel(StrictModel):
@@ -198,18 +198,18 @@ class ChangedCodes(StrictModel):
 
     grass: int
     grass_shrub: int
-    """Where both have more than 30 % of the evidence."""
+    """Code for cells in which both have more than 30 % of the evidence."""
     shrub: int
     shrubs_to_tree: int
-    """Trees where the prior has shrubs."""
+    """Code for trees where the prior has shrubs."""
     to_tree: int
-    """Trees where the prior has none."""
+    """Code for trees where the prior has no woody plants."""
     bare: int
     water: int
     built: int
     burned: int
     regrowth: int
-    """After a burn's time to live."""
+    """Code after `burned_days`."""
 
     def of(self, form: Int64Array, over_shrubs: BoolArray) -> Int16Array:
         """(...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has them."""
@@ -239,13 +239,13 @@ class FuelClimate(StrictModel):
     changed: ChangedBySystem
     canopy: TreeCanopy
     forest: ForestType = ForestType.MIXED_CONIFER
-    """By whose allometry crown base and bulk density follow cover and height."""
+    """Forest type whose allometry gives crown base height and bulk density from cover and height."""
     crosswalk: dict[int, int]
-    """FBFM40 -> FBFM13, of every burnable code, within its fuel type."""
+    """Map from every burnable FBFM40 code to FBFM13, within its fuel type."""
     under_trees: dict[int, tuple[int, int]] = Field(default_factory=dict)
-    """FBFM40 -> (least tree cover in %, FBFM13): where the partner is another one under trees."""
+    """Map from FBFM40 to (minimum tree cover in %, FBFM13) for codes with a different partner under trees."""
     crosswalk_back: dict[int, int]
-    """FBFM13 -> FBFM40, of every burnable code, within its fuel type."""
+    """Map from every burnable FBFM13 code to FBFM40, within its fuel type."""
 
     @model_validator(mode="after")
     def _codes_are_known(self) -> FuelClimate:

@@ -23,7 +23,7 @@ _LANDFIRE: Final[dict[int, Color]] = {
     2: (255, 255, 0), 3: (230, 197, 11), 5: (255, 170, 102), 7: (137, 112, 68), 8: (211, 255, 190), 9: (112, 168, 0),
     10: (38, 115, 0),
 }  # fmt: skip
-"""As the attribute tables of LANDFIRE 2022 give them (those of a tile of Vermont, which has these codes)."""
+"""Colours of the attribute tables of LANDFIRE 2022 (from a tile of Vermont, which has these codes)."""
 _OURS: Final[dict[int, Color]] = {
     92: (225, 240, 255), 104: (240, 200, 60), 105: (215, 190, 90), 107: (200, 170, 20), 108: (180, 150, 60),
     109: (150, 125, 20), 124: (200, 60, 20), 145: (176, 74, 40), 147: (150, 40, 40), 148: (110, 60, 40),
@@ -31,7 +31,7 @@ _OURS: Final[dict[int, Color]] = {
     201: (230, 190, 255), 202: (200, 120, 220), 203: (160, 60, 190), 204: (110, 0, 140),
     1: (255, 255, 190), 4: (168, 56, 0), 6: (255, 127, 80), 11: (230, 190, 255), 12: (180, 90, 210), 13: (110, 0, 140),
 }  # fmt: skip
-"""Of the codes that tile lacks: near those of their group."""
+"""Colours of codes that this tile lacks, similar to those of their group."""
 _UNKNOWN: Final[Color] = (222, 222, 220)
 
 

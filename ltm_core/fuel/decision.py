@@ -17,7 +17,7 @@ from ltm_core.fuel.prior import FuelPrior, system_of
 
 _GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5
-"""Evidence for each life form where there is no prior map (Jeffreys)."""
+"""Evidence for each life form without a prior map (Jeffreys)."""
 
 
 @dataclass(frozen=True, eq=False)

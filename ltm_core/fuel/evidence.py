@@ -42,7 +42,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
-"""(row, col, height, width) of a part of the grid."""
+"""Part of the grid: (row, col, height, width)."""
 Key = tuple[int, int]
 
 _LATEST_NS = (2**32 - 1) * 10**9
@@ -96,7 +96,7 @@ class EvidenceMap:
         self.rules = rules if rules is not None else FusionRules()
         self.climate = climate if climate is not None else FuelClimate.named("dry")
         self.newest_ns = 0
-        """The latest stamp counted, to the second: the map's own time."""
+        """Latest counted stamp, rounded to seconds: the time of the map."""
         self._errors = errors if errors is not None else LabelErrors.assumed()
         self._errors_of = dict(errors_of or {})
         self._forms = label_forms(labels)

@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 
 _REACH = 2.5
-"""Sigmas to which the displacement of a cell is followed."""
+"""Number of sigmas to which the displacement of a cell is followed."""
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

@@ -109,7 +109,7 @@ def merge_cells(
 
 
 _MERGED: Final = tuple(name for name in EVIDENCE_FIELDS if name != "burned_at")
-"""In the order of the kernel's arguments."""
+"""Merged fields, in the order of the kernel's arguments."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,7 @@ def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
 
 
 _SUPPORTS = 0.5
-"""Least evidence by which a frame is one of those that show a life form in a cell."""
+"""Minimum evidence for a frame to count as showing a life form in a cell."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,12 @@ from ltm_core.vision.label_rules import Calibration, load_calibration
 from ltm_core.vision.manifest import NetworkManifest
 
 FLOOR = 0.01
-"""The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
+"""Minimum share of any label, so that a matrix counted on a few scenes never excludes one."""
 ASSUMED = "default"
-"""Name of the file for networks of which nothing is known."""
+"""Name of the file for networks without a calibration."""
 PHOTO_STEP = 1.8
-"""Labels of photos are so many times as often wrong as those of renderings: the shipped network's risk on land, of five
-views of real towers against `training_g`'s renderings, 0.404 to 0.223 (docs/labels.md)."""
+"""Factor between label errors on photos and on renderings: the risk of the shipped network on land, of five views of
+real towers against the renderings `training_g`, 0.404 to 0.223 (docs/labels.md)."""
 _OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TREE)
 _NAMES = tuple(form.name.lower() for form in LifeForm)
 
@@ -38,13 +38,13 @@ class LabelCorrelation(StrictModel):
     """
 
     cell: float = Field(ge=0, le=1)
-    """Of two pixels in one frame."""
+    """Correlation of two pixels in one frame."""
     stand: float = Field(ge=0, le=1)
-    """Of a pixel of the cell and one of another cell of its stand, some 100 m away, in one frame."""
+    """Correlation of a pixel of the cell and one of another cell of its stand, some 100 m away, in one frame."""
     view: float = Field(ge=0, le=1)
-    """Of two pixels in two frames of one view."""
+    """Correlation of two pixels in two frames of one view."""
     network: float = Field(ge=0, le=1)
-    """Of two pixels in two views: errors of the network itself, whoever looks."""
+    """Correlation of two pixels in two views: errors of the network itself."""
 
     @model_validator(mode="after")
     def _nested(self) -> Self:

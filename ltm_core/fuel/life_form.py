@@ -35,10 +35,10 @@ class LifeForm(IntEnum):
 
 
 FORMS: Final = len(LifeForm)
-"""Arrays over life forms have the form's id - 1 as index."""
+"""Life forms; arrays over them are indexed by the form's id - 1."""
 BURNED_COLOR: Final = (45, 35, 35)
 NODATA: Final = -9999
-"""Of fuel codes and canopy bands: nothing is known."""
+"""Nodata value of fuel codes and canopy bands."""
 NONBURNABLE: Final = (91, 92, 93, 98, 99)
 _GRASS, _SHRUB, _TREE, _BARE = LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BARE
 _GROUPS: Final[tuple[tuple[range, tuple[LifeForm, ...]], ...]] = (
@@ -69,7 +69,7 @@ def _table() -> BoolArray:
 
 
 FORMS_OF_CODE: Final = _table()
-"""(256, FORMS) bool: the life forms that agree with a fuel code, of either system. No form: no such code."""
+"""(256, FORMS) bool: life forms that agree with a fuel code of either system; a row without any is not a code."""
 
 
 def forms_of(codes: Int16Array) -> BoolArray:
@@ -111,7 +111,7 @@ def life_form_labels(labels: LabelSet) -> LabelSet:
 
 
 PARTS = 4
-"""To each side, of a fuel cell: 7.5 m of one of 30 m. The terrain is asked for each part."""
+"""Number of parts per side of a fuel cell, 7.5 m for a cell of 30 m. The terrain is checked for each part."""
 _PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
@@ -120,12 +120,12 @@ class GrowthLimits(StrictModel):
     """Labels of plants beyond these limits do not vote; None: no limit."""
 
     steepest_deg: float | None = Field(50.0, gt=0, lt=90)
-    """Slope of the ground over the width of a fuel cell, degrees, above which nothing that is labelled grass, shrub or
-    tree is believed. Of what LANDFIRE calls so in the Santa Ana Mountains 0.4, 0.5 and 1.2 % is steeper, about the
-    Tubbs fire 0.2 % at most, in Vermont nothing (docs/fuel_map.md)."""
+    """Slope in degrees over the width of a fuel cell above which labels of grass, shrub and tree are ignored. Of
+    LANDFIRE's vegetated cells in the Santa Ana Mountains 0.4, 0.5 and 1.2 % are steeper, near the Tubbs fire at most
+    0.2 %, in Vermont none (docs/fuel_map.md)."""
     tree_line_m: float | None = None
-    """Elevation in the DEM's datum, metres, above which no tree is believed. Give the highest that stands reach on the
-    site, not their mean: what is above it is not counted, whatever the picture shows."""
+    """Elevation in metres in the DEM's datum above which tree labels are ignored. Give the highest elevation of stands
+    on the site, not their mean: anything above it is ignored."""
 
     @property
     def any(self) -> bool:

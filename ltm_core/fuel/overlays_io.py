@@ -23,7 +23,7 @@ from ltm_core.storage.text_io import read_text
 
 _STRIP: Final = 256
 _FINE: Final = 8
-"""Parts a side into which a cell is cut, to tell how much of it an area covers."""
+"""Number of parts per side of a cell, used to compute the share that an area covers."""
 
 
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
@@ -100,12 +100,12 @@ def near(rings: Any, geometry: GridGeometry) -> bool:
 
 
 BURNED_AT: Final = "burned_at"
-"""Property of a feature: when its area burned, ISO 8601, UTC unless it names a zone."""
+"""Property of a feature with the time of the burn: ISO 8601, UTC unless it has a zone."""
 LEAST_SHARE: Final = 0.5
-"""Of a cell that must have burned, for it to have burned."""
+"""Minimum burned share of a cell for it to count as burned."""
 _LARGEST: Final = 64 << 20
 _LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
-"""What fits into a cell's state (`EvidenceMap.burn`)."""
+"""Latest time that fits a cell's state (`EvidenceMap.burn`)."""
 
 
 @dataclass(frozen=True, eq=False)

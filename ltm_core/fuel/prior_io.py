@@ -21,7 +21,7 @@ from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import is_folder, is_there
 
 _NODATA_VALUES = (-9999, 32767)
-"""That LANDFIRE's downloads and everybody else's use, whatever the file declares."""
+"""Nodata values of LANDFIRE's downloads and of common use, whatever the file declares."""
 _NAMES: Mapping[str, str] = {
     "fbfm40": r"[0-9]*fbfm40(?P<revision>([a-z][0-9]{0,3})?)|f40|40",
     "fbfm13": r"[0-9]*fbfm13(?P<revision>([a-z][0-9]{0,3})?)|f13|13",
@@ -31,7 +31,7 @@ _NAMES: Mapping[str, str] = {
     "bulk_density": r"[0-9]*cbd|density",
     "elevation": r"dem|elev|elevation",
 }
-"""Words by which a folder's files are known, between the ends and signs that are neither letters nor digits: cc.tif,
+"""Words that identify the files of a folder, between characters that are neither letters nor digits: cc.tif,
 LC22_CC_230.tif (LANDFIRE), US_200FBFM40.tif (its older downloads), fbfm40r5.tif and fbfm40b.tif (ELMFIRE)."""
 _LANDSCAPE_BANDS: Mapping[str, int] = {
     "elevation": 1,
@@ -51,7 +51,7 @@ class _Band:
     path: Path
     band: int = 1
     factor: float = 1.0
-    """To LANDFIRE's unit."""
+    """Factor to LANDFIRE's unit."""
 
 
 def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
@@ -165,8 +165,8 @@ _LCP_FACTORS: Mapping[str, Mapping[str, float]] = {
     "base_height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
     "bulk_density": {"1": 100.0, "2": 1601.846, "3": 1.0, "4": 1.601846},
 }
-"""By the header's unit codes: of elevation metres, feet; of canopy metres, feet, m x 10, ft x 10;
-kg/m3, lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
+"""Factors by the header's unit codes: metres, feet for elevation; metres, feet, m x 10, ft x 10 for canopy; kg/m3,
+lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
 
 
 def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:

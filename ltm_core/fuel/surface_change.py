@@ -26,16 +26,15 @@ from ltm_core.surface.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, co
 from ltm_core.surface.layers import SurfaceLayers
 
 UNSEEN: Final = 255
-"""Of a grid of changes: independent views have not looked."""
+"""Value in a grid of changes for cells that independent views have not seen."""
 SOURCE: Final = "terrain"
-"""Under which the store keeps where a change comes from; no camera may have this name."""
+"""Name under which the store records the source of a change; no camera may have it."""
 _BLOCK: Final = 16
-"""Fuel cells a side that are looked at together."""
+"""Number of fuel cells per side that are processed together."""
 _CODES: Final = 1000
-"""What is recorded of a cell is one number: its kind of change times this, plus the code that it starts from (0: its
-own)."""
+"""Factor of the recorded number of a cell: its kind of change times this, plus the initial code (0: its own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
-"""Of a cell's state, where what was known of its cover is void."""
+"""Fields of a cell's state that are reset when its cover is no longer known."""
 _KINDS: Final = {
     FuelChange.REMOVED: ChangeKind.REMOVED,
     FuelChange.GROWN: ChangeKind.GROWN,
@@ -50,7 +49,7 @@ class LivingFuelMap(EvidenceMap):
         super().__init__(geometry, prior, *arguments, **named)
         self._given = prior
         self.surface_changes = np.zeros(geometry.shape, np.int32)
-        """(H, W): what is recorded of the surface in each cell, 0 nothing."""
+        """(H, W): recorded surface change of each cell, 0 for none."""
 
     @property
     def change_kinds(self) -> UInt8Array:

@@ -25,9 +25,9 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 
 MAX_BYTES = 64_000
-"""Largest message of a frame's votes."""
+"""Maximum size in bytes of the message of a frame's votes."""
 _HEADER_BYTES = 1_500
-"""Bound of what a message holds besides its points: header, names of fields."""
+"""Upper bound in bytes for the header and field names of a message."""
 _AXES = ("x", "y", "z")
 _LENGTHS = ("footprint_dm", "sigma_along_dm", "sigma_across_dm")
 _VISIBILITY = ("cos_incidence", *_LENGTHS, "bearing_deg")

@@ -74,7 +74,7 @@ def undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: F
 
 
 MOST_A_SIDE = 65_535
-"""Pixels: as many as a JPEG can have."""
+"""Maximum number of pixels per side, the limit of JPEG."""
 
 
 @dataclass(frozen=True)

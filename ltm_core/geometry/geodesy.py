@@ -22,7 +22,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array
 
 EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the WGS 84 ellipsoid, metres (IUGG R1)."""
+"""Mean radius of the WGS 84 ellipsoid in metres (IUGG R1)."""
 
 
 def ray_bend(curvature: bool, refraction: float) -> float:

@@ -174,11 +174,11 @@ def checked_covariance(covariance: ArrayLike) -> Float64Array:
 
 
 UNKNOWN_AZIMUTH_SIGMA_DEG = 360 / math.sqrt(12)
-"""Standard deviation of a heading of which nothing is known: that of one spread evenly over the circle. Such an angle
-is told with a variance that is known and large, so that nothing is placed by it; a variance that is *itself* not known
-(infinite, or greater than a half turn's) is taken as the site's `assumed_pose_error`."""
+"""Standard deviation in degrees of an unknown heading: that of an angle uniform over the circle. Such an angle has a
+known large variance, so nothing is located by it. A variance that is itself unknown (infinite, or greater than that of
+half a turn) is replaced by the site's `assumed_pose_error`."""
 UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
-"""The same of a pitch, from straight down to straight up."""
+"""Standard deviation in degrees of an unknown pitch, uniform from straight down to straight up."""
 
 
 def axes_of_angles(pose: Pose) -> Float64Array:

@@ -17,24 +17,24 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 
 _BESIDE = 0.02
-"""Share of the table's span by which a zoom may lie outside it: end stops are not exact."""
+"""Share of the table's span by which a zoom may exceed it, because end stops are not exact."""
 
 ALERTCALIFORNIA_ZOOM = (
     (1.0, 62.6), (34.0, 56.8), (97.0, 48.3), (257.0, 34.9), (646.0, 20.9), (1606.0, 10.5), (3602.0, 5.2), (9905.0, 2.3),
 )  # fmt: skip
-"""(zoom of VAPIX, horizontal field of view in degrees), from the corners of fields of view that ALERTCalifornia
-publishes of its pan-tilt-zoom cameras: where nothing better is known of such a camera. To be calibrated."""
+"""(VAPIX zoom, horizontal field of view in degrees), from the corners of fields of view that ALERTCalifornia publishes
+for its PTZ cameras. Use it for such a camera if nothing better is known, and calibrate it."""
 
 
 class ZoomPoint(StrictModel):
     """The lens at one zoom."""
 
     zoom: float
-    """In the camera's own measure."""
+    """Zoom in the camera's own unit."""
     hfov_deg: float = Field(gt=0, lt=180)
-    """Between the image's left and right edges, distortion left aside."""
+    """Horizontal field of view in degrees between the image's left and right edges, without distortion."""
     k1: float = 0.0
-    """Distortion after Brown and Conrady, as are k2, p1, p2, k3."""
+    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3."""
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
@@ -47,12 +47,12 @@ class LensConfig(StrictModel):
     width: int = Field(gt=0)
     height: int = Field(gt=0)
     cx: float | None = None
-    """Principal point; the image's centre unless given."""
+    """Column of the principal point in pixels; default: the image's centre."""
     cy: float | None = None
     zoom: tuple[ZoomPoint, ...] = Field(
         tuple(ZoomPoint(zoom=zoom, hfov_deg=hfov) for zoom, hfov in ALERTCALIFORNIA_ZOOM), min_length=1
     )
-    """From wide to long; with one point the lens does not zoom."""
+    """Table from wide to long; with one point, the lens does not zoom."""
 
     @model_validator(mode="after")
     def _wide_to_long(self) -> Self:
@@ -89,7 +89,7 @@ class ZoomLens:
     cy: float
     table: tuple[tuple[float, ...], ...]
     aspect: float = 1.0
-    """fy over fx: of pixels that are not square."""
+    """Ratio of fy to fx for pixels that are not square."""
 
     @classmethod
     def fixed(cls, camera: Camera) -> Self:

@@ -20,7 +20,8 @@ _BIAS_RIDGE: Final = 0.1
 _LEAST_SPREAD: Final = 1e-3
 _STEPS: Final = 300
 _PARTS: Final = 3
-"""Of the photos; the best where five of 21 mountain photos with areas by hand taught heads for the others."""
+"""Number of parts of the photos, the best value when five of 21 hand-labelled mountain photos trained heads for the
+others."""
 
 
 class HeadFitConfig(StrictModel):

@@ -21,7 +21,8 @@ from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 AGREEMENT: Final = LabelAgreement(reach=0.006)
-"""Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
+"""Agreement filter before its exponent is fitted. The radius, 8 pixels of 1280, was chosen on five held-out tower
+views."""
 LAND_AND_SKY: Final = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
 _SEED = 0
 

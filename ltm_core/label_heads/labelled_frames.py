@@ -22,13 +22,13 @@ from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 LABELS_SUFFIX = "_labels.png"
 INDEX_FILE: Final = "frames.json"
-"""Index of a simulated set."""
+"""Index file of a simulated set."""
 UNKNOWN: Final = 254
-"""In labels to train on: nothing at all is known of the pixel (255: it is not sky)."""
+"""Training label of a pixel of which nothing is known (255: it is not sky)."""
 LAND: Final = 253
-"""In labels to train on: a slope of unknown cover, so neither sky nor water nor built."""
+"""Training label of a slope of unknown cover: neither sky nor water nor built."""
 _NO_CLASS: Final = (ERASED, MASKED, "lens", "caption")
-"""Areas that take truth away: nothing is known there, or `ltm mask` hides it."""
+"""Areas without ground truth: unknown, or hidden by `ltm mask`."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVis
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0
-"""A picture that shows a place should be that many times as wide as what is not known of the place."""
+"""Ratio of an image's width to the uncertainty of a place for the image to show that place."""
 _NARROWEST_DEG = 2.0
 
 
@@ -104,7 +104,7 @@ def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> 
 
 
 SHARES = (0.5, 0.95)
-"""Of the probability, that the ellipses hold."""
+"""Probabilities that the ellipses contain."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class PlaceName:
     lon: float
     lat: float
     mgrs: str | None
-    """None beyond 84 degrees north and 80 south, where MGRS has other grids."""
+    """MGRS coordinate; None beyond 84 degrees north and 80 south, where MGRS has other grids."""
     elevation: float | None
 
 

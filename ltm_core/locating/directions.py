@@ -46,11 +46,11 @@ from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import pixel_rays
 
 STEEPEST_DEG = 80.0
-"""Below the horizon: a camera that looks straighter down has no azimuth to speak of."""
+"""Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""
 LEAST_KNOWN_DEG = 20.0
-"""Sigma of an azimuth above which a camera's direction counts as unknown."""
+"""Standard deviation of an azimuth in degrees above which a camera's direction counts as unknown."""
 KNOTS = np.geomspace(5.0, 80_000.0, 15)
-"""Ranges, metres, at which covariances are worked out."""
+"""Ranges in metres at which covariances are computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +133,12 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
 
 
 DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
-"""Radians of sideways drift, sigma, for which azimuths are worked out."""
+"""Standard deviations of sideways drift in radians for which azimuths are computed."""
 NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
 TURN_SCALE = math.radians(2.0)
 MOST_TURNED = math.radians(15.0)
-"""How far a camera may be turned without anybody's knowledge: Cauchy's distribution with this scale, cut off there.
-Mounts slip by little more often than by much, and nothing is known of how much."""
+"""Scale and cut-off of the Cauchy distribution of an unnoticed turn of a camera. Small slips are only slightly more
+frequent than large ones, and the distribution of their size is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +206,13 @@ def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
 
 
 LEVEL_SHARE = 0.1
-"""Of a raster's cell size: the least sigma that its heights have between its nodes."""
+"""Minimum standard deviation of heights between nodes, as a share of the raster's cell size."""
 APART_CELLS = 4.0
-"""Cells from which errors of a raster's heights count as independent."""
+"""Distance in cells beyond which height errors of a raster are independent."""
 OTHERWISE = 0.2
 """Share of wrong cameras whose slope is wrong too."""
 OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
-"""Density of their slope, as of a normal distribution with a sigma of two degrees."""
+"""Density of the slope of a wrong camera: that of a normal distribution with a sigma of two degrees."""
 
 
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:

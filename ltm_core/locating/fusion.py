@@ -79,16 +79,17 @@ def _splat(
 
 
 _SIDE = 240
-"""Cells along the longer side of a window."""
+"""Number of cells along the longer side of a window."""
 _FINEST = 0.5
-"""Metres: no cell is smaller."""
+"""Minimum cell size in metres."""
 _BEYOND = 20.0
-"""A place whose misfit is that much greater than the best one's is looked at no closer."""
+"""Excess of misfit over the best place above which a place is not refined."""
 _ROUNDS = 3
 _ALIKE = 8
-"""Power of the cosine between two cameras' directions by which they count as one: 0.76 at 15 degrees, 0.06 at 45."""
+"""Exponent of the cosine between the directions of two cameras that measures how far they count as one: 0.76 at 15
+degrees, 0.06 at 45."""
 _SHRINKS = 0.5
-"""Another closer look is worth it where the window becomes that much smaller."""
+"""Factor by which a window must shrink for another refinement."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,9 +43,9 @@ from ltm_core.raster.dem import Dem
 
 MOST_SIGHTINGS = 64
 _NEGLIGIBLE = 0.02
-"""Probability of a camera to be the wrong one below which the answer without it does not count."""
+"""Probability of a wrong camera below which the solution without it is ignored."""
 _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
-"""Of one in fifty wrong cameras, which mark something else: density of their marks, in any azimuth."""
+"""Density of marks, in any azimuth, of the one in fifty wrong cameras that mark another object."""
 
 
 @dataclass(frozen=True)

@@ -18,41 +18,46 @@ class LocatingConfig(StrictModel):
     """Lengths in metres. Which were chosen how, and on what, stands in docs/locating.md."""
 
     dem_sigma: float = Field(1.0, ge=0)
-    """Of the heights of the terrain that the cameras see; a raster whose cells are larger than ten times it has a tenth
-    of a cell instead, since what lies between its nodes is not known."""
+    """Standard deviation of terrain heights in metres. A raster with cells larger than ten times this value has a tenth
+    of a cell instead, because heights between its nodes are unknown."""
     plume_height: float = Field(150.0, gt=0)
-    """Mean height above its foot of a plume that is noticed; heights are taken for exponentially distributed."""
+    """Mean height in metres of a plume's top above its base when it is noticed; heights are exponentially distributed.
+    """
     plume_lean: float = Field(0.35, ge=0)
-    """Sigma of the metres by which a plume's axis drifts, in any one direction, for each that it rises."""
+    """Standard deviation of a plume's horizontal drift in metres per metre of rise, along any one direction."""
     detection_range: float = Field(10_000.0, gt=0)
-    """At which a fire is noticed half as often as close by; the chance falls as 1 / (1 + (r / detection_range)^2)."""
+    """Range in metres at which a fire is noticed half as often as nearby. The probability is 1 / (1 + (r /
+    detection_range)^2)."""
     min_range: float = Field(30.0, ge=3.0)
-    """Nothing is looked for nearer: there a camera whose place is half a metre off may mark anything."""
+    """Minimum range in metres to search; nearer, an error of half a metre in the camera's position makes any mark
+    possible."""
     max_range: float = Field(40_000.0, ge=100.0)
-    """Nothing is looked for beyond it."""
+    """Maximum range in metres to search."""
     pixel_sigma: float = Field(2.0, gt=0)
-    """Pixels by which a marked place is off, in each direction."""
+    """Standard deviation of a marked pixel in pixels, in each direction."""
     box_sigma: float = Field(0.04, ge=0)
-    """Share of a box's or polygon's height by which its lower edge is off, where that is more."""
+    """Standard deviation of the lower edge of a box or polygon, as a share of its height, if this exceeds
+    `pixel_sigma`."""
     focal_sigma: float = Field(0.002, ge=0)
-    """Of the focal length, as a share."""
+    """Standard deviation of the focal length, as a share of it."""
     false_alarm: float = Field(0.03, gt=0, lt=0.5)
-    """Share of one camera's sightings of one thing that are taken for those of two."""
+    """Share of a camera's sightings that belong to another object than assumed."""
     wrong_odds: float = Field(2.0, gt=0)
-    """How many times likelier marks must be with one camera wrong than with none, until cameras disagree."""
+    """Odds ratio of one wrong camera against none above which cameras are reported to disagree."""
     sure_of_wrong: float = Field(0.75, ge=0.5, lt=1)
-    """Probability above which a camera is named as turned."""
+    """Probability above which a camera is reported as turned."""
 
 
 MOST_VERTICES = 1_000
-"""Of a polygon: a detector's outline has tens."""
+"""Maximum number of vertices of a polygon; outlines of detectors have tens."""
 _COLUMNS = 17
-"""Places at which a lower edge is sampled."""
+"""Number of places at which a lower edge is sampled."""
 _OVERLAP = 0.6
-"""Sigma of a sampled place as a share of the distance to the next: their sum is then flat within some percent."""
+"""Standard deviation of a sampled place as a share of the distance to the next; the sum is then flat within a few
+percent."""
 _FOOT = 0.15
-"""Of a smoke's height in the picture: a leaning plume's lower edge rises from its foot, and places that much higher
-are the foot e times less often."""
+"""Share of a plume's height in the image over which the probability of its base falls by a factor e. The lower edge of
+a leaning plume rises from its base."""
 
 
 @dataclass(frozen=True, eq=False)

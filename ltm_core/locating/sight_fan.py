@@ -18,10 +18,10 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Arr
 from ltm_core.raster.dem import Dem
 
 NEAREST = 3.0
-"""Metres at which a fan begins."""
+"""Range in metres at which a fan begins."""
 _LEAST_STEP = 0.5
 _STEP = 0.003
-"""Of the range, as a share of it."""
+"""Step as a share of the range."""
 _STEPS_INSIDE = 1_000
 NO_LEVEL = np.uint8(255)
 

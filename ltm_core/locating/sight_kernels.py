@@ -18,18 +18,18 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 from ltm_core.locating.sight_fan import NO_LEVEL, Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
 
 CRESTS = 6
-"""Crests that are kept of a ray: those that may be the highest."""
+"""Maximum number of crests kept per ray: those that may be the highest."""
 _STRETCH = 0.01
-"""Of the range: samples so near each other count as erring alike, however fine the raster."""
+"""Share of the range within which errors of samples are fully correlated, however fine the raster is."""
 _SPARSE = 4
-"""Of so many samples of which it is not sure whether their ground is seen, for one the chance is worked out."""
+"""Interval at which the visibility probability is computed among samples whose visibility is uncertain."""
 FOREGROUND = 15.0
-"""Metres."""
+"""Metres of foreground."""
 _SURE = 3.5
-"""Sigmas from which one slope is higher than another one."""
+"""Number of sigmas from which one slope is higher than another."""
 _UPPER = 2.0
-"""Of the samples that err alike the one stands for all that is highest by its height and so many sigmas: close to the
-camera a low one may be the one that hides most."""
+"""Number of sigmas added to a height when the highest of several correlated samples represents them; close to the
+camera, a low sample may hide the most."""
 ROOT_2PI = math.sqrt(2 * math.pi)
 
 
@@ -257,7 +257,7 @@ def mean_density(first: float, last: float) -> float:
 
 
 _REACH = 2.5
-"""Sigmas of drift to which neighbouring azimuths count."""
+"""Number of sigmas of drift within which neighbouring azimuths count."""
 _NEIGHBOURS = 9
 
 

@@ -27,20 +27,20 @@ from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 
 Bounds = tuple[float, float, float, float]
-"""x_min, y_min, x_max, y_max."""
+"""Bounds x_min, y_min, x_max, y_max in metres."""
 
 IMPOSSIBLE = math.exp(-15.0)
-"""A place that fits a mark worse than this does not explain it."""
+"""Misfit above which a place does not explain a mark."""
 _SIGMAS = 5.0
-"""Of the azimuth, to which a fan reaches."""
+"""Number of sigmas of the azimuth that a fan covers."""
 _FIRST, _MOST = 40, 120
-"""Azimuths of a fan at first, and at most when it is looked at closely."""
+"""Initial number of azimuths of a fan, and the maximum after refinement."""
 _WING, _WINGS = math.radians(3.0), 12
-"""How far a fan reaches on either side for what plumes drift, and its azimuths there."""
+"""Width that a fan adds on either side for drifting plumes, and its number of azimuths there."""
 _CREST = 16
-"""Azimuths over the mark in every fan for smoke: there it comes up, wherever its foot is."""
+"""Number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is."""
 _PER_CELL = 1.5
-"""Samples a cell's side: fewer leave some cells without any."""
+"""Number of samples per cell side; with fewer, some cells get none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Sighting:
     """One mark in one picture. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
 
     name: str
-    """The camera's: sightings of one name share its pose's error."""
+    """Name of the camera; sightings with the same name share its pose error."""
     camera: Camera
     pose: Pose
     covariance: Float64Array

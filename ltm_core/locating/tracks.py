@@ -26,7 +26,7 @@ from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.wrong_camera import FireMemory, TurnVerdict
 
 MOST = 200
-"""Poses that are remembered; the one told longest ago goes first."""
+"""Maximum number of poses kept; the least recently received one is dropped first."""
 
 
 class KnownPoses:
@@ -62,7 +62,8 @@ class KnownPoses:
 
 
 NEARBY_DEG = 4.0
-"""Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
+"""Maximum angle in degrees between a sighting's azimuth and a track's place for both to be the same fire if a camera is
+wrong."""
 
 
 @dataclass(frozen=True, eq=False)

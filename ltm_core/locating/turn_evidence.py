@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 STEP = math.radians(0.05)
 TURNS: Float64Array = STEP * np.arange(-round(MOST_TURNED / STEP), round(MOST_TURNED / STEP) + 1, dtype=np.float64)
-"""Radians by which a stated azimuth may be too great, (T,)."""
+"""Angles in radians by which a stated azimuth may be too large, (T,)."""
 _LEAST_SIGMA = 0.8 * STEP
-"""Of a mark's azimuth: narrower ones would fall between the angles."""
+"""Minimum standard deviation of a mark's azimuth; narrower ones would fall between the angles."""
 _FAR = 1_000.0
-"""Metres from which on the position's error counts for little in an azimuth."""
+"""Distance in metres beyond which the position error has little effect on an azimuth."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,16 +20,17 @@ from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 
 _ONE_PLACE = math.radians(1.0)
-"""Fires that all cameras mark within this angle are at one place."""
+"""Angle within which fires that all cameras mark are at one place."""
 _SLIP_MEDIAN = math.radians(1.5)
 _SLIP_SPREAD = 0.8
-"""Logarithmic standard deviation of a slip's size, which is lognormal: 85 % of slips are between 0.5 and 5 degrees, 2 %
-above 8. These are assumptions: no record of slips is known to us."""
+"""Logarithmic standard deviation of the size of a slip, which is lognormal: 85 % of slips are between 0.5 and 5
+degrees, 2 % above 8. These are assumptions; we know of no record of slips."""
 _LOST = math.log(100.0)
-"""Logarithm of the factor by which a lost camera is likelier to be turned, before its last fire or after it. On
-rendered frames the watch of the mount reported 18 of 20 turned cameras, and none in 544 pictures of others."""
+"""Logarithm of the factor by which a camera reported as lost is more likely to be turned, before or after its last
+fire. On rendered frames, the mount monitor reported 18 of 20 turned cameras, and none in 544 images of others."""
 _SHORTEST_NS = 10_000_000_000
-"""The age of a turn is log-uniform from this to a day before the first fire: how often mounts slip is not known."""
+"""Minimum age of a turn; it is log-uniform from this to a day before the first fire, because the rate of slips is
+unknown."""
 
 
 @dataclass(frozen=True)

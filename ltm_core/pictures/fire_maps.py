@@ -26,14 +26,14 @@ FLAME: Final = Scale.of(
     cv2.COLORMAP_PLASMA,
     upwards=False,
 )  # fmt: skip
-"""Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
+"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
 PROBABILITY: Final = Scale.of(
     ("below 5 %", "5 to 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 to 95 %", "95 % and more"),
     (0.05, 0.2, 0.4, 0.6, 0.8, 0.95),
     cv2.COLORMAP_VIRIDIS,
 )
 _SOON: Final = 5 / 60
-"""Hours by which two arrivals are called the same: the model's steps are minutes."""
+"""Hours within which two arrivals count as equal; the model's steps are minutes."""
 DIFFERENCE: Final = Scale(
     (
         "burns only as the map is now", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",

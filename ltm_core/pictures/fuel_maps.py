@@ -35,7 +35,7 @@ _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
 _SURE: Final = 0.25
 _NO_MORE: Final = 0.85
-"""Entropies at which a life form's colour is full, and palest."""
+"""Entropies at which a life form's colour is full and palest."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ DOUBT: Final = Scale.of(
     (0.1, 0.2, 0.3, 0.4, 0.5, 0.7),
     cv2.COLORMAP_CIVIDIS,
 )
-"""Of the entropy of a cell's life forms: 0 certain, 1 nothing known."""
+"""Share of the maximum entropy of a cell's life forms: 0 certain, 1 unknown."""
 FRAMES: Final = Scale.of(
     ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more"), (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS
 )

@@ -13,7 +13,7 @@ from ltm_core.base.types import Float32Array, Float64Array, RgbImage
 from ltm_core.raster.dem import Dem
 
 Window = tuple[int, int, int, int]
-"""Row, column, height and width of a part of a raster."""
+"""Part of a raster: row, column, height and width."""
 
 # Lights from four sides, north-west strongest: ridges of every direction keep a lit and a dark side.
 _LIGHTS = ((315.0, 0.5), (270.0, 0.2), (360.0, 0.2), (225.0, 0.1))
@@ -22,7 +22,7 @@ _TINTS = np.array(
 )
 _NODATA = (214, 216, 220)
 _GREY = 0.7
-"""Brightness where there is no height."""
+"""Brightness of cells without height."""
 _STRIP_CELLS = 1 << 20
 _SPAN_CELLS = 1 << 22
 

@@ -60,22 +60,24 @@ class PosedImage:
 
 class TracingConfig(StrictModel):
     surface: bool = True
-    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
-    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+    """Whether to trace to the tops of trees and buildings where the site has a surface raster. Both hits are kept; the
+    one on bare earth is published on `depth/ground` while the topic has subscribers."""
 
 
 class LabellingConfig(StrictModel):
     model: str = ""
-    """Manifest name or path; empty: the site's."""
+    """Manifest name or path of the network; empty: that of the site."""
     threads: int = Field(1, ge=1)
-    """Cores that the network may use."""
+    """Number of cores that the network may use."""
     zoom: float = Field(1.0, ge=1, le=4)
-    """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
+    """Magnification of a second inference of the slopes along the skyline; 1: none. It costs one to several more runs
+    of the network."""
     confidence: float | None = Field(None, ge=0, lt=1)
-    """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
+    """Probability below which labels are withdrawn; None: the value of the network's manifest or the camera's label
+    head."""
     tree_contrast: float | None = Field(None, ge=0)
-    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps) and the picture shows more shrub:
-    hazy far slopes are called so. None: as the network's manifest or the camera's head says."""
+    """Local contrast in 8-bit steps below which *tree* is withdrawn if the image shows more shrub, because hazy far
+    slopes are labelled as trees; None: the value of the network's manifest or the camera's label head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +242,7 @@ class VotingStep:
         limits = GroundLimits(growth, self.geometry, dem, self.labels) if growth.any else None
         self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend, limits)
         self.assumed = site.assumed_pose_error.covariance()
-        """(6, 6): of poses of which nothing else is known."""
+        """(6, 6) covariance assumed for poses without one."""
 
     def cast(
         self,

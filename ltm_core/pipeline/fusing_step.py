@@ -34,16 +34,16 @@ from ltm_core.vision.scene_view import SceneView
 
 class FusingConfig(StrictModel):
     model: str = ""
-    """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    """Manifest name or path of a depth network; empty: `depth_model` of the site."""
     label_model: str = ""
-    """Manifest name or path of the network that makes the labels, which says how fine they are; empty: the site's
-    `model`."""
+    """Manifest name or path of the segmentation network, which states the resolution of its labels; empty: `model` of
+    the site."""
     threads: int = Field(1, ge=1)
-    """Cores that the network may use."""
+    """Number of cores that the network may use."""
     angle_sigma_deg: float = Field(0.03, ge=0)
-    """Standard deviation of a camera's direction, beside what its pose's covariance says."""
+    """Standard deviation of a camera's direction in degrees, in addition to the covariance of its pose."""
     dem_sigma: float = Field(1.0, ge=0)
-    """Standard deviation of the terrain's heights, metres."""
+    """Standard deviation of the terrain's heights in metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class FusingStep:
         self._config, self._site = config, site
         self._scene = site_scene_filter(site, camera)
         self.label_columns = label_columns(site, camera, config)
-        """Of the network that makes the labels; 0: not known."""
+        """Columns of the network that makes the labels; 0: unknown."""
         self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
         # Bare earth is asked for only where depth is traced to something else.

@@ -101,9 +101,9 @@ def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
 
 STORE_FILE = "terrain.sqlite"
 STABLE_CLASSES = ("grass", "bare", "built")
-"""Whose surface stays where it is: what a frame is registered on."""
+"""Classes whose surface does not move; frames are registered on them."""
 UNCOMMITTED = 500
-"""Frames that wait to be stored at most."""
+"""Maximum number of frames that wait to be stored."""
 
 
 class SiteTerrain:
@@ -156,7 +156,7 @@ class SiteTerrain:
 
 
 TERRAIN_STORE: Final = "terrain.sqlite"
-"""Name of a site's store in the folder in which its terrain node keeps it."""
+"""Name of a site's store in the folder of its terrain node."""
 
 
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:

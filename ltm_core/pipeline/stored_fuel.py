@@ -28,12 +28,12 @@ from ltm_core.surface.change import Changed
 
 STORE_KIND: Final = "fuel"
 STORE_FILE: Final = "fuel_map.ltm"
-"""Name of a site's store in the folder that the site's fuel map keeps its files in."""
+"""Name of a site's store in the folder of its fuel map."""
 JOURNALED: Final = ("life_form", "code")
-"""Layers whose changes the store's journal holds."""
+"""Layers whose changes are in the store's journal."""
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
-"""Of the journal: what is recorded of the changed surface in each cell (`LivingFuelMap.surface_changes`)."""
+"""Journal layer with the recorded surface change of each cell (`LivingFuelMap.surface_changes`)."""
 _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 

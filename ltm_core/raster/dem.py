@@ -22,7 +22,7 @@ from ltm_core.raster.raster_io import check_size, open_raster
 Bounds = tuple[float, float, float, float]
 
 _ROWS = 256
-"""Rows read at a time, or the file's own blocks where they are higher."""
+"""Number of rows read at a time, or the height of the file's blocks if that is larger."""
 _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -scale 0 1 0 0.3048 -a_srs EPSG:...)"
 
 

@@ -111,7 +111,7 @@ def blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Fl
 
 
 BAND = 3.0
-"""Coarse cells over which the fine heights give way to the coarser ones; never more than a quarter of the raster."""
+"""Width in coarse cells over which fine heights blend into coarse ones; at most a quarter of the raster."""
 
 
 def fill_holes(

@@ -59,7 +59,7 @@ def _state(path: Path | str) -> tuple[str, int, int, int]:
 
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0
-"""Metres around the finest raster to which coarser ones are read."""
+"""Distance in metres around the finest raster to which coarser ones are read."""
 
 
 class DemStack(Dem):
@@ -75,7 +75,7 @@ class DemStack(Dem):
     """
 
     coarser: tuple[Dem, ...]
-    """The levels but the finest, finest of them first."""
+    """Coarser levels, finest first."""
 
     def __init__(self, levels: Sequence[Dem]) -> None:
         self._assemble([Dem(level.elevation.copy(), level.geometry) for level in levels[:-1]] + list(levels[-1:]))

@@ -24,7 +24,7 @@ from ltm_core.base.types import Float64Array
 
 MOST_FEATURES: Final = 1_000_000
 _ENVELOPE: Final = {0: 0, 1: 32, 2: 48, 3: 48, 4: 64}
-"""Bytes of the header's envelope by its kind."""
+"""Size in bytes of the header's envelope by its kind."""
 _LINE, _POLYGON, _MULTILINE, _MULTIPOLYGON, _COLLECTION = 2, 3, 5, 6, 7
 
 

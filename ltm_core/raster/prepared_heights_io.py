@@ -27,11 +27,11 @@ from ltm_core.base.types import Float32Array
 from ltm_core.storage.disk_io import free_bytes
 
 VERSION = 1
-"""To be raised when the same raster is read into other heights."""
+"""Version of the preparation; increase it when the same raster gives other heights."""
 LEAST_CELLS = 16 << 20
-"""Of a raster that is worth a file (64 MB); a smaller one is decoded in half a second."""
+"""Minimum number of cells of a raster for a prepared file (64 MB); a smaller one is decoded in half a second."""
 SPARE_BYTES = 1 << 30
-"""That must be left free on the disk."""
+"""Minimum free space on the disk in bytes."""
 _HEADER_BYTES = 1 << 16
 _SUFFIX = ".ltm-heights"
 _MARK = b'{"ltm heights":'

@@ -15,18 +15,18 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.disk_io import is_file
 
 _GDAL = {"GDAL_CACHEMAX": 32}
-"""MB; GDAL's own default is a twentieth of the machine's memory."""
+"""GDAL settings; the cache in MB replaces GDAL's default of a twentieth of the memory."""
 MOST_CELLS = 1 << 30
-"""Of a raster that is read whole: 32 km a side at 1 m."""
+"""Maximum number of cells of a raster that is read whole: 32 km per side at 1 m."""
 _UNSUSPECTED = 16 << 20
-"""Cells up to which a raster may be of any contents."""
+"""Number of cells up to which a raster is not checked."""
 MOST_BANDS = 100
-"""Landscape files have ten. Where a file interleaves its bands by cell, one band is not read without all others: of
-4,097 bands a block of 256 x 256 cells is a gigabyte."""
+"""Maximum number of bands; landscape files have ten. In a file interleaved by cell, one band cannot be read without the
+others: with 4,097 bands, a block of 256 x 256 cells is a gigabyte."""
 _GRIDS_OF_TEXT = ("AAIGrid", "GRASSASCIIGrid", "ISG")
 _MOST_FOR_A_BYTE = 1000
-"""Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
-file may state any size, and need not hold the tiles of it."""
+"""Maximum number of cells per byte of the file; compressed elevations and codes need at least a tenth of a byte per
+cell. A file may state any size without containing its tiles."""
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
 
 _BLOCK = 256
 _CACHE_MB = 64
-"""GDAL's own default is a twentieth of the machine's memory."""
+"""Cache size in MB; GDAL's default is a twentieth of the memory."""
 
 
 def write_geotiff(

@@ -14,7 +14,7 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 Value = TypeVar("Value", bound=np.generic)
 
 RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
-"""Edges of the range bins that depth is scored in, metres of true depth."""
+"""Edges in metres of true depth of the range bins in which depth is scored."""
 
 
 @dataclass(frozen=True)

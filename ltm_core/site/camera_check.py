@@ -18,9 +18,9 @@ from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
 
 _MUCH_MASKED = 0.6
-"""Share of a picture above which a mask may be inverted."""
+"""Masked share of an image above which a mask may be inverted."""
 _TURNING = ("lens", "caption")
-"""Classes of polygons that hide the same pixels wherever a PTZ head looks."""
+"""Classes of polygons that hide the same pixels in every direction of a PTZ camera."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 

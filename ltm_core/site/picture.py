@@ -27,9 +27,9 @@ from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _WIDTH = 900
-"""Pixels of a map."""
+"""Width of the map in pixels."""
 _REACH = 0.14
-"""Of the map's width: how far the sectors of the cameras are drawn."""
+"""Length of a camera's sector on the map, as a share of the map's width."""
 
 
 @dataclass(frozen=True)

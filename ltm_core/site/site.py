@@ -39,10 +39,10 @@ def _ros_name(name: str) -> str:
 RosName = Annotated[str, AfterValidator(_ros_name)]
 
 FARTHEST_ORIGIN = 100_000.0
-"""Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
+"""Maximum distance in metres from the DEM to the origin; beyond it, float32 coordinates lose centimetres."""
 
 SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
-"""Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
+"""Names of nodes and topics in `/<site>/`, which no camera may have."""
 
 
 def _camera_name(name: str) -> str:
@@ -69,47 +69,50 @@ class Site(StrictModel):
     name: RosName
     crs: ProjectedCrs
     origin: tuple[float, float]
-    """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
+    """Origin (x, y) of the map frame in the CRS, in metres. Keep it near the site, so that float32 resolves
+    millimetres."""
     dem: DemConfig
-    """One, or in YAML a list: the finest first, then coarser ones around it (see `dem_stack`)."""
+    """The DEM; in YAML a single one, or a list from the finest to the coarsest (see `dem_stack`)."""
     coarser: tuple[DemConfig, ...] = ()
-    """The rest of such a list."""
+    """The coarser DEMs of such a list."""
     surface: DemConfig | None = None
-    """Tops of trees and houses as elevations; where it is nodata the ground shows."""
+    """Raster of the tops of trees and buildings, in metres; where it is nodata, the ground is used."""
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
-    """How high the ground may be where the DEM does not know it, beyond its end too: what is sky hangs on it."""
+    """Maximum height of ground that the DEM does not cover; it decides which pixels are sky."""
     fuel: FuelConfig = FuelConfig()
     assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None
-    """Where given, the surface is kept up to date from fused depth."""
+    """Settings of the updated terrain; if given, fused depth keeps the surface up to date."""
     locating: LocatingConfig | None = None
-    """Where given, what is marked in the cameras' pictures is located on the map."""
+    """Settings for locating marks in camera images on the map; None: the node does not run."""
     labels: str = "labels.yaml"
-    """Label set in config/."""
+    """Label set, a file in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
     label_heads: Path | None = None
-    """Folder of label heads that is looked in first, relative to the site file; then beside the network's manifest."""
+    """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
+    comes second."""
     depth_model: str = ""
-    """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
+    """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     processes: Literal["site", "node"] = "site"
-    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
-    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
+    node has its own process, for development and for several hosts."""
     workers: int | None = Field(None, ge=1)
-    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    """Number of frames that a site's process works on at a time; None: one per core."""
     refine_poses: PoseRefinementConfig | None = None
-    """None: poses are taken as they are stated."""
+    """Settings for refining poses; None: poses are used as stated."""
     limits: MessageLimits = MessageLimits()
     watchdog: WatchdogConfig = WatchdogConfig()
     health: HealthConfig | None = None
-    """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
+    """Settings of the HTTP endpoint of `ltm run` for monitoring systems and the status page; None: no endpoint."""
     region: UplinkConfig | None = None
-    """Where given, votes also go to the map of a region."""
+    """Settings for sending votes to the map of a region; None: they are not sent."""
     nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
-    """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
+    """Parameters by node type, for example `nodes: {capture: {pose_tolerance: 0.1}}`. A node rejects unknown
+    parameters."""
 
     @model_validator(mode="before")
     @classmethod

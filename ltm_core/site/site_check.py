@@ -33,9 +33,9 @@ from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
-"""Metres from the origin beyond which float32 no longer holds millimetres."""
+"""Distance from the origin in metres beyond which float32 does not resolve millimetres."""
 _SAMPLES = 200
-"""Points a side at which two rasters' heights are compared."""
+"""Number of points per side at which two rasters' heights are compared."""
 
 
 @dataclass
@@ -47,7 +47,7 @@ class SiteCheck:
     dem: Dem | None = None
     prior: FuelPrior | None = None
     views: list[PosedCamera] = field(default_factory=list)
-    """Cameras whose calibration and pose stand in the site file."""
+    """Views of the cameras whose calibration and pose are in the site file."""
 
     @property
     def wrong(self) -> list[SiteFinding]:

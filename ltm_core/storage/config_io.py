@@ -25,24 +25,25 @@ from ltm_core.base.redaction import shown
 from ltm_core.storage.text_io import read_text
 
 LARGEST_FILE = 512 << 10
-"""Bytes; parsed in some two seconds. The largest that ships has 20 kB, one of a site with 50 cameras 30 kB."""
+"""Maximum file size in bytes, parsed in about two seconds. The largest shipped file has 20 kB, a site with 50 cameras
+30 kB."""
 LARGEST_DEPTH = 40
-"""Mappings and lists inside each other."""
+"""Maximum nesting of mappings and lists."""
 MOST_VALUES = 100_000
-"""Keys and values, with those that an alias repeats counted each time."""
+"""Maximum number of keys and values, counting those that an alias repeats each time."""
 LONGEST_NUMBER = 40
-"""Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
+"""Maximum number of characters of an integer; Python's conversion of longer ones takes seconds or fails."""
 LARGEST_KEPT = 32 << 10
-"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and
-site many times, and to copy values takes a fraction of the time that parsing takes."""
+"""Maximum number of characters of a text whose values are cached, for the last `_KEPT` texts. A process reads the same
+labels, models and site many times, and copying values is faster than parsing."""
 _KEPT = 64
 
 _BROKEN = (
     *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
     *(OverflowError, RecursionError),
 )
-"""What PyYAML raises, on purpose and not: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError), `!!bool x`
-(KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
+"""Errors that PyYAML raises, including unintended ones: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError),
+`!!bool x` (KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
 
 
 if TYPE_CHECKING:
@@ -58,9 +59,9 @@ class _Bounds(_AnyLoader):
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._open: list[int] = []
-        """Values so far in each node that is being composed, outermost first."""
+        """Number of values so far in each node being composed, outermost first."""
         self._values: dict[int, int] = {}
-        """Values in each node that is composed, by its identity."""
+        """Number of values in each composed node, by its identity."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
@@ -112,10 +113,10 @@ class _BoundedLoader(_Bounds, yaml.SafeLoader):
 
 _BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
 _FAST: type[_Bounds] | None = None
-"""Where PyYAML was built with libyaml."""
+"""Loader of PyYAML with libyaml, if available."""
 _ALIKE = re.compile(r"(?s)(?!.*[|>][-+\d]*#)[\n \"->@-~]*")
-"""Texts that both make the same of. With tabs, question marks, characters beyond ASCII, or a comment at the sign of a
-block (`|#`), libyaml takes what PyYAML refuses; and of `!` alone it makes a text, where PyYAML finds nothing."""
+"""Texts that both parsers read alike. With tabs, question marks, non-ASCII characters or a comment at a block sign
+(`|#`), libyaml accepts what PyYAML rejects; and it reads `!` alone as a text, where PyYAML finds nothing."""
 if yaml.__with_libyaml__:
 
     class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):

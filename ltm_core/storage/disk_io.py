@@ -69,7 +69,7 @@ class SpaceFloor:
         self.again = floor + floor // 10
         self.low = False
         self.free = 0
-        """At the last look."""
+        """Free bytes at the last check."""
 
     def look(self) -> bool:
         """Look again; `low`. A disk that cannot be asked (gone, read-only) is not low: writing tells what is wrong."""
@@ -91,7 +91,7 @@ class DiskReserve:
         """Nothing is held yet."""
         self.path = path
         self.most = 0
-        """Bytes that have been held at most."""
+        """Maximum number of bytes held so far."""
 
     @property
     def held(self) -> int:

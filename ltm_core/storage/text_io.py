@@ -29,7 +29,7 @@ from ltm_core.base.errors import ImageError, LtmError
 from ltm_core.base.types import UInt8Array
 
 LARGEST_TABLE = 4 << 20
-"""Bytes of a CSV file, or of an index in JSON."""
+"""Maximum size in bytes of a CSV file or of an index in JSON."""
 
 
 def read_text(path: Path, most: int, error: type[LtmError], encoding: str = "utf-8") -> str:
@@ -51,7 +51,7 @@ _BROKEN = (
     *(OSError, ValueError, TypeError, LookupError, EOFError, SyntaxError, MemoryError, OverflowError),
     *(RuntimeError, zlib.error, zipfile.BadZipFile, tokenize.TokenError),
 )
-"""What NumPy, the header's parser and zipfile raise for bytes that are damaged."""
+"""Errors that NumPy, the header's parser and zipfile raise for damaged bytes."""
 
 
 def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]:
@@ -90,18 +90,19 @@ def _array(stream: BinaryIO, size: int) -> NDArray[Any]:
 
 
 LARGEST_FILE = 256 << 20
-"""Bytes of a photo file."""
+"""Maximum size of a photo file in bytes."""
 MAX_PIXELS = 64_000_000
-"""Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
+"""Maximum number of pixels of a compressed image; a few kilobytes can claim gigapixels, which would use all memory of a
+tower."""
 
 FORMATS = ("JPEG", "PNG", "HEIF", "TIFF", "GIF", "BMP", "WEBP")
-"""What is opened (MPO with JPEG). Other formats of Pillow's are not even tried: for EPS it starts Ghostscript."""
+"""Formats that are opened (MPO with JPEG). Other formats of Pillow are not tried: for EPS it starts Ghostscript."""
 
 BROKEN = (
     *(OSError, ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError),
     *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
 )
-"""What Pillow, its plugins and their EXIF raise for files that are damaged: they agree on no error of their own."""
+"""Errors that Pillow, its plugins and their EXIF parsers raise for damaged files; they have no common class."""
 _PHOTOS = {".jpg", ".jpeg", ".png"}
 
 

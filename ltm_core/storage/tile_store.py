@@ -49,9 +49,9 @@ from ltm_core.storage.tile_store_schema import (
 __all__ = ["CellChanges", "Field", "FrameRecord", "Key", "StoreSchema", "Tile", "TileStore", "Touch"]
 
 RESERVE_BYTES = 32 << 20
-"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
+"""Bytes reserved on the disk for transactions when it is full; at least twice the store's size."""
 WAITING_CELL_BYTES, WAITING_HEADER_BYTES = 512, 64 << 10
-"""What a frame that waits holds at most, for each cell of the grid and besides."""
+"""Maximum bytes of a waiting frame, for each cell of the grid and in addition."""
 
 
 class TileStore:
@@ -79,7 +79,7 @@ class TileStore:
         self._rows = partial(checked_rows, database, name)
         self._remembered = Remembered(kept_frames, most_frames)
         self.strain = ""
-        """Where the last commit was made on a full disk: what that means, in words."""
+        """Description of a full disk at the last commit, in words."""
 
     @classmethod
     def open(

@@ -18,15 +18,16 @@ from ltm_core.storage.tile_store_schema import FrameRecord, StoreSchema, compres
 
 APPLICATION_ID = 0x4C544D31  # "LTM1"
 LAYOUT = 1
-"""Of the tables below, SQLite's user_version."""
+"""Version of the tables below (user_version of SQLite)."""
 LARGEST_VALUE = 256 << 20
-"""Bytes of one value in the file; a tile has some hundred kilobytes."""
+"""Maximum bytes of one value in the file; a tile has some hundred kilobytes."""
 CHECKED_BYTES = 64 << 20
-"""Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
+"""File size in bytes up to which a file is checked completely when it is opened; in larger ones, damage is found when
+it is read."""
 
 CACHE_KB = 256
-"""Of the file in memory, for each connection: the pages that each frame touches, full after the first tiles. SQLite's
-own 2 MB would fill over 16 hours, and serve nobody: what is written is not read again."""
+"""Cache in KB for each connection, for the pages that each frame touches; it is full after the first tiles. SQLite's
+default of 2 MB would fill over 16 hours without use, because written data is not read again."""
 
 TABLES = """
 CREATE TABLE description (content TEXT NOT NULL);
@@ -209,12 +210,13 @@ def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connectio
 
 
 KEPT_FRAMES = 20_000
-"""Stamps remembered of each source at least, a week of a frame every 30 s; older ones are refused, as nobody knows."""
+"""Minimum number of stamps kept per source, a week of a frame every 30 s; older frames are rejected, because they may
+have been counted."""
 KEPT_NS = 7 * 86_400 * 10**9
-"""Up to the newest, in which a source's stamps are remembered however many they are: thousands of one minute push out
-none of the same day."""
+"""Time before the newest stamp within which all stamps of a source are kept, so that thousands in one minute do not
+displace those of the same day."""
 MOST_FRAMES = 1_000_000
-"""Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
+"""Maximum number of stamps kept per source, some 30 MB, to limit the file size."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ Key = tuple[int, int]
 Tile = dict[str, NDArray[Any]]
 
 LARGEST_TILE = 64 << 20
-"""Bytes of a tile; those of our maps have one or two million."""
+"""Maximum bytes of a tile; those of our maps have one or two million."""
 _LEVEL = 1
 _CHANGE = np.dtype([("row", "<i4"), ("col", "<i4"), ("old", "<i4"), ("new", "<i4")])
 

@@ -18,7 +18,7 @@ from ltm_core.base.types import Int32Array, Int64Array, RecordArray, UInt8Array
 from ltm_core.storage.tile_store_schema import Field
 
 TILE = 64
-"""Cells a side of a tile."""
+"""Number of cells per side of a tile."""
 TILE_BITS = 6
 CELLS = TILE * TILE
 PLACE_BITS = 2 * TILE_BITS
@@ -35,7 +35,7 @@ CANDIDATE = np.dtype(
     [("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
      ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
-"""Fields that are read only by observations that contradict the estimate, and by labels."""
+"""Fields read only by observations that contradict the estimate, and by labels."""
 DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
 """Fields that no observation reads: the decision on change."""
 
@@ -96,11 +96,10 @@ SUM = np.dtype(
      ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4"),
      ("label", "u1"), ("_", "u1", 3)]
 )  # fmt: skip
-"""Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
-above the reference at which a ray passed it (infinite: none did), and by how many sigmas of range it did; and of the
-pixels that speak by their labels, how many count (`labelled`), how high it is that stood there, and the sums of the
-log odds of those that say it is gone and of those that say it stays.
-"""
+"""Sums of one cell: over pixels that agree with the reference and over those that do not (off_); the least height above
+the reference at which a ray passed it (infinite: none) and by how many sigmas of range; and, of pixels that count by
+their labels, their number (`labelled`), the height of what stood there, and the sums of log odds that it is gone and
+that it stays."""
 
 
 class FrameSums(NamedTuple):

@@ -23,18 +23,18 @@ from ltm_core.base.types import Int32Array
 from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, FrameSums, TileCells
 
 TALL = 10.0
-"""Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
+"""Rise in metres above which a new object is a building or, more often, something that passes the camera."""
 WATCHED = 12.5
-"""Log odds by which a camera's labels tell that what it has seen to stand is gone: five sigmas."""
+"""Log odds by which a camera's labels show that something it has seen standing is gone: five sigmas."""
 TOLD_AFTER = 72_000.0
-"""Seconds for which one camera's labels must contradict what it has watched: fog and dusk, in which they err more, are
-gone by the next day."""
+"""Seconds for which one camera's labels must contradict what it has seen: fog and dusk, in which they err more, are
+over by the next day."""
 _STANDS = 0.3
-"""Of a cell's labels, by their log odds, that may say it is open where something is taken to stand."""
+"""Share of a cell's labels, by their log odds, that may show open ground where something is assumed to stand."""
 _AHEAD = 12
-"""Cells whose memory is fetched while others are worked on."""
+"""Number of cells whose memory is prefetched."""
 TALL_LOOKS = 2.5
-"""Looks of one camera that it takes to believe it; two cameras need no more of them than for anything else."""
+"""Number of observations by one camera that confirm it; two cameras need no more than for any other change."""
 
 
 class Rules(NamedTuple):

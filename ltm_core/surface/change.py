@@ -22,11 +22,11 @@ from ltm_core.surface.neighbours import REACH, WIDE, Estimates, mean_of_neighbou
 from ltm_core.surface.reference_surface import Reference
 
 _OWN_SHARE = 0.4
-"""Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
+"""Share of its neighbours' shift that a cell must show itself; a gap in a felled stand was no tree."""
 _WEAKLY_SURE, _WEAKLY_CHANGED = 0.33, 0.75
-"""Of the confidence and of the threshold that a cell needs beside a surely changed one."""
+"""Shares of the confidence and of the threshold that a cell needs next to a surely changed one."""
 _COMPATIBLE = 2.0
-"""Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
+"""Number of deviations by which a cell's own estimate may differ from its neighbours' shift without contradiction."""
 
 Window = tuple[int, int, int, int]
 
@@ -36,9 +36,9 @@ class ChangeKind(IntEnum):
 
     NONE = 0
     REMOVED = 1
-    """What stood there is gone; the ground is where it was."""
+    """An object is gone; the ground is unchanged."""
     GROWN = 2
-    """Something stands, or stands higher, where it did not."""
+    """Something stands, or is higher, where it was not."""
     LOWERED = 3
     """The ground itself is lower: below bare earth."""
 

@@ -34,7 +34,7 @@ from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_map import SurfaceMap
 
 _ROWS = 256
-"""Of a raster that are worked on at a time."""
+"""Number of rows of a raster that are processed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
 
 
 _STRIP = 256
-"""Rows that are worked on at a time: the layers of a whole site may be larger than memory."""
+"""Number of rows processed at a time; the layers of a whole site may exceed the memory."""
 
 
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
@@ -167,12 +167,12 @@ def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
 
 
 AS_GIVEN = ""
-"""In place of a version: nothing is confirmed, the terrain is as its rasters give it."""
+"""Version of a terrain without confirmed changes, as given by its rasters."""
 VERSION = r"[0-9a-f]{16}"
 KEPT = 100
-"""Versions whose files are kept: frames of months name the surface that they were traced to."""
+"""Number of versions whose files are kept; frames of months refer to the surface to which they were traced."""
 FORMAT = 1
-"""Format of the manifests that this program reads. A later format must state its number as `format`."""
+"""Format of the manifests that this release reads. A later format must state its number as `format`."""
 
 
 class SurfaceVersion(StrictModel):

@@ -29,11 +29,10 @@ EXPECTED_PIXEL = np.dtype(
     [("expected", "f4"), ("nearest", "f4"), ("farthest", "f4"), ("spread", "f4"), ("place", "i4"), ("incidence", "f4"),
      ("steep", "f4"), ("pose_variance", "f4")]
 )  # fmt: skip
-"""Of one pixel: the slant range that the reference predicts, its extremes within the pose's uncertainty, and half of
-what it differs by within one pixel, metres; the place of the cell that is seen (-1: none); the incidence factor there
-on the slope of its block, and the greater of that and the one on its own slope; and the variance of its height that the
-pose is to blame for.
-"""
+"""Expected view of one pixel: the slant range that the reference predicts, its extremes within the pose's uncertainty,
+and half of its variation within the pixel (metres); the index of the visible cell (-1: none); the incidence factor on
+the slope of its block, and the larger of that and the one on its own slope; and the variance of its height due to the
+pose."""
 
 
 class CameraView(NamedTuple):

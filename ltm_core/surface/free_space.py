@@ -21,13 +21,14 @@ from ltm_core.surface.cell_update import Rules, update_cell
 from ltm_core.surface.observation_kernel import Pixels
 
 INSIDE = 0.6
-"""Of a thing's height above the reference: a point that is well within it. What is lower than the threshold there is
-not looked for."""
+"""Share of an object's height above the reference at which a point is well inside. Objects lower than the threshold
+there are ignored."""
 FIRM_LOOKS = 2.5
-"""Looks from which on it takes independent views to take growth back; before, one that sees through it is enough."""
+"""Number of observations above which independent views are needed to revert growth; below, one view through it is
+enough."""
 _AT_ONCE = 4 * CELLS
 _WIDER = 1.05
-"""Times what a camera sees, in which things are looked up whose pixels are then computed."""
+"""Factor on a camera's view within which objects are looked up and their pixels computed."""
 
 
 class ElevatedCells(NamedTuple):

@@ -19,11 +19,11 @@ from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.vision.labels import Label
 
 LEAST_SHARE = 0.25
-"""Of the seen part of a fuel cell that must have changed in one way."""
+"""Minimum share of the seen part of a fuel cell that must have changed in one way."""
 LEAST_SEEN = 0.1
-"""Of a fuel cell that independent views must have seen."""
+"""Minimum share of a fuel cell that independent views must have seen."""
 SHRUB_BELOW = 3.0
-"""Metres: what has grown and is lower is shrub, where no label says otherwise."""
+"""Height in metres below which new growth is shrub if no label contradicts."""
 
 
 class FuelChange(StrEnum):

@@ -15,7 +15,7 @@ from ltm_core.surface.observation_kernel import ObservationLimits, Pixels
 from ltm_core.surface.reference_surface import ReferenceGrid, stood_at
 
 _EDGE = 0.5
-"""Of the height of what stood, by which a pixel's neighbours may see it differently."""
+"""Share of the height of an object within which neighbouring pixels may see it differently."""
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -15,17 +15,17 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float32Array
 
 SMOOTHING = 1.5
-"""Metres: the deviation of the Gaussian over which neighbours speak for each other."""
+"""Deviation in metres of the Gaussian over which neighbours are averaged."""
 WIDE = 5.0
-"""Metres: that over which they do where the nearer ones do not know."""
+"""Deviation in metres of the wider Gaussian that is used where near neighbours are unknown."""
 REACH = 4.0
-"""Deviations of the Gaussians that are taken."""
+"""Number of deviations at which the Gaussians are cut off."""
 _WIDE_SIGMA = 2.0
-"""Metres by which a cell may differ from the mean of that wide neighbourhood."""
+"""Metres by which a cell may differ from the mean of the wider neighbourhood."""
 _BRIDGED = 2
-"""Cells around each that its region reaches over."""
+"""Number of cells around each that its region bridges."""
 _THROUGH = 8
-"""Cells of a stand that nobody sees, through which its region goes on: of a wood, cameras see crowns."""
+"""Number of unseen cells of a stand that a region crosses; of a wood, cameras see only crowns."""
 
 
 class Estimates(NamedTuple):

@@ -20,7 +20,8 @@ from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
 from ltm_core.tracing import TerrainTracer
 
 _WIDEST_WINDOW = 24
-"""Pixels: a pose so uncertain that a silhouette may lie farther off says nothing of silhouettes anyway."""
+"""Maximum window in pixels; if a pose is so uncertain that a silhouette may lie further off, silhouettes carry no
+information."""
 
 
 @dataclass(frozen=True, eq=False)

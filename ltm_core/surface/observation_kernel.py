@@ -38,11 +38,11 @@ from ltm_core.surface.reference_surface import (
 SKY_SEEN_THROUGH = 40.0
 """Metres behind a vanished skyline that a ray into the sky has certainly passed."""
 _LONGEST_CARVE = 400
-"""Cells."""
+"""Maximum number of cells carved by a ray."""
 LIKELY_CHANGE = 4.0
-"""Metres: the mean of the exponential prior on how much higher a cell has become."""
+"""Mean of the exponential prior on a cell's rise in metres."""
 _SEARCH = 1.5
-"""Sigmas of range within which the likeliest place is looked for."""
+"""Number of sigmas of range within which the most likely place is searched."""
 
 
 class Ray(NamedTuple):
@@ -64,9 +64,9 @@ class ObservationLimits(NamedTuple):
     carve_below: float
     tallest: float
     own_sigma: float
-    """Metres of height that no cell is known better than from one frame: the cell is not flat."""
+    """Minimum standard deviation in metres of a cell's height from one frame, because the cell is not flat."""
     stands: float
-    """Metres from which on a cell has something that stands."""
+    """Height in metres above which a cell has a standing object."""
 
 
 class Pixels(NamedTuple):

@@ -17,7 +17,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.surface.cell_layout import CELLS, PLACE_BITS, TILE, TILE_BITS
 
 LEAST_INCIDENCE = 0.1
-"""Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
+"""Minimum incidence factor: the height of a grazing ray does not depend on its range, but it is not exact either."""
 
 
 class ReferenceGrid(NamedTuple):
@@ -111,9 +111,11 @@ def pose_variance(covariance: Float64Array, east: float, north: float, px: float
 
 
 BLOCK = 8
-"""Cells a side over which the slope of the surface is taken: crowns and boulders have slopes, but no incidence."""
+"""Number of cells per side over which the slope of the surface is computed; crowns and boulders have slopes, but no
+incidence."""
 LARGEST = 50_000_000
-"""Cells of a site: heights, slopes and the tracer's pyramid of more would not leave a tower computer room."""
+"""Maximum number of cells of a site; heights, slopes and the tracer's pyramid of more would fill the memory of a tower
+computer."""
 _ROWS = 256
 
 

@@ -23,15 +23,15 @@ from ltm_core.surface.reference_surface import BLOCK, LEAST_INCIDENCE, Reference
 from ltm_core.tracing import TerrainTracer
 
 OPEN_BELOW = 0.5
-"""Metres of canopy on what counts as open ground."""
+"""Canopy height in metres below which ground is open."""
 _SAMPLES = 10_000
 _LEAST_SAMPLES = 300
 _INDEPENDENT = 100
-"""What the samples of one image are worth: a network errs over whole regions."""
+"""Number of independent samples of one image; a network's errors cover whole regions."""
 _CAUCHY = 2.0
 _ROUNDS = 3
 _FLOOR_DEG = 0.005
-"""Sigma of an angle that no image can better."""
+"""Minimum standard deviation of an angle in degrees from one image."""
 
 
 @dataclass(frozen=True, eq=False)

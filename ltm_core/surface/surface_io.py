@@ -19,7 +19,7 @@ from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.surface_map import SurfaceMap
 
 UNSEEN = 255
-"""In the raster of changes: cells that independent views have not seen."""
+"""Value in the raster of changes for cells that independent views have not seen."""
 CHANGE_COLORS = {
     ChangeKind.NONE: (236, 236, 232),
     ChangeKind.REMOVED: (200, 60, 40),
@@ -34,7 +34,7 @@ BANDS: dict[Exported, dict[str, str]] = {
 }
 """Name and unit of the bands of `write_export`."""
 _STRIP = 256
-"""Rows that are written at a time: the layers of a whole site may be larger than memory."""
+"""Number of rows written at a time; the layers of a whole site may exceed the memory."""
 
 
 def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry: GridGeometry) -> None:

@@ -27,13 +27,14 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 
 CAMERAS = 32
-"""A site's cameras at most: a bit each in every cell."""
+"""Maximum number of cameras of a site: one bit each in every cell."""
 _OWN_SIGMA = 0.25
-"""Metres: what the height of a cell can mean when a crown or boulder stands in it."""
+"""Standard deviation in metres of a cell's height if it contains a crown or boulder."""
 _CARVE_SIGMA = 0.5
-"""Metres: of the height of a ray that passed over a cell."""
+"""Standard deviation in metres of the height of a ray that passed over a cell."""
 DECIDED_TILES = 8
-"""Tiles a side that are decided at once: the rasters of more would be the largest part of the map's memory."""
+"""Number of tiles per side that are decided at once; with more, their rasters would be the largest part of the map's
+memory."""
 
 
 @dataclass(frozen=True)

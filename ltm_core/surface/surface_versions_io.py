@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 FOLDER = "surfaces"
-"""Beside the store of the terrain."""
+"""Name of the folder beside the store of the terrain."""
 MANIFEST = "surfaces.json"
 _MOST_MANIFEST = 1 << 20
 _MOST_FILE = 1 << 30

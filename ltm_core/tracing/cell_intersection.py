@@ -71,7 +71,8 @@ def first_root(f0: float, f1: float, a: float, dq: float) -> float:
 
 
 HIT, LEFT, OPEN = 0, 1, 2
-"""How single cells end: at the ground, at the raster's edge, or at a hole or after many of them."""
+"""Result for a cell: the ground was hit, the raster's edge was reached, or the ray is open (a hole, or many cells
+without a hit)."""
 _MOST_CELLS = 48
 
 

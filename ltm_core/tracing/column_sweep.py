@@ -40,9 +40,8 @@ from ltm_core.tracing.pyramid_traversal import (
 
 COLUMNS = 64
 PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLUMNS)
-"""1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
-within its wedge; node line where the ray's entry begins, or one of the following; range from which the pyramid goes on.
-"""
+"""1 / |major| of the unit ray; t; slope in metres per major cell; face and wedge; place of the entry of the row below
+within its wedge; node line at or after which the ray's entry begins; range from which the pyramid continues."""
 MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 
@@ -53,7 +52,7 @@ def new_block() -> Float64Array:
 
 
 _ROWS_AHEAD = 4
-"""Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""
+"""Number of rows prefetched for a ray that crosses rows, each in separate memory."""
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]

@@ -37,11 +37,11 @@ class PossibleGround(StrictModel):
     """
 
     steepest: float = Field(1.5, gt=0)
-    """Metres a metre."""
+    """Maximum slope of unknown ground in metres per metre."""
     highest: float | None = None
-    """Metres in the DEM's vertical datum: no ground for tens of kilometres beyond the DEM is higher."""
+    """Maximum height of ground for tens of kilometres beyond the DEM, in metres in its vertical datum."""
     margin: float = Field(100.0, ge=0)
-    """Metres above the DEM's highest ground, where `highest` is not stated."""
+    """Metres above the DEM's highest ground that are assumed if `highest` is not given."""
 
     def limit(self, top: float) -> float:
         """Metres above which there is no ground outside a DEM whose highest is `top`."""
@@ -49,7 +49,7 @@ class PossibleGround(StrictModel):
 
 
 NOTHING_BEYOND = PossibleGround(highest=-1e4)
-"""The world ends with the DEM, as that of a rendered scene does: what climbs out of it is sky."""
+"""No ground beyond the DEM, as in a rendered scene: rays that leave it upwards are sky."""
 
 
 _DIAGONAL = float(np.sqrt(2.0))
@@ -61,13 +61,13 @@ class Holes(NamedTuple):
     hole_first: Int64Array
     """Flat index (row * width + column) of a run's first node."""
     hole_end: Int64Array
-    """One past its last."""
+    """Index after the last node of a run."""
     hole_outer: BoolArray
-    """Whether it belongs to an outer hole."""
+    """Whether a run belongs to an outer hole."""
     hole_start: Int64Array
-    """Where the run's ceilings begin in the next."""
+    """Start of a run's ceilings in `ceilings`."""
     ceilings: Float32Array
-    """Of all NaN nodes, run after run."""
+    """Ceilings of all NaN nodes, run after run."""
 
 
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:

@@ -27,7 +27,7 @@ from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
 
 WEDGES_A_FACE = 3072
 SECTOR = 64
-"""Wedges that are built together."""
+"""Number of wedges that are built together."""
 _MOST_ENTRIES = 4096
 # Tangents are raised by this, well above the rounding of any ray's height, and of the tangent itself to float32 (6e-8).
 _RELATIVE, _ABSOLUTE = 3e-7, 1e-9
@@ -41,15 +41,15 @@ class Wedges(NamedTuple):
     """Profiles of the wedges built so far; index: face * WEDGES_A_FACE + wedge."""
 
     start: Int64Array
-    """Where a wedge's entries begin."""
+    """Start of a wedge's entries."""
     entries: Int32Array
-    """How many it has; -1 where it is not built."""
+    """Number of entries of a wedge; -1 if it is not built."""
     highest: Float32Array
-    """The last of a wedge's tangents; +inf where it is not built."""
+    """Last tangent of a wedge; +inf if it is not built."""
     tangent: Float32Array
-    """Entries: the highest tangent up to the end of a strip, increasing within a wedge."""
+    """Highest tangent of an entry up to the end of a strip, increasing within a wedge."""
     node: Int32Array
-    """Entries: node line at which that strip begins."""
+    """Node line of an entry at which that strip begins."""
 
 
 def no_wedges() -> Wedges:

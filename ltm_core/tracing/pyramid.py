@@ -21,11 +21,11 @@ from ltm_core.base.types import Float32Array, Int64Array, UInt8Array
 from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 
 LEAF = 2
-"""The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""
+"""Lowest level stored; level 1 alone would need a quarter of the elevations' memory and saves little time."""
 
 
 WITHIN, MIXED, OUTSIDE = 0, 1, 2
-"""Of a block: none, some or all of its cells are outer holes."""
+"""State of a block: none, some or all of its cells are outer holes."""
 
 
 class MaximumPyramid(NamedTuple):
@@ -39,7 +39,7 @@ class MaximumPyramid(NamedTuple):
     offsets: Int64Array
     widths: Int64Array
     outside: UInt8Array
-    """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty where the raster has no outer hole."""
+    """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty if the raster has no outer hole."""
 
     @property
     def top_level(self) -> int:

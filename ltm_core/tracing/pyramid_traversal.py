@@ -36,9 +36,9 @@ class TerrainRaster(NamedTuple):
     """One DEM raster as the kernels take it: nodes, holes and maximum pyramid."""
 
     nodes: Float32Array
-    """(height * width) elevations, row-major, NaN in holes."""
+    """Elevations, (height * width), row-major, NaN in holes."""
     hole_first: Int64Array
-    """The `Holes` among them, as are the next four."""
+    """Holes of these nodes (`Holes`), as are the next four."""
     hole_end: Int64Array
     hole_outer: BoolArray
     hole_start: Int64Array
@@ -46,16 +46,16 @@ class TerrainRaster(NamedTuple):
     width: int
     height: int
     bounds: Float32Array
-    """The `MaximumPyramid` of the nodes, as are the next three."""
+    """Maximum pyramid of the nodes (`MaximumPyramid`), as are the next three."""
     offsets: Int64Array
     widths: Int64Array
     outside: UInt8Array
     top: float
-    """No ground of this raster, the coarser ones around it, or beyond them, is higher."""
+    """Upper bound in metres of the ground in this raster, in the coarser ones around it, and beyond them."""
 
 
 WHOLE, BEFORE, AFTER = 0, 1, 2
-"""Which part of a ray's way over a raster counts: all of it, or what lies before or after the next finer raster."""
+"""Part of a ray's way over a raster that counts: all of it, or the part before or after the next finer raster."""
 
 
 class RasterStage(NamedTuple):
@@ -64,35 +64,35 @@ class RasterStage(NamedTuple):
     ox: float
     oy: float
     oz: float
-    """The camera: column, row, height in metres."""
+    """Camera position: column, row, height in metres."""
     resolution: float
-    """Metres a cell."""
+    """Metres per cell."""
     bend: float
-    """Per cell: the ray's coefficient in grid units."""
+    """The ray's bend coefficient per cell in grid units."""
     west: float
-    """Edges of the raster's nodes, seen from the camera, in cells: x (to the east) and y (to the south)."""
+    """Edges of the raster's nodes relative to the camera in cells: x to the east, y to the south."""
     north: float
     east: float
     south: float
     finer_west: float
-    """Those of the next finer raster; of no meaning where the part is WHOLE."""
+    """Edges of the next finer raster; unused if the part is WHOLE."""
     finer_north: float
     finer_east: float
     finer_south: float
     part: int
     last: bool
-    """Whether a ray that meets nothing here meets nothing at all."""
+    """Whether a ray without a hit in this raster has no hit at all."""
     rise: float
-    """The most that unknown ground rises over a cell, metres."""
+    """Maximum rise of unknown ground over a cell in metres."""
     highest: float
-    """No ground outside the DEM is higher."""
+    """Maximum height of ground outside the DEM in metres."""
 
 
 # A ray that has met nothing yet carries, in place of a range, what it has been over: a negative number.
 FRESH = -1.0
-"""Nothing known."""
+"""Nothing is known so far."""
 OVER_KNOWN = -2.0
-"""Known ground."""
+"""The ray is over known ground."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]

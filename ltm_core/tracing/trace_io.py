@@ -36,7 +36,7 @@ class PoseFile(StrictModel):
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
-    """How high the ground may be where the DEM does not know it."""
+    """Maximum height of ground where the DEM is unknown."""
 
 
 class PictureConfig(PoseFile):
@@ -54,7 +54,7 @@ class PictureSetup:
     camera: Camera
     pose: Pose
     doubts: tuple[str, ...] = ()
-    """What of the pose may be in another unit or of another place, for the user."""
+    """Warnings about poses that may be in another unit or of another place."""
 
 
 def load_picture_config(path: Path | str) -> PictureConfig:

@@ -116,7 +116,7 @@ FRAME_BYTES = 48 * 2**20
 
 Way = Literal["auto", "profile", "pyramid"]
 Profile = tuple[Wedges, ...]
-"""By level of the DEM."""
+"""Profile of each level of the DEM."""
 
 
 class TerrainTracer:

@@ -20,20 +20,22 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.geometry.grid import GridGeometry
 
 VERSION: Final = 1
-"""Of the headers and bodies; another is refused in words."""
+"""Version of the headers and bodies; others are rejected with an explanation."""
 MAGIC: Final = b"LTMR"
 LARGEST: Final = 96 << 10
-"""Bytes of an envelope: votes have 64 kB at most, a header 4 kB, a certificate 2 kB."""
+"""Maximum bytes of an envelope: votes have at most 64 kB, a header 4 kB, a certificate 2 kB."""
 LARGEST_HEADER: Final = 4 << 10
 LARGEST_CERTIFICATE: Final = 4 << 10
 LARGEST_SIGNATURE: Final = 256
 _LENGTHS: Final = struct.Struct(">4sHHI")
 MOST_OUTCOMES: Final = 64
-"""Of an acknowledgement."""
+"""Maximum number of outcomes in an acknowledgement."""
 LONGEST_REASON: Final = 300
-"""Characters of why a frame is refused. They must be printable, so that `MOST_OUTCOMES` of them fit an envelope."""
+"""Maximum characters of the reason for a rejection. They must be printable, so that `MOST_OUTCOMES` of them fit an
+envelope."""
 NAME: Final = r"^[a-z][a-z0-9_]{0,62}$"
-"""Of regions, towers and cameras: parts of topics, and a certificate's common name holds 64 characters."""
+"""Pattern of the names of regions, towers and cameras: they are parts of topics, and a certificate's common name has at
+most 64 characters."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class VotesGrid(StrictModel):
     """The fuel grid that votes are on. `origin`: (x, y) of the map frame in `crs`; the edges are those in `crs`."""
 
     crs: str = Field(pattern=r"^[A-Z]{4,8}:[0-9]{3,6}$")
-    """By its authority's code, such as EPSG:32611: what comes from the network is not parsed as anything else."""
+    """CRS as an authority code such as EPSG:32611; other forms from the network are not parsed."""
     origin: tuple[float, float]
     x_min: float
     y_max: float
@@ -124,7 +126,7 @@ class VotesHeader(StrictModel):
     camera: str = Field(pattern=NAME)
     stamp_ns: int = Field(ge=0, lt=1 << 63)
     model: str = Field(max_length=200)
-    """What labelled the frame; empty: not known."""
+    """Name of the model that made the labels; empty: unknown."""
     grid: VotesGrid
 
 
@@ -158,7 +160,7 @@ class TileHeader(StrictModel):
     col: int
     stamp_ns: int
     grid: VotesGrid
-    """The whole map's."""
+    """Grid of the whole map."""
     classes: list[str]
     """Names of the class indices."""
 

@@ -69,11 +69,11 @@ def _every_other(views: NDArray[np.integer]) -> BoolArray:
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
 LAYOUT: Final = 1
 FREED_SHARE: Final = 0.1
-"""Of the bytes that an outbox may hold, freed at once when it is full: thinning looks at all that it holds."""
+"""Share of the outbox's bytes freed at once when it is full, because thinning reads all its content."""
 LARGEST_FRAME: Final = 1 << 20
-"""Bytes of one frame; votes have 64 kB at most."""
+"""Maximum bytes of one frame; votes have at most 64 kB."""
 KEPT_DAMAGED: Final = 3
-"""Damaged files that are kept beside the outbox, for a person to look at."""
+"""Number of damaged files kept beside the outbox for inspection."""
 
 _TABLE: Final = """
 CREATE TABLE frames (
@@ -82,7 +82,7 @@ CREATE TABLE frames (
 CREATE INDEX by_time ON frames (stamp_ns, retry_s);
 """
 FrameKey = tuple[str, int]
-"""(camera, stamp in nanoseconds)."""
+"""Key of a frame: (camera, stamp in nanoseconds)."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Outbox:
         self._path = Path(path)
         self._max_bytes, self._max_age_ns = max_bytes, round(max_age_s * 1e9)
         self.damage = ""
-        """Where a damaged file was put aside and a new one begun: what that means, in words."""
+        """Description of the damage if a damaged file was moved away and a new one created."""
         if not self._path.parent.is_dir():
             raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; create it first")
         self._lock = lock_store(self._path)
@@ -140,7 +140,7 @@ class Outbox:
             os.close(self._lock)
             raise
         self.frames, self.bytes = int(found[0]), int(found[1])
-        """What waits: number of frames, and the bytes of their messages."""
+        """Number of queued frames, and the bytes of their messages."""
 
     def close(self) -> None:
         self._db.close()

@@ -17,7 +17,7 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 
 MOST_CELLS: Final = 4_000_000
-"""Of a tower's grid: 60 km square at 30 m."""
+"""Maximum number of cells of a tower's grid: 60 km square at 30 m."""
 
 
 class VoteTransfer:
@@ -53,7 +53,7 @@ class VoteTransfer:
             raise MessageError(f"no transformation from {target.crs} to the tower's {source.crs} ({error})") from error
         cells = np.flatnonzero(from_cell >= 0)
         self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
-        """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
+        """Cells of the region by the tower's cells that they take from; `_first` has the start of each list."""
         self._first = np.searchsorted(from_cell[self._targets], np.arange(number.size + 1))
         self._same_crs = source.crs == target.crs
         self._same_cells = source == target

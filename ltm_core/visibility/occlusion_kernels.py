@@ -27,7 +27,7 @@ from ltm_core.tracing.pyramid_traversal import (
 )
 
 BY_CEILING, OVER_KNOWN, BEYOND = 1, 2, 4
-"""What a way has come to: a hole's ceiling stands highest; known ground; the terrain ends before the target."""
+"""Result of a way: the highest obstacle is a hole's ceiling; it is known ground; the terrain ends before the target."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

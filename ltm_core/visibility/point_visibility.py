@@ -52,18 +52,20 @@ def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
 
 
 TOLERANCE = 0.01
-"""Metres by which a point may lie too low and still count as visible: a point on the ground is never exactly on it."""
+"""Metres by which a point may be too low and still count as visible, because a point on the ground is never exactly on
+it."""
 _CHUNK = 4096
 
 
 class PointState(IntEnum):
     VISIBLE = 0
     HIDDEN = 1
-    """Known terrain stands before it."""
+    """Known terrain is in front of the point."""
     OUTSIDE = 2
-    """It does not fall into the image."""
+    """The point is outside the image."""
     UNKNOWN = 3
-    """In the image, not hidden by known terrain, but behind or over ground that the DEM does not hold."""
+    """The point is in the image and not hidden by known terrain, but behind or over ground that the DEM does not cover.
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ from ltm_core.visibility.footprint import arrival_directions, ground_footprints,
 from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, line_of_sight_vectors, project
 
 _CELLS = 1 << 18
-"""Cells at a time: bounds memory."""
+"""Number of cells processed at a time, which bounds memory."""
 _MOST_CELLS = 16_000_000
-"""Of a result whose resolution nobody has asked for."""
+"""Maximum number of cells of a result if no resolution is given."""
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,9 @@ POLYGONS_FILE: Final = "polygons.json"
 MASKED: Final = "masked"
 """Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
 ERASED: Final = "unlabelled"
-"""Class of areas in which what was drawn before is taken back."""
+"""Class of areas in which earlier areas are erased."""
 LARGEST_FILE = 16 << 20
-"""Bytes."""
+"""Maximum bytes of a file."""
 MOST_AREAS = 20_000
 
 
@@ -46,11 +46,11 @@ class NamedArea(StrictModel):
     image: str = Field(max_length=255)
     """File name of the photo."""
     kind: str = Field(alias="class", max_length=80)
-    """A class of the label set, `MASKED`, `ERASED`, or what a mask hides: lens, caption."""
+    """Class of the label set, `MASKED`, `ERASED`, or the kind of a mask: lens, caption."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels of the photo."""
     number: int | None = None
-    """Of a proposal of `ltm mask`."""
+    """Number of the area's proposal by `ltm mask`."""
     reason: str = Field("", max_length=400)
 
 
@@ -92,7 +92,8 @@ def replace_file(path: Path, content: bytes) -> None:
 
 Outline = tuple[tuple[float, float], ...]
 MOST_HOLES = 200
-"""Of one part; the smallest beyond them are filled, so that no outline needs more corners than it may have."""
+"""Maximum number of holes of one part; the smallest others are filled, so that an outline does not exceed its maximum
+number of corners."""
 _Points = NDArray[np.int32]
 Points = Sequence[Sequence[float]]
 

@@ -39,14 +39,15 @@ def cie_lab(photo: UInt8Array) -> Float32Array:
 
 
 _GREEN: Final = -0.01
-"""Redness up to which nothing is taken off,"""
+"""Redness up to which nothing is subtracted."""
 _RED: Final = 0.03
-"""and from which on all is. Chosen with the amounts in the manifest on 166 photos of mountains that taught the network
-shipped and on renderings; figures of the tower views were visible meanwhile (docs/labels.md)."""
+"""Redness above which the full amount is subtracted. Both were chosen, with the amounts in the manifest, on 166
+mountain photos that trained the shipped network and on renderings; scores of the tower views were visible meanwhile
+(docs/labels.md)."""
 _REACH: Final = 2 / 320
-"""Of the photo's width, standard deviation of the Gaussian that colours are averaged by: noise is no colour."""
+"""Standard deviation of the Gaussian for averaging colours, as a share of the photo's width; it suppresses noise."""
 _DARK: Final = 4.0
-"""Grey levels added to the sum: in black, colour says nothing."""
+"""Grey levels added to the sum, because colour carries no information in dark areas."""
 
 
 def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:

@@ -18,21 +18,21 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Arra
 from ltm_core.vision.label_rules import cie_lab
 
 _PATCH = 0.02
-"""Of the width: side of the square in the very corner whose colour is the hood's."""
+"""Side of the square in the corner that gives the hood's colour, as a share of the width."""
 _TOLERANCES = np.arange(5.0, 46.0, 2.0)
-"""Units of CIE Lab by which a hood's colour may vary; the one whose edge is sharpest is taken."""
+"""Tolerances of a hood's colour in units of CIE Lab; the one with the sharpest edge is used."""
 _REACH = 0.5
-"""Of the width: a corner is no wider."""
+"""Maximum width of a corner, as a share of the width."""
 _LEAST_AREA, _MOST_AREA = 0.0015, 0.13
-"""Of the picture."""
+"""Minimum and maximum area, as a share of the image."""
 _MOST_TEXTURE = 1.6
-"""Median of the local contrast (Lab L) in a hood; land has more, and JPEG's noise less."""
+"""Maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less."""
 _MOST_RESIDUAL = 0.014
-"""Of the width, in the mean: by which the edge may miss the arc."""
+"""Maximum mean distance between the edge and the arc, as a share of the width."""
 _LEAST_EDGE = 0.9
-"""Mean gradient at the edge, units of CIE Lab a pixel at a width of 640: of a cloud it is less."""
+"""Minimum mean gradient at the edge in units of CIE Lab per pixel at a width of 640; that of a cloud is lower."""
 _PENUMBRA = 0.012
-"""Of the width, by which a corner is widened: a hood's edge is out of focus."""
+"""Width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus."""
 
 
 @dataclass(frozen=True, eq=False)

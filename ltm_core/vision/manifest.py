@@ -15,22 +15,22 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 
 DEFAULT_MODEL: Final = "landscape_v2"
-"""Of labels,"""
+"""Default segmentation network."""
 DEFAULT_DEPTH_MODEL: Final = "landscape_v2_depth"
-"""and of depth: the same file's other output."""
+"""Default depth network: the second output of the same file."""
 
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
 DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
-"""Kinds of output that are one number a pixel, a depth; the others label pixels."""
+"""Kinds of output with one depth per pixel; the others label pixels."""
 
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
 FUSION_SUFFIX: Final = "_fusion.yaml"
-"""Ends the name of the file beside a manifest that says how the model errs."""
+"""Suffix of the file beside a manifest with the network's error model."""
 
 SHIPPED_LABEL_HEAD: Final = "landscape"
-"""Name of the head that is the network's own scores: no correction."""
+"""Name of the label head that leaves the network's scores unchanged."""
 
 
 class InputSpec(StrictModel):

@@ -23,13 +23,13 @@ MOST_FRAMES = 24
 """Number of images that are read; more images change no proposal."""
 
 _STRIP = 0.08
-"""Of the height, at either edge, in which captions are looked for."""
+"""Share of the height, at either edge, in which captions are searched."""
 _STROKE = 28
-"""Grey levels by which a stroke differs from its surroundings, in any channel."""
+"""Grey levels by which a stroke differs from its surroundings in any channel."""
 _LEAST_ROW = 0.012
-"""Share of a row that is strokes."""
+"""Minimum share of a row that is strokes."""
 _QUIET = 0.3
-"""Times a caption's mean row, that the rows beside it may have at most."""
+"""Maximum of the rows beside a caption, in multiples of the caption's mean row."""
 _TALLEST = 0.06
 _LEAST_FRAMES = 0.6
 

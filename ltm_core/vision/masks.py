@@ -30,9 +30,9 @@ from ltm_core.storage.text_io import open_picture
 
 MOST_POLYGONS = 200
 MOST_VIEW_MASKS = 64
-"""Of one camera."""
+"""Maximum number of view masks of one camera."""
 MOST_POINTS = 2000
-"""Of one polygon."""
+"""Maximum number of points of one polygon."""
 
 Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
 
@@ -45,9 +45,9 @@ class MaskPolygon(StrictModel):
     )
 
     kind: str = Field("", alias="class", max_length=80)
-    """What it is: mast, lens, caption, roof."""
+    """Kind of area: mast, lens, caption, roof."""
     reason: str = Field("", max_length=400)
-    """Why it is masked, in words."""
+    """Reason for the mask, in words."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels, (0, 0) the centre of the top left pixel."""
 
@@ -61,7 +61,8 @@ MaskConfig = Annotated[
     | Annotated[tuple[MaskPolygon, ...], Field(min_length=1, max_length=MOST_POLYGONS), Tag("polygons")],
     Discriminator(_written_as),
 ]
-"""A PNG of one channel and of the picture's size beside the site file, in which all but 0 is masked; or polygons."""
+"""Mask as a single-channel PNG of the image's size beside the site file, in which all but 0 is masked, or as polygons.
+"""
 
 
 class ViewMask(StrictModel):
@@ -69,12 +70,12 @@ class ViewMask(StrictModel):
 
     name: str = Field(min_length=1, max_length=80)
     azimuth_deg: AzimuthDeg
-    """Of the optical axis, as the pose has it: clockwise from grid north."""
+    """Azimuth of the optical axis in degrees, clockwise from grid north as in the pose."""
     pitch_deg: PitchDeg
     hfov_deg: float | None = Field(None, gt=0, lt=180)
-    """How wide the lens is in this view, to 3 %; None: it does not zoom."""
+    """Horizontal field of view in degrees in this view, within 3 %; None: the lens does not zoom."""
     within_deg: float = Field(0.5, gt=0, le=10)
-    """By which the axis of a picture may be off for the mask to be that picture's."""
+    """Maximum angle in degrees between an image's axis and this direction for the mask to apply."""
     mask: MaskConfig
 
 
@@ -162,10 +163,12 @@ def write_mask(path: Path, hidden: BoolArray) -> None:
 
 
 MakeMask = Callable[[int, int], CameraMask]
-"""The mask for pictures of a size (width, height). Raises ConfigError where it cannot be."""
+"""Function that returns the mask for images of a size (width, height). It raises ConfigError if the mask does not fit.
+"""
 
 _ZOOM = 0.03
-"""By which the lens may be wider or narrower than the view's: at the edge of the picture, 1.5 % of its width."""
+"""Relative difference of the field of view within which a view mask applies; at the image's edge, it shifts by 1.5 % of
+the width."""
 
 
 @dataclass(frozen=True)

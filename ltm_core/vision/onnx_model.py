@@ -30,7 +30,8 @@ _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
 
 _PICTURES: Final = 4
-"""Of which parts wait, at most: cameras whose frames are worked at once. A part that nobody took makes room."""
+"""Maximum number of cached images whose other outputs are pending, one per camera in flight; the oldest unused one is
+dropped."""
 
 
 class SharedRuns:

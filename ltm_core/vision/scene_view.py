@@ -79,7 +79,7 @@ class SceneFilter:
     ) -> None:
         self._make, self._judged, self._views, self._place = make, judged, views, place
         self.mask = make(*size) if make is not None and size is not None else None
-        """Of all views, as last needed; None: there is none, or no size is known yet."""
+        """Mask of all views as last used; None: there is none, or the image size is not known yet."""
         self._seen: tuple[str, BoolArray] | None = None
 
     @classmethod

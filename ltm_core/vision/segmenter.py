@@ -76,7 +76,7 @@ class Segmenter:
         self._model = OnnxModel(manifest, threads)
         self.head = head
         self.withdraw_otherwise: Mapping[str, float] = {}
-        """Fields of `withdrawal` that are to be others than the head's or the network's."""
+        """Fields of `withdrawal` that override those of the label head or the network."""
 
     @classmethod
     def open(

@@ -25,39 +25,41 @@ from ltm_core.vision.labels import UNLABELLED, Label
 
 WORKING_WIDTH: Final = 320
 APART_S: Final = 300.0
-"""Seconds between two pictures of a view that are remembered, and the least age of one that is compared with."""
+"""Seconds between two remembered images of a view, and the minimum age of an image to compare with."""
 AT_LEAST_APART_S: Final = 30.0
-"""Seconds between any two: pictures in which no view is known again, in fog say, shall not drive out all others."""
+"""Minimum seconds between any two remembered images, so that images in which no view is recognised (in fog) do not
+displace all others."""
 OLDEST_S: Final = 10_800.0
-"""Of pictures that are compared with: later, shadows lie elsewhere."""
+"""Maximum age in seconds of an image to compare with; later, shadows have moved."""
 REMEMBERED: Final = 36
-"""Pictures: those of three hours of one view, or fewer of each of a patrol's; of more views none comes back."""
+"""Number of images remembered: three hours of one view, or fewer of each view of a patrol; with more views, none is
+seen again in time."""
 COMPARED: Final = 3
-"""That agree best."""
+"""Number of best matching images to compare with."""
 
 _COARSE: Final = 4
-"""Times smaller are the pictures by which another view is told cheaply,"""
+"""Reduction factor of the images by which a change of view is detected."""
 _OF_A_VIEW: Final = 0.4
-"""by a correlation below this: on photographs of real towers, hours apart, one view has 0.9, and two views of a tower,
-by their mast and caption, 0.42 at most."""
+"""Correlation below which the view has changed. On photos of real towers hours apart, the same view has 0.9, and two
+views of a tower have 0.42 at most, by their mast and caption."""
 _REACH: Final = 3.3
-"""Pixels: standard deviation of the Gaussian in which patterns are compared."""
+"""Standard deviation in pixels of the Gaussian in which patterns are compared."""
 _NOISE: Final = 0.5
-"""Variance of grey levels that noise and compression make."""
+"""Variance of grey levels due to noise and compression."""
 _ALIKE: Final = 0.8
-"""Correlation from which on a pattern is the same,"""
+"""Correlation above which a pattern is unchanged."""
 _AGREES: Final = 0.45
-"""and the share of the land that must be so for an earlier picture to be of this view and light."""
+"""Minimum share of the land with unchanged patterns for an earlier image to have the same view and light."""
 _GONE: Final = 0.5
-"""Correlation below which a pattern is gone,"""
+"""Correlation below which a pattern is gone."""
 _PATTERN: Final = 2.0
-"""where there was one: grey levels of deviation in the earlier picture."""
+"""Minimum deviation in grey levels of the earlier image for a pattern to exist."""
 _PALER: Final = 8.0
-"""Grey levels by which smoke is brighter than what it hides,"""
+"""Grey levels by which smoke is brighter than what it hides."""
 _LEAST: Final = 1e-3
-"""Share of the picture that a cloud of it has at least."""
+"""Minimum share of the image of a smoke cloud."""
 _WIDER: Final = 6
-"""Pixels, by which its edge is wider than what is told of it."""
+"""Pixels by which a detected cloud is enlarged."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,30 +21,31 @@ from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 
 WORKING_WIDTH = 480
 ROWS, COLUMNS = 9, 12
-"""Of the grid on which regions are judged."""
+"""Rows and columns of the grid on which regions are classified."""
 
 _BLANK = 1.5
-"""Standard deviation of grey levels below which a picture holds nothing."""
+"""Standard deviation of grey levels below which an image is blank."""
 _NIGHT = 60.0
-"""Grey level that 95 % of the picture stay below by night."""
+"""Grey level below which 95 % of a night image lies."""
 _DIM, _LOW_SUN_DEG = 145.0, 5.0
-"""The same where the sun stands lower than that, in degrees: the camera has not made up for the light that is missing.
-A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm-lab bench archive
---month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 11 are as dim."""
+"""Grey level for a low sun, and the sun's elevation in degrees below which it applies, because the camera has not
+compensated for the missing light. A dark forest is as dim at noon, so neither value is sufficient alone. Chosen on
+rendered months (`ltm-lab bench archive --month`), in which all plants turn into darker ones in such images; 11 of 159
+mountain photos are as dim."""
 _GLARE, _GLARE_BELOW = 0.35, 0.2
-"""Shares of the picture, and of its lower half, that are burnt out."""
+"""Shares of the image, and of its lower half, that are overexposed."""
 _BURNT, _BLACK = 245, 14
-"""Levels above which all channels, or below which none, tell anything."""
+"""Levels above which all channels, or below which none, carry information."""
 _CONTRAST = 1.5
-"""Grey levels: local contrast of a cell of the grid that shows something."""
+"""Local contrast in grey levels above which a cell of the grid shows something."""
 _FOG = 0.06
-"""Share of the cells that show something; in fog it is less."""
+"""Share of the cells that show something below which an image is classified as fog."""
 _BLUR = 0.2
-"""Fine against coarse contrast, where there is any; out of focus, or with a wet lens, it is less."""
+"""Ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)."""
 _BLUR_CONTRAST = 1.0
-"""Coarse contrast of the best cells, from which on that can be told."""
+"""Coarse contrast of the best cells above which blur can be detected."""
 _REGION = 0.6
-"""Share of a cell that is burnt out or black, for the cell to be doubtful."""
+"""Share of overexposed or black pixels above which a cell is not used."""
 
 
 class Unusable(StrEnum):
@@ -127,7 +128,7 @@ class _Cells:
     def __init__(self, seen: BoolArray) -> None:
         self._share = _to_grid(seen.astype(np.float32))
         self.known = self._share > 0.3
-        """Cells of which enough is seen."""
+        """Cells of which enough is visible."""
 
     def mean(self, values: Float32Array) -> Float32Array:
         return np.asarray(_to_grid(values) / np.maximum(self._share, np.float32(1e-3)), np.float32)

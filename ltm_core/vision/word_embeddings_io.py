@@ -13,7 +13,7 @@ from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.manifest import NetworkManifest
 
 LARGEST = 64 << 20
-"""Bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
+"""Maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
 
 
 @dataclass(frozen=True, eq=False)

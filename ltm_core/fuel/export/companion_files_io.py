@@ -19,9 +19,9 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
 
 _MARK: Final = b"<!-- by ltm export -->"
-"""Of styles that may be written over."""
+"""Marker of style files that may be overwritten."""
 Entry = tuple[int, str, Color]
-"""A value, its label and its colour."""
+"""Value, label and colour."""
 
 
 def style_path(raster: Path) -> Path:

@@ -23,9 +23,9 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 
 _LIKE_HEIGHTS = 50.0
-"""Metres of the median difference up to which a prior's elevations are of the same ground in the same unit."""
+"""Median difference in metres up to which a prior's elevations are in the same unit as the DEM."""
 _MOST_SAMPLES = 8
-"""Of the DEM, a side of a fuel cell, for its mean height."""
+"""Maximum number of DEM samples per side of a fuel cell for its mean height."""
 
 
 def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridGeometry:

@@ -28,10 +28,10 @@ LANDSCAPE_BANDS: Final = (
 )
 LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
 FLAT: Final = -1
-"""Aspect of level ground, as LANDFIRE has it."""
+"""LANDFIRE's aspect of level ground."""
 _HORN: Final = np.array([1.0, 2.0, 1.0])
 _ENOUGH_CELLS = 20
-"""Of the prior's own trees, to learn from what canopy a code has here."""
+"""Minimum number of the prior's tree cells from which the canopy of a code is learned."""
 
 
 @dataclass(frozen=True, eq=False)

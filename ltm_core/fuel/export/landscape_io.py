@@ -33,9 +33,10 @@ HEADER_BYTES: Final = 7316
 _WITH_CROWN: Final = 21
 _WITHOUT_GROUND: Final = 20
 _LISTED: Final = 99
-"""Classes of a band that its list of 100 takes: its first entry is padding."""
+"""Number of classes in a band's list of 100; its first entry is padding."""
 _UNITS: Final = (0, 0, 2, 0, 1, 3, 3, 3, 0, 0)
-"""m; degrees; azimuth; codes as they are; %; m x 10; m x 10; kg/m3 x 100; duff and woody fuel, which are not there."""
+"""Units of the bands: m; degrees; azimuth; codes; %; m x 10; m x 10; kg/m3 x 100; duff and woody fuel, which are
+absent."""
 _METRES: Final = 0
 
 
@@ -90,7 +91,7 @@ def _classes(band: Int16Array) -> bytes:
 
 MOST_CELLS: Final = 60_000_000
 MOST_NODATA: Final = 0.5
-"""Share of cells; with more, and with more cells than that, FlamMap and IFTDSS refuse a GeoTIFF landscape."""
+"""Maximum share of nodata cells; with a higher share, FlamMap and IFTDSS reject a GeoTIFF landscape."""
 _ELMFIRE: Final[Mapping[str, str]] = {
     "dem": "elevation",
     "slp": "slope",

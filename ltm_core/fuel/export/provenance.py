@@ -37,8 +37,7 @@ class Provenance:
     terrain: str = ""
     surface: str = ""
     own_fbfm13: str = ""
-    """What was kept of the FBFM13 map that came with the prior (`PriorConfig.own_fbfm13`); empty: there is none in it.
-    """
+    """What was kept of the prior's FBFM13 map (`PriorConfig.own_fbfm13`); empty: nothing."""
 
     def tags(self) -> dict[str, str]:
         """For GeoTIFF: TIFF's own, and ours."""

@@ -33,18 +33,19 @@ class MountConfig(PoseConfig):
     position_sigma: float | None = Field(0.5, gt=0)
     height_sigma: float | None = Field(0.5, gt=0)
     tilt_zero_deg: PitchDeg = 0.0
-    """What is added to each tilt, upwards."""
+    """Angle in degrees added to each tilt, positive upwards."""
     tilt_zero_sigma_deg: float = Field(0.3, gt=0)
     pan_sign: Sign = 1
-    """1 where pan grows clockwise as seen from above."""
+    """Sign of pan: 1 if pan grows clockwise as seen from above, else -1."""
     tilt_sign: Sign = 1
-    """1 where tilt grows upwards."""
+    """Sign of tilt: 1 if tilt grows upwards, else -1."""
     encoder_sigma_deg: float = Field(0.03, gt=0)
-    """Of each of pan and tilt: how well the PTZ head comes back to a reading."""
+    """Standard deviation of pan and of tilt in degrees when the PTZ head returns to a reading."""
     covariance_deg2: tuple[tuple[float, ...], ...] | None = None
-    """Of azimuth, pitch, roll and tilt zero, 4 by 4, as a calibration gives it; instead of their sigmas."""
+    """Covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, from a calibration; instead of their
+    sigmas."""
     lens: LensConfig | None = None
-    """None: the lens does not zoom, and `calibration` states it."""
+    """Zoom lens of the camera; None: the lens does not zoom, and `calibration` describes it."""
 
     @model_validator(mode="after")
     def _a_covariance(self) -> Self:
@@ -132,18 +133,18 @@ class PoseRefinementConfig(StrictModel):
     for each camera. Angles in degrees."""
 
     every: float = Field(10.0, ge=0)
-    """Seconds between two pictures that are looked at."""
+    """Minimum seconds between two images that are used."""
     gather: int = Field(6, ge=2)
-    """Clear pictures in which a mount's error is sought together,"""
+    """Number of clear images from which a mount's error is estimated jointly."""
     most_gathered: int = Field(12, ge=2)
-    """and at most so many, where they leave it open."""
+    """Maximum number of images to gather if fewer leave the error ambiguous."""
     judged: int = Field(6, ge=1)
-    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    """Number of most recent clear images that are checked for a slip once the mount's error is known."""
     slipped: int = Field(4, ge=1)
-    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    """Number of these images that must contradict the mount before it is reported as slipped."""
     least_slip_deg: float = Field(0.2, gt=0)
-    """A picture says so where it is off by more than this"""
+    """Minimum deviation in degrees for an image to contradict the mount."""
     slip_sigmas: float = Field(3.0, gt=0)
-    """and by so many of its standard deviations,"""
+    """Minimum deviation in standard deviations for an image to contradict the mount."""
     slip_sigma_deg: float = Field(3.0, gt=0)
-    """and this is the standard deviation of a slip's angles."""
+    """Standard deviation of the angles of a slip in degrees."""

@@ -27,12 +27,12 @@ from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, RO
 
 TILT_ZERO_SIGMA_DEG = 0.3
 _SURE = 3.0
-"""Sigmas by which a tilt zero must be shown."""
+"""Number of sigmas by which a tilt zero must be significant."""
 _PROPOSALS = 3
-"""Hypotheses of each picture that are tried on all."""
+"""Number of hypotheses of each image that are tested on all images."""
 _STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
-"""Corrections that are refined, at least so far apart in azimuth (far ranges are like saws, with a best fit a tooth) or
-in the logarithm of the focal length."""
+"""Number of corrections that are refined, and their minimum distance in azimuth and in the logarithm of the focal
+length. Far ridges are periodic, with one local optimum per peak."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,16 +93,16 @@ def _number(text: str | None, column: str, place: str) -> float:
 _LAYOUT = 1
 _LARGEST = 64 << 10
 _ROUNDING = 1e-6
-"""Of a covariance's greatest eigenvalue: by which it may be none."""
+"""Share of the largest eigenvalue of a covariance by which the smallest may be negative."""
 _Three = tuple[float, float, float]
 _Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
-"""Radians."""
+"""Angle in radians."""
 
 
 class _Memory(StrictModel):
     layout: int
     terms: str
-    """What it holds for (`mount_terms`)."""
+    """Terms for which the state is valid (`mount_terms`)."""
     state: MountState
     reason: str = Field(max_length=2000)
     rotation: tuple[_Angle, _Angle, _Angle]

@@ -20,7 +20,7 @@ from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
 _UNKNOWN = 1.0
-"""Variance, rad^2, from which on a direction is not known."""
+"""Variance in rad^2 above which a direction is unknown."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,13 +25,15 @@ from ltm_core.pose_estimation.skyline.pose_prior import turned
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
 
 LEAST_LANDMARKS = 4
-"""With two, a lean of the mount and a zero of its tilt are not told apart; with three, no error shows."""
+"""Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
+three, no error is detected."""
 WORST_SIGMA_DEG = 0.3
-"""Of a direction somewhere on the circle, beyond which landmarks are said to be crowded in pan."""
+"""Worst standard deviation of a direction on the circle, in degrees, above which landmarks are too close together in
+pan."""
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
-"""How far a mount may lean, tilts may be off and a table's focal lengths wrong: weak beside four landmarks."""
+"""Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
 _SIGN_GAIN = 3.0
-"""By so much must another sign of an axis explain the landmarks better than the stated one."""
+"""Factor by which another sign of an axis must fit the landmarks better than the stated one."""
 
 
 @dataclass(frozen=True, eq=False)

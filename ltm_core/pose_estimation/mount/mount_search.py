@@ -19,9 +19,9 @@ from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 STEEPEST_LEAN = math.radians(20.0)
-"""Of a mount from what is stated of it."""
+"""Maximum lean of a mount from its stated orientation."""
 _REACHED = 3
-"""Landmarks within reach of a pair's mount, beyond which it is fitted to all of them."""
+"""Number of landmarks that must fit the mount of a pair before it is fitted to all of them."""
 _MOST_PAIRS = 200
 
 

@@ -35,30 +35,30 @@ from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 16
-"""Horizons: as many as a PTZ head has presets."""
+"""Maximum number of horizons kept, as many as a PTZ head has presets."""
 _STEP_DEG = 2.0
-"""Directions that differ by less share a horizon."""
+"""Difference in degrees below which two directions share a horizon."""
 _TRACKING = (*ROUNDS[::2], ROUNDS[-1])
-"""Rounds of the fit in a picture of a mount that is known: it begins close by."""
+"""Number of rounds of the fit for an image of a known mount, which starts close to the solution."""
 _TRACKED_SIGMA_DEG = 1.0
-"""Of each angle, within which a picture of a mount that is known may say otherwise."""
+"""Standard deviation of each angle in degrees within which an image of a known mount may deviate."""
 _TURN_STEP_DEG, _TURN_STEPS = 0.25, 8
-"""Turns to either side of a known pose at which the skyline is tried."""
+"""Step in degrees and number of the turns to either side of a known pose at which the skyline is tested."""
 _TURN_NEAR = 2
-"""Steps within which a fit that starts at the known pose finds the turn itself."""
+"""Number of steps within which a fit from the known pose finds the turn itself."""
 _TURN_GAIN = 2.0
-"""Least difference of cost between a turned and the known pose."""
+"""Minimum difference of cost between a turned and the known pose."""
 
 
 class MountState(Enum):
     STATED = "stated"
-    """Its poses are taken as they are stated: too few clear pictures yet."""
+    """Poses are used as stated: too few clear images so far."""
     HELD = "held"
-    """They are corrected, and pictures agree."""
+    """Poses are corrected, and images agree."""
     SLIPPED = "slipped"
-    """Pictures say that it looks elsewhere; where is not known yet."""
+    """Images show another viewing direction, which is not known yet."""
     CONTRADICTED = "contradicted"
-    """Pictures agree with each other, and not with what is stated, by more than its sigmas allow."""
+    """Images agree with each other, but differ from the stated pose by more than its sigmas allow."""
 
 
 class MountWatch:
@@ -83,16 +83,17 @@ class MountWatch:
         self.correction = PoseCorrection(np.zeros(3), None)
         self.state = MountState.STATED
         self.reason = "too few clear pictures yet"
-        """Of the state, in words."""
+        """Reason for the state, in words."""
         self.slips = 0
-        """How often the mount was said to have slipped."""
+        """Number of slips reported for the mount."""
         self._priors: list[PosePrior] = []
         self._searches: list[PictureSearch] = []
         self._contradictions: list[Float64Array] = []
-        """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
+        """Deviations from the stated pose (azimuth, pitch and roll in degrees) of clear images that show nothing near
+        it."""
         self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
-        """Of each clear picture of a mount that is held: by how much the camera is off, radians of azimuth, pitch and
-        roll, where that is more than errors explain."""
+        """For each clear image of a known mount: deviation of the camera in radians of azimuth, pitch and roll, where
+        it exceeds the errors."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
     def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:

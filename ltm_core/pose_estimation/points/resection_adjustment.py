@@ -22,14 +22,14 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
 
 Parameter = Literal["focal", "k1", "position"]
-"""What may be fitted besides the angles, which always are."""
+"""Parameters that may be fitted in addition to the angles, which always are."""
 
 PARAMETERS: tuple[Parameter, ...] = ("focal", "k1", "position")
 SIZE = {"focal": 1, "k1": 1, "position": 3}
-"""Numbers that each parameter is."""
+"""Number of values of each parameter."""
 
 MIN_REDUNDANCY = 2
-"""Measured coordinates beyond the number of parameters: with fewer no error shows."""
+"""Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
 OUTLIER_SIGMAS = 4.0
 MAX_OUTLIER_SHARE = 0.25
 
@@ -47,7 +47,7 @@ class Fit:
     used: BoolArray
     sigma_px: float
     covariance: Float64Array
-    """Of rotation (rad), then the free parameters."""
+    """Covariance of the rotation (rad), then of the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +169,14 @@ def diagonal(camera: Camera) -> float:
 
 
 MAX_MEDIAN_SHARE = 0.02
-"""Median residual over the image's diagonal above which no pose explains the points."""
+"""Median residual, as a share of the image's diagonal, above which no pose explains the points."""
 MAX_ANGLE_SIGMA_DEG = 1.0
 MAX_FOCAL_SIGMA = 0.03
-"""Share of the focal length."""
+"""Maximum standard deviation of the focal length, as a share of it."""
 MAX_K1_SHIFT = 0.01
-"""Share of the image's diagonal: what one sigma of k1 moves at the image's corner."""
+"""Maximum shift at the image's corner by one sigma of k1, as a share of the image's diagonal."""
 MAX_POSITION_SIGMA = 0.02
-"""Share of the median distance of the points."""
+"""Maximum standard deviation of the position, as a share of the median distance of the points."""
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:

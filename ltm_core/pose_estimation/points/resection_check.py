@@ -13,8 +13,8 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 HIDDEN_BY = 5.0
-"""Metres: a ray aimed at a surveyed point that ends this far from it met other ground: the DEM hides the point, or cuts
-off the edge on which it stands."""
+"""Distance in metres from a surveyed point above which its ray met other ground: the DEM hides the point, or cuts off
+the edge on which it is."""
 
 
 class SurveyedState(StrEnum):
@@ -22,13 +22,13 @@ class SurveyedState(StrEnum):
 
     SEEN = "seen"
     HIDDEN = "hidden"
-    """Other ground lies in front of it."""
+    """Other ground is in front of the point."""
     BESIDE = "beside the DEM"
-    """No ground is known at its place, or on the way to it."""
+    """No ground is known at the point or on the way to it."""
     BELOW = "below its surface"
-    """Under the DEM's surface, on which it would be seen."""
+    """The point is below the DEM's surface, on which it would be seen."""
     ABOVE = "above its surface"
-    """The ray goes over the DEM there: it cuts off the edge or tree on which the point stands."""
+    """The ray passes above the DEM there: it cuts off the edge or tree on which the point is."""
 
 
 @dataclass(frozen=True, eq=False)

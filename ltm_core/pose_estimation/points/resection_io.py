@@ -39,7 +39,7 @@ class ResectionSetup:
     camera: Camera
     position: Float64Array
     angles_deg: tuple[float, float, float] | None
-    """(azimuth, pitch, roll), from grid north; None: nothing is known of them."""
+    """Azimuth from grid north, pitch and roll in degrees; None: unknown."""
     dem: Dem | None
 
 

@@ -22,17 +22,17 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
-"""Shares of the stated focal length that are tried where it is free: steps of 5 %."""
+"""Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
 MAX_PAIRS = 400
 MIN_SEPARATION = 0.03
-"""Of the image's diagonal: points that are closer give no rotation."""
+"""Minimum separation of points as a share of the image's diagonal; closer points give no rotation."""
 STARTS = 4
 MAX_TRIPLES = 150
 MIN_TRIANGLE = 0.002
-"""Of the image's diagonal squared: marks of three points that span less give no position."""
+"""Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
 FREE_STARTS = 6
 APART = 0.05
-"""Of the points' median distance: starts of a free position lie that far from each other."""
+"""Distance between starts of a free position, as a share of the points' median distance."""
 
 
 def coarse_poses(

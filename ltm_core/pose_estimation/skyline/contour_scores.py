@@ -16,9 +16,9 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _MOST_POINTS = 4000
 _ONE_EDGE = 8.0
-"""Pixels of the edges' picture along a ridge within which an edge goes on."""
+"""Length in pixels of the edge image along a ridge within which an edge is continuous."""
 _SPREAD = 0.7
-"""Standard deviation of a pixel's response, and so of the scores that chance gives."""
+"""Standard deviation of a pixel's response, and so of random scores."""
 
 
 @dataclass(frozen=True, eq=False)

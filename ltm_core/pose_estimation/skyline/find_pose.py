@@ -36,8 +36,8 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing.holes import PossibleGround
 
 _LEAST_SUPPORT = 0.3
-"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges may stand by themselves: above
-trees, and where a good skyline leaves two poses open, they mislead more often than not."""
+"""Minimum share of the photo's skyline that must lie on the DEM's horizon, unless ridges alone agree. Above trees, and
+if a good skyline leaves two poses open, ridges mislead more often than not."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,16 +63,16 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
 
 
 _ABOVE, _SKY = 12.0 / 640, 20.0 / 640
-"""Widths of the image above the nearer land's edge within which pale land is sought, and above those where the sky
-tells how uneven it is."""
+"""Shares of the image width above the edge of nearer land: within the first, pale land is searched; above it, to the
+second, the sky's variation is measured."""
 _LEAST_STEP, _STEPS = 3.0, 6.7
-"""By which it must stand out, in units of CIE Lab, and in what the sky changes by."""
+"""Minimum contrast, in units of CIE Lab and in multiples of the sky's variation."""
 _PALE, _ALIKE = 25.0, (2.0, 2.0)
-"""What differs from the sky by more is no pale land; nor what does by more than so many times the step and so much."""
+"""Contrast to the sky above which it is not pale land, and the multiples of the step and of the variation."""
 _ACROSS = 5
-"""Pixels across which colours are averaged,"""
+"""Width in pixels over which colours are averaged."""
 _THICK = 2.0
-"""and by how many of an image of 640 across pale land must be higher than what a slanted edge is blurred to by that."""
+"""Minimum height of pale land in pixels of an image 640 wide, in excess of the blur of a slanted edge."""
 
 
 def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
@@ -147,14 +147,15 @@ def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, 
 
 COLUMNS = 240
 _RUN = 3
-"""Rows of land under each other that end the sky."""
+"""Number of consecutive rows of land that end the sky."""
 _REACH = 7.0 / 640
-"""Widths of the image within which the edge is sought about the labels' edge, one sigma at half of it."""
+"""Distance around the labels' edge within which the edge is searched, as a share of the image width; sigma is half of
+it."""
 _FAINT = 2.0
-"""A gradient, in units of CIE Lab, by which an edge is known twice as well as by the labels alone. Far ranges in
-rendered haze err by 0.35 pixels from gradients of 5 on, which 1.4 would state: a photo's edges are less sharp."""
+"""Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
+haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""
 _SHARP_PX, _PALE_PX = 0.45, 0.5
-"""What sharp edges err by, and those of pale land besides."""
+"""Standard deviation of sharp edges in pixels, and the additional one of pale land."""
 
 
 @dataclass(frozen=True, eq=False)

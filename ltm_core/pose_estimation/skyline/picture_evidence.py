@@ -17,11 +17,11 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import ContourConfig, 
 from ltm_core.vision.labels import UNLABELLED, Label
 
 _BORDER = 0.006
-"""Of the width: a skyline so near, above or below, to what is hidden is its border."""
+"""Distance, as a share of the width, within which a skyline next to a hidden area is the border of that area."""
 _SKY_EDGE = 0.01
-"""Of the width: edges so near to the land are kept, those of clouds further up are not."""
+"""Distance from the land, as a share of the width, within which edges are kept; edges of clouds further up are not."""
 _LEAST_SKY = 0.1
-"""Share of columns that a skyline must have to be one."""
+"""Minimum share of columns that must have a skyline."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,9 @@ from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 from ltm_core.vision.labels import Label
 
 AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
-"""Of angles that are stated without a sigma: a phone's compass, and a level held by hand."""
+"""Standard deviations in degrees of angles stated without a sigma: a phone's compass, and a level held by hand."""
 UNSTATED_TILT_SIGMA_DEG = 5.0
-"""Of a pitch or roll that is not stated at all."""
+"""Standard deviation in degrees of a pitch or roll that is not stated."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,9 +131,9 @@ def focal_candidates(focal_sigma: float) -> Float64Array:
 
 
 MANY_PLANTS = 0.5
-"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's,"""
+"""Share of trees and shrubs in the land above which edges belong to them as well as to the ground."""
 OVERGROWN = 0.85
-"""and from which on hardly anything else is in the picture."""
+"""Share above which the image shows hardly anything else."""
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 

@@ -12,7 +12,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, axes_of_angles, matrix_of_vector, pose_covariance
 
 UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
-"""Sigma of an azimuth of which nothing is known."""
+"""Standard deviation of an unknown azimuth in degrees."""
 
 
 @dataclass(frozen=True, eq=False)

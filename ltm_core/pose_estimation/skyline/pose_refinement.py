@@ -41,15 +41,15 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 MOST_FOCAL_STEP = 0.05
-"""Of the focal length's logarithm, in one round."""
+"""Maximum step of the focal length's logarithm in one round."""
 FEWEST = 6
-"""Places of a skyline or of ridges that say anything."""
+"""Minimum number of places of a skyline or of ridges."""
 _TELLING = 0.02
-"""Radians: columns of a larger sigma do not support a pose."""
+"""Standard deviation in radians above which a column does not support a pose."""
 _LEAST_TOLD = 1 / 3
-"""Share of a skyline that the DEM's horizon must tell of: of a shorter one what fits is no support."""
+"""Minimum share of a skyline that the DEM's horizon must cover to count as support."""
 _MOST_SQUARE = 9.0
-"""Of a column's error in its sigma, squared: what is further off is another thing."""
+"""Maximum squared error of a column in sigmas; columns further off show something else."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ PictureSystem = Callable[
     [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
     tuple[Float64Array, Float64Array],
 ]
-"""Gives what `picture_system` does."""
+"""Function with the results of `picture_system`."""
 
 
 def refine(
@@ -205,9 +205,9 @@ def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
 
 
 _ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
-"""As `pose_refinement.ROUNDS`."""
+"""Rounds as in `pose_refinement.ROUNDS`."""
 _LEAST_FITTING = 0.02
-"""Edges that fit less are left out: they would cost time and say nothing."""
+"""Minimum fit of an edge; others cost time and add nothing."""
 
 
 def settled_on_ridges(

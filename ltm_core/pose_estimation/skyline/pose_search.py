@@ -26,15 +26,16 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 18
 _ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
-"""Whatever the labels are, where few of them are of trees and shrubs: rock and ice, which labels know the least."""
+"""Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
 _ALONG = 8.0
-"""Metres and pixels within which a ridge's errors are one and the same: of rock."""
+"""Metres and pixels within which errors of a ridge of rock are fully correlated."""
 _FLOOR_DEG = (0.15, 0.05, 0.15)
-"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing."""
+"""Minimum standard deviation of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something
+else."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
-"""Degrees about each of the coarse grid's best at which finer edges are looked at."""
+"""Degrees around each of the coarse grid's best poses at which finer edges are used."""
 _ROUNDS = (
     (16.0, 1.0),
     (12.0, 1.0),
@@ -47,7 +48,7 @@ _ROUNDS = (
     (4.0, 1.0),
 )
 _SETTLING = ((4.0, 1.0),) * 12
-"""Both as `pose_refinement.ROUNDS`."""
+"""Rounds of both, as in `pose_refinement.ROUNDS`."""
 
 
 def search_ridges(
@@ -170,7 +171,7 @@ def _distance(a: Pose, b: Pose) -> float:
 
 
 _SKYLINE_SETTLING = ((3.0, 1.0),) * 6
-"""As `ROUNDS`: further ones."""
+"""Further rounds, as in `ROUNDS`."""
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 

@@ -21,11 +21,11 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing.holes import PossibleGround
 
 _MOST_RISE = 4.0
-"""Steps of azimuth by which neighbours of a contour may differ in tangent,"""
+"""Maximum difference in tangent between neighbours of a contour, in steps of azimuth."""
 _MOST_CHANGE = 0.12
-"""and the logarithm by which they may differ in range."""
+"""Maximum difference in the logarithm of the range between neighbours of a contour."""
 _SHORTEST = math.radians(0.6)
-"""Contours that span less azimuth are left out: single trees and the DEM's noise."""
+"""Minimum span of a contour in azimuth; shorter ones are single trees and noise of the DEM."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +96,11 @@ def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Ar
 
 
 _NEAREST = 20.0
-"""Metres: what the DEM says of nearer ground is as much its error as the ground's shape."""
+"""Minimum range in metres; nearer, the DEM's error is as large as the shape of the ground."""
 _FARTHEST = 80_000.0
 _NEAREST_FRONT, _TREES = 120.0, 5.0
 _MOST_CONTOURS = 24
-"""Points of occluding contours that are kept along one azimuth."""
+"""Maximum number of points of occluding contours along one azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
