@@ -31,7 +31,7 @@ class ImageError(LtmError):
 
 
 class RegionError(LtmError):
-    """A pixel or region of a picture that cannot be located on the map."""
+    """A pixel or region of an image that cannot be located on the map."""
 
 
 class MessageError(LtmError):

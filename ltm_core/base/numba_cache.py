@@ -35,7 +35,7 @@ _NAME = re.compile(rb"\w+")
 
 
 def use_own_cache(source: Path) -> Path | None:
-    """Point numba to the cache of this state of `source`; the folder, or None where not ours.
+    """Return the point numba to the cache of this state of `source`; the folder, or None where not ours.
 
     Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
     A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to. What lies
@@ -89,7 +89,7 @@ def _module_name(file: Path, source: Path) -> bytes:
 
 
 def _imports(text: bytes) -> Iterator[bytes]:
-    """All names that a module may import; a name within a package may be a module or not."""
+    """Return all names that a module may import; a name within a package may be a module or not."""
     for direct, package, names in _IMPORT.findall(text):
         yield direct or package
         for name in _NAME.findall(names):
@@ -118,7 +118,8 @@ def _forget_former(parent: Path, current: Path) -> None:
 
 
 def _age(folder: Path) -> float:
-    """Time of the last change; 0 where another process, which starts just now too, has deleted the folder."""
+    """Return the time of the last change; 0 where another process, which starts just now too, has deleted the
+    folder."""
     try:
         return folder.stat().st_mtime
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Base class of the typed configuration files: unknown keys are refused."""
+"""Base class of the typed configuration files: unknown keys are rejected."""
 
 from pydantic import BaseModel, ConfigDict
 

@@ -10,7 +10,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def stamp_of_moment(moment: datetime) -> int:
-    """Nanoseconds since 1970, negative before; a moment that names no time zone is one of UTC."""
+    """Return the nanoseconds since 1970, negative before; a moment that names no time zone is one of UTC."""
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
     return since // timedelta(microseconds=1) * 1000
 

@@ -55,7 +55,7 @@ class PartialCalibration(StrictModel):
 
     @property
     def distortion(self) -> tuple[float, float, float, float, float]:
-        """(k1, k2, p1, p2, k3)."""
+        """Return (k1, k2, p1, p2, k3)."""
         return self.k1, self.k2, self.p1, self.p2, self.k3
 
     def camera_of(self, width: int, height: int, fx: float) -> Camera:
@@ -157,7 +157,7 @@ class PartialPose(StrictModel):
         return PartialPose.model_validate(self.model_dump() | taken)
 
     def covariance(self, pose: Pose, position: float, angle_deg: float) -> Float64Array | None:
-        """(6, 6) as in `pose_covariance`, from the sigmas that are stated; None where none is.
+        """Return (6, 6) as in `pose_covariance`, from the sigmas that are stated; None where none is.
 
         `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not.
         """
@@ -172,7 +172,7 @@ class PartialPose(StrictModel):
         )
 
     def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
-        """Its place in the map frame; None where it is not known.
+        """Return its place in the map frame; None where it is not known.
 
         Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's.
         """
@@ -220,7 +220,8 @@ class PlacedPose(PartialPose):
         return self
 
     def described(self, frame: SiteFrame) -> str:
-        """The place as it is stated, and where that is another, as what it is in the frame's CRS. Raises as `xy`."""
+        """Return the place as it is stated, and where that is another, as what it is in the frame's CRS. Raises as
+        `xy`."""
         stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
         given = f"({stated[0]:.10g}, {stated[1]:.10g})"
         if crs is None or crs == frame.crs:

@@ -42,7 +42,7 @@ OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
-    """(3, 3): the optical frame of an upright photo of the back camera to the phone's axes.
+    """Return (3, 3): the optical frame of an upright photo of the back camera to the phone's axes.
 
     `turned_deg`: by how much the phone was turned counter-clockwise, as the one who holds it sees it, from portrait: 90
     for landscape with the top to the left.
@@ -54,9 +54,8 @@ def phone_camera(turned_deg: float = 0.0) -> Float64Array:
 
 
 def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
-    """`phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape allows,
-    as the picture stands most upright. Without an attitude (None) the first of them.
-    """
+    """Return `phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape
+    allows, as the image stands most upright. Without an attitude (None) the first of them."""
     allowed = turned_deg or ((0.0,) if portrait else (90.0, 270.0))
     mounts = [phone_camera(angle) for angle in allowed]
     if enu_from_phone is None or len(mounts) == 1:
@@ -65,7 +64,7 @@ def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: 
 
 
 def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
-    """Azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
+    """Return the azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
 
     Raises PoseError on a matrix that is no rotation.
     """
@@ -130,7 +129,7 @@ def sensed_pose(
     dem: Dem,
     config: SensorsConfig,
 ) -> tuple[Pose, Float64Array]:
-    """Pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
+    """Return the pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
 
     Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known.
     """

@@ -77,14 +77,14 @@ class ErrorModel:
 
 
 def octaves(depth: NDArray[np.floating]) -> IndexArray:
-    """The half octave that each depth, metres, is in."""
+    """Return the half octave that each depth, metres, is in."""
     places = np.rint(2.0 * np.log2(depth) - FIRST)
     return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _place(depth: np.float32) -> np.float32:
-    """Where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
+    """Return where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
     if depth < np.float32(_STEPS / 16):
         return np.float32(_NEAR[int(depth * np.float32(16.0))])
     if depth < np.float32(_STEPS):
@@ -108,7 +108,8 @@ def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def interpolation_table(tables: ErrorTables) -> Float32Array:
-    """Both tables (R, C, D) side by side, (R, C * D, 4): each value, and by how much the next half octave's is more."""
+    """Return both tables (R, C, D) side by side, (R, C * D, 4): each value, and by how much the next half octave's is
+    more."""
     shift, factor = tables.shift, tables.factor
     rows, cols, count = shift.shape
     both = np.zeros((rows, cols * count, 4), np.float32)
@@ -133,7 +134,7 @@ def expected_predictions(
     less: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """`expected_prediction` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of
+    """Return `expected_prediction` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of
     `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,), to work in.
 
     The logarithm is taken from the numbers' own bits, so that no table is looked up: log2(2^e (1 + m)) is
@@ -161,7 +162,7 @@ def expected_predictions(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
-    """The true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
+    """Return the true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
     plain = np.float32(1.0)
     less, sigma = expected_prediction(row, col, read, tables)
     if read > 0:
@@ -198,7 +199,8 @@ def estimate_errors(
 def _by_depth(
     octave: IndexArray, less: Float64Array, terrain: Float64Array, region: IndexArray, config: FusionConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
+    """Return the middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the
+    terrain's.
 
     Both are drawn towards those of all samples by a region's worth of belief. Samples side by side are no evidence
     of an error that goes with depth: they may all lie on one hill, or on one thing that stands there since.
@@ -232,8 +234,8 @@ def _by_depth(
 
 
 def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> tuple[float, float]:
-    """Middle and spread of the densest part of `less` (N,): what stands before the ground in most of the places where
-    its range is seen draws a median along, and its own spread into that of the network."""
+    """Return the middle and spread of the densest part of `less` (N,): what stands before the ground in most of the
+    places where its range is seen draws a median along, and its own spread into that of the network."""
     ordered = np.sort(less)
     densest = config.error_model.densest
     count = max(2, math.ceil(densest * len(ordered)))
@@ -248,7 +250,8 @@ def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> 
 def _by_region(
     off: Float64Array, samples: GroundSamples, size: tuple[int, int], config: FusionConfig
 ) -> tuple[Float32Array, Float32Array]:
-    """Mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C, D).
+    """Return the mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C,
+    D).
 
     Means are taken over the regions of a checkerboard and judged on the others: what they say of ground that they have
     not seen is what they will say of trees.
@@ -278,7 +281,7 @@ def _by_region(
 
 
 def _regions(samples: GroundSamples, size: tuple[int, int]) -> IndexArray:
-    """The region (N,) that each sample of a photo of `size` is in, row by row."""
+    """Return the region (N,) that each sample of a photo of `size` is in, row by row."""
     rows = np.minimum(samples.rows * REGIONS[0] // size[0], REGIONS[0] - 1)
     cols = np.minimum(samples.cols * REGIONS[1] // size[1], REGIONS[1] - 1)
     return np.asarray(rows * REGIONS[1] + cols, np.intp)
@@ -287,14 +290,15 @@ def _regions(samples: GroundSamples, size: tuple[int, int]) -> IndexArray:
 def _means(
     index: IndexArray, off: Float64Array, belief: float, config: FusionConfig, prior: float = 0.0
 ) -> Float32Array:
-    """Smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief` says."""
+    """Return the smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief`
+    says."""
     totals, counts = _sums(index, off - prior, config)
     return np.asarray(prior + totals / (counts + belief), np.float32)
 
 
 def _sums(index: IndexArray, off: Float64Array, config: FusionConfig) -> tuple[Float64Array, Float64Array]:
-    """Smoothed sums and counts by region and depth, of a unit of belief's height: a lone cell still counts with all
-    its samples."""
+    """Return the smoothed sums and counts by region and depth, of a unit of belief's height: a lone cell still counts
+    with all its samples."""
     cells, rules = (*REGIONS, OCTAVES), config.error_model
     totals = np.bincount(index, off, np.prod(cells)).reshape(cells)
     counts = np.bincount(index, minlength=int(np.prod(cells))).reshape(cells).astype(np.float64)
@@ -305,6 +309,6 @@ def _sums(index: IndexArray, off: Float64Array, config: FusionConfig) -> tuple[F
 
 
 def _grown(table: Float32Array) -> Float32Array:
-    """A table (R, C, D) at _FINE times the rows and columns."""
+    """Return a table (R, C, D) at _FINE times the rows and columns."""
     size = (table.shape[1] * _FINE, table.shape[0] * _FINE)
     return np.ascontiguousarray(cv2.resize(table, size, interpolation=cv2.INTER_LINEAR), np.float32)

@@ -51,7 +51,8 @@ def expected_surface(
     dem_sigma: float,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
-    """Depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in `ground`.
+    """Return the depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in
+    `ground`.
 
     Args:
         ground: traced depth along the optical axis (H, W).
@@ -97,7 +98,7 @@ def _expect(
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Row by row in short loops without branches, which compilers turn into vector code."""
+    """Return the row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
     far, none = np.float32(1e9), np.float32(np.nan)
     focal, angle_sigma, dem_sigma = rules.focal, rules.angle_sigma, rules.dem_sigma
@@ -205,7 +206,7 @@ def expect(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> Expectation:
-    """What `fuse` decides by; arguments as there."""
+    """Return what `fuse` decides by; arguments as there."""
     if network is None:
         return Expectation(*_surface(traced, labels, classes, settings, config), None, None, None)
     expected, sigma, fit = fitted(traced, network, labels, classes, settings, config)
@@ -223,7 +224,7 @@ def _surface(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
-    """What the terrain lets expect: bare ground, with the height of what grows there."""
+    """Return what the terrain lets expect: bare ground, with the height of what grows there."""
     sigmas = settings.angle_sigma, settings.dem_sigma
     return expected_surface(traced.depth(), labels, classes.cover, traced.camera, traced.pose, *sigmas, config)
 
@@ -236,8 +237,8 @@ def fitted(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array, ScaleFit]:
-    """Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there;
-    with depth and sigma of the expected surface."""
+    """Return the pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its
+    errors there; with depth and sigma of the expected surface."""
     expected, sigma = _surface(traced, labels, classes, settings, config)
     samples = ground_samples(expected, sigma, labels, classes.ground, traced.camera.fy, config)
     return expected, sigma, fit_scale(network, samples, (expected.shape[0], expected.shape[1]), config)

@@ -23,17 +23,17 @@ from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
 
 
 def derived(default: Any, meaning: str, **bounds: float) -> Any:
-    """A constant that follows from something else; `bounds`: of pydantic, as ge=0."""
+    """Return a constant that follows from something else; `bounds`: of pydantic, as ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
-    """A constant that `ltm-lab train fusion` writes."""
+    """Return a constant that `ltm-lab train fusion` writes."""
     return Field(default, description=meaning, json_schema_extra={"origin": "fitted"})
 
 
 def chosen(default: Any, meaning: str, **bounds: float) -> Any:
-    """A constant that a person has chosen on development scenarios; `bounds`: of pydantic, as ge=0."""
+    """Return a constant that a person has chosen on development scenarios; `bounds`: of pydantic, as ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "chosen"}, **bounds)  # type: ignore[call-overload]
 
 
@@ -244,7 +244,7 @@ class FusionConfig(StrictModel):
     decision: DecisionConfig = DecisionConfig()
 
     def constants(self) -> Iterator[tuple[str, Any, str, str]]:
-        """Dotted name, value, origin and meaning of every constant."""
+        """Return the dotted name, value, origin and meaning of every constant."""
         yield from _constants(self, "")
 
     def updated(self, changes: dict[str, Any]) -> FusionConfig:
@@ -271,12 +271,13 @@ def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, s
 
 
 def fusion_path(manifest: NetworkManifest) -> Path:
-    """Where the constants that were fitted with a network lie."""
+    """Return where the constants that were fitted with a network lie."""
     return manifest.folder / f"{manifest.name}{FUSION_SUFFIX}"
 
 
 def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
-    """The constants beside a manifest; the defaults where there are none. Raises ConfigError for a wrong file."""
+    """Return the constants beside a manifest; the defaults where there are none. Raises ConfigError for a wrong
+    file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()
 

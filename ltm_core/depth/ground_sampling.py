@@ -37,7 +37,7 @@ class ClassPriors:
 
     @classmethod
     def of(cls, labels: LabelSet, config: FusionConfig | None = None) -> ClassPriors:
-        """The tables of a label set."""
+        """Return the tables of a label set."""
         config = FusionConfig() if config is None else config
         cover, ground = np.zeros(256, np.float32), np.zeros(256, np.bool_)
         for name in VEGETATION:
@@ -99,7 +99,7 @@ class GroundSamples:
         return len(self.rows)
 
     def part(self, chosen: BoolArray) -> GroundSamples:
-        """Those that `chosen` (N,) names."""
+        """Return those that `chosen` (N,) names."""
         return GroundSamples(self.rows[chosen], self.cols[chosen], self.depth[chosen], self.sigma[chosen])
 
 
@@ -145,7 +145,7 @@ def _candidates(
     ground: BoolArray,
     rules: _SamplingRules,
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """Rows, columns and depth of the pixels of a grid that are fit."""
+    """Return the rows, columns and depth of the pixels of a grid that are fit."""
     height, width = surface.shape
     clear, step = rules.clear, rules.step
     down, across = (height - 2 * clear + step - 1) // step, (width - 2 * clear + step - 1) // step
@@ -174,8 +174,8 @@ def _candidates(
 
 
 def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
-    """Which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no class of
-    ranges gets more than `crowd` times the places of a middling one."""
+    """Return which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no
+    class of ranges gets more than `crowd` times the places of a middling one."""
     if not len(depth):
         return np.empty(0, np.intp)
     octave = np.floor(2.0 * np.log2(depth)).astype(np.intp)
@@ -190,8 +190,8 @@ def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _evenly(kind: IndexArray, share: Float64Array) -> IndexArray:
-    """Which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come row by
-    row."""
+    """Return which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come
+    row by row."""
     chosen, rank, n = np.empty(len(kind), np.intp), np.zeros(len(share), np.intp), 0
     for i in range(len(kind)):
         k = kind[i]

@@ -23,7 +23,8 @@ from ltm_core.depth.scale_fit import ScaleFit
 def guided_coefficients(
     image: Float32Array, grey: UInt8Array, config: UpsamplingConfig
 ) -> tuple[Float32Array, Float32Array]:
-    """Gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W), 0..255.
+    """Return the gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W),
+    0..255.
 
     NaN in `image` spreads by twice the windows' radius.
     """
@@ -79,14 +80,14 @@ class NetworkView(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the network's depth."""
+        """Return the rows and columns of the network's depth."""
         _, rows, columns = self.cells.shape
         return rows, columns
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
-    """The row of cells above row `v` of a photo, and how far that lies towards the next."""
+    """Return the row of cells above row `v` of a photo, and how far that lies towards the next."""
     at = (v + 0.5) * (rows / height) - 0.5
     row = min(max(int(np.floor(at)), 0), rows - 2)
     return row, np.float32(min(max(at - row, 0.0), 1.0))
@@ -94,9 +95,8 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
-    """What the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown, and the
-    greatest and the least that neighbours see. `row`: (4, w), to work in.
-    """
+    """Return what the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown,
+    and the greatest and the least that neighbours see. `row`: (4, w), to work in."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):
@@ -120,7 +120,7 @@ def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
-    """The inverse depth, 1/m, that the network sees in one pixel."""
+    """Return the inverse depth, 1/m, that the network sees in one pixel."""
     cells, grey = view.cells, view.grey
     top, down = _row(v, cells.shape[1], grey.shape[0])
     x, part = view.columns[u], view.parts[u]

@@ -57,11 +57,11 @@ class DepthNetwork:
 
     @classmethod
     def open(cls, path_or_name: str | Path, threads: int = 1) -> DepthNetwork:
-        """A network by its manifest's path, or by the name of one in `config/models`."""
+        """Return a network by its manifest's path, or by the name of one in `config/models`."""
         return cls(NetworkManifest.find(path_or_name), threads)
 
     def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
-        """Depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
+        """Return the depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
 
         Metres of a network that answers for one focal length are scaled to the camera's. What is no number, and of
         metres what is not above 0, becomes NaN. Raises ImageError for another shape or dtype, and where camera and

@@ -39,7 +39,8 @@ class DepthDiscontinuities:
 
     @classmethod
     def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
-        """Pixels with ground (H, W) above which the next one is `jump` times as far or more, or sky, or unknown."""
+        """Return the pixels with ground (H, W) above which the next one is `jump` times as far or more, or sky, or
+        unknown."""
         rows, cols = _edges(ground, np.float32(jump))
         return cls(rows, cols, jump)
 
@@ -71,7 +72,7 @@ def _edges(ground: Float32Array, jump: np.float32) -> tuple[Int32Array, Int32Arr
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _count(here: Float32Array, above: Float32Array, jump: np.float32) -> np.int32:
-    """How many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
+    """Return how many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
     count = np.int32(0)
     for u in range(len(here)):
         count += np.int32((here[u] < np.float32(1e9)) & (not above[u] < jump * here[u]))
@@ -147,8 +148,8 @@ class OcclusionPrior(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
-    """Where in `column` of `OcclusionPrior.feet` the ground below a `row` of the photo is first as near as the inverse
-    depth `near`; its length where the image ends above that."""
+    """Return where in `column` of `OcclusionPrior.feet` the ground below a `row` of the photo is first as near as the
+    inverse depth `near`; its length where the image ends above that."""
     # Up a column of the image terrain only gets farther.
     first, last = row // _STEP, len(column)
     while first < last:
@@ -164,8 +165,8 @@ def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
 def occlusion_log_odds(
     prior: OcclusionPrior, odds: np.float32, near: np.float32, column: Float32Array, row: int
 ) -> np.float32:
-    """Log odds that something stands before the ground at inverse depth `near` in a `row` of the photo, where labels
-    give the `odds` of the place; `column`: of `OcclusionPrior.feet`."""
+    """Return the log odds that something stands before the ground at inverse depth `near` in a `row` of the photo,
+    where labels give the `odds` of the place; `column`: of `OcclusionPrior.feet`."""
     foot, rules = ground_contact(near, column, row), prior.rules
     if foot == len(column):
         odds -= rules.no_foot
@@ -174,7 +175,7 @@ def occlusion_log_odds(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -> np.float32:
-    """Metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth `near`."""
+    """Return the metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth `near`."""
     return np.float32(max(foot * _STEP - row, 0)) / (near * prior.focal)
 
 
@@ -182,7 +183,8 @@ def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -
 def mixture_moments(
     d: np.float32, s: np.float32, other: np.float32, t: np.float32, likely: np.float32
 ) -> tuple[np.float32, np.float32]:
-    """Mean and sigma, metres, of a depth that is `other`, of sigma `t`, as `likely` as that and else `d`, of `s`."""
+    """Return the mean and sigma, metres, of a depth that is `other`, of sigma `t`, as `likely` as that and else `d`, of
+    `s`."""
     rest = np.float32(1.0) - likely
     apart = other - d
     return d + likely * apart, np.sqrt(likely * t * t + rest * s * s + likely * rest * apart * apart)

@@ -127,8 +127,8 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def average_row(row: FusionRow, rules: DecisionRules) -> None:
-    """Mean by inverse variance, in inverse depth, where both agree within so many sigmas and the terrain is one
-    surface; see `compare_row`."""
+    """Return the mean by inverse variance, in inverse depth, where both agree within so many sigmas and the terrain is
+    one surface; see `compare_row`."""
     d, s, kind = row.depth, row.sigma, row.source
     true, own, off, joint, weight = row.true, row.own, row.off, row.joint, row.part
     agree, torn = rules.agree, rules.torn
@@ -147,7 +147,7 @@ def average_row(row: FusionRow, rules: DecisionRules) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
-    """What a row is without a network."""
+    """Return what a row is without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
     for u in range(len(d)):
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
@@ -197,7 +197,8 @@ def _fuse(
     labels: LabelView,
     rules: DecisionRules,
 ) -> None:
-    """Row by row (see `fusion_rows`): only the pixels where terrain and network disagree are looked at one by one."""
+    """Return the row by row (see `fusion_rows`): only the pixels where terrain and network disagree are looked at one
+    by one."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.tables, view.gross, prior.odds, prior.feet
@@ -264,8 +265,8 @@ def _fuse(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: DecisionRules) -> np.float32:
-    """A network's sigma, 1/m, of what may stand before the ground, of which its own is `t`; which of its neighbours'
-    depths, from `back` to `near`, a pixel has stays unsure."""
+    """Return a network's sigma, 1/m, of what may stand before the ground, of which its own is `t`; which of its
+    neighbours' depths, from `back` to `near`, a pixel has stays unsure."""
     between = rules.between * (near - back)
     return np.float32(np.sqrt(rules.elsewhere * t * t + between * between))
 
@@ -274,8 +275,8 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 def surely_terrain(
     odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
-    """Whether a disagreement is surely too small for `network_chance` to find anything before the ground: its odds at
-    their best, without exponential and logarithm."""
+    """Return whether a disagreement is surely too small for `network_chance` to find anything before the ground: its
+    odds at their best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
     need = (rules.few - odds) * rules.per_likelihood_weight
@@ -291,8 +292,8 @@ def log_against(
     gross: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Log likelihood by which what a network sees speaks for the terrain, against something that is anywhere before it
-    and is seen at the inverse depth `other`, 1/m.
+    """Return the log likelihood by which what a network sees speaks for the terrain, against something that is anywhere
+    before it and is seen at the inverse depth `other`, 1/m.
 
     `off`: by how much it is nearer than it would say of the terrain, with variance `joint`, of its own `spread`.
     `gross`: share of gross errors, which are anywhere too.
@@ -311,7 +312,8 @@ def network_chance(
     odds: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Chance that the inverse depth `other` is the network's alone, and not the terrain's word; see `log_against`.
+    """Return the chance that the inverse depth `other` is the network's alone, and not the terrain's word; see
+    `log_against`.
 
     `odds`: log odds of something that stands there. Of the log likelihood only a part counts: a network's errors go on
     for many pixels.

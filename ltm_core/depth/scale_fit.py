@@ -51,7 +51,7 @@ def robust_line(
     seed: int = 0,
     rules: RegressionConfig = _RULES,
 ) -> Line | None:
-    """The line through the points (N,) that at most half of them contradict.
+    """Return the line through the points (N,) that at most half of them contradict.
 
     `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
     points without noise stay inliers. None where fewer than `rules.fewest` points are given or x does not vary.
@@ -94,7 +94,8 @@ def robust_line(
 
 
 def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionConfig = _RULES) -> Line | None:
-    """The number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest half."""
+    """Return the number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest
+    half."""
     if len(values) < rules.fewest:
         return None
     ordered = np.sort(values)
@@ -168,7 +169,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
 
 
 def sampled(image: Float32Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
-    """An image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
+    """Return an image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
     height, width = image.shape
     x = (samples.cols + 0.5) * (width / size[1]) - 0.5
     y = (samples.rows + 0.5) * (height / size[0]) - 0.5
@@ -224,7 +225,7 @@ def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config:
 def _through_zero(
     values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
 ) -> Line | None:
-    """The line without a shift; None for a network that seldom gives more than 0."""
+    """Return the line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
     if positive.mean() < config.scale.least_positive:
         return None
@@ -235,8 +236,8 @@ def _through_zero(
 
 
 def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
-    """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
-    decide how near or far all else is.
+    """Return the line with a shift where that earns its place: one that hardly shows on the ground that was sampled
+    would yet decide how near or far all else is.
 
     It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
     other way round noise flattens the line: over ground of about one depth to a constant.
@@ -271,12 +272,12 @@ def _line_of(
 
 
 def _off(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """Median residual of a line, in inverse depth."""
+    """Return the median residual of a line, in inverse depth."""
     return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
 
 
 def _off_values(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """The same in the network's values."""
+    """Return the same in the network's values."""
     return _off(line, values, inverse, weight) / abs(line.scale)
 
 
@@ -287,8 +288,8 @@ def _spread_out(inliers: BoolArray, known: BoolArray) -> BoolArray:
 
 
 def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
-    """The part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of what
-    is cut off at 1, since few samples may be all that lie at another depth."""
+    """Return the part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of
+    what is cut off at 1, since few samples may be all that lie at another depth."""
     usable = np.isfinite(fitted)
     inverse, fitted = inverse[usable], fitted[usable]
     middle = np.median(inverse)
@@ -298,7 +299,7 @@ def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
 
 
 def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
-    """Inverse depth, 1/m; NaN where the line leads below 0 depth."""
+    """Return the inverse depth, 1/m; NaN where the line leads below 0 depth."""
     values = network.values
     if network.kind == "relative_inverse":
         return (line.scale * values + line.shift).astype(np.float32)
@@ -311,7 +312,7 @@ def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
 
 
 def _neighbours(image: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Largest and least value among each pixel's neighbours."""
+    """Return the largest and least value among each pixel's neighbours."""
     known = np.nan_to_num(image, nan=0.0)
     square = np.ones((3, 3), np.uint8)
     return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)

@@ -88,7 +88,7 @@ def check_skyline(
 
 
 def _within(top: Float64Array, columns: int) -> Float64Array:
-    """Standard deviation of the skyline (C,) over so many columns about each."""
+    """Return the standard deviation of the skyline (C,) over so many columns about each."""
     size = columns | 1
     mean = uniform_filter1d(top, size, mode="nearest")
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))
@@ -135,7 +135,7 @@ def _costs(
     most: float,
     share: float,
 ) -> Float64Array:
-    """Mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
+    """Return the mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
     count, side = len(observed), 2 * cells + 1
     usable = 0
     for k in range(count):

@@ -91,15 +91,16 @@ class FusedDepth:
     hidden: BoolArray | None = field(default=None, repr=False)
 
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
-        """What the network alone measures: nothing where it, or the pose, cannot be relied on, where something else
-        stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to edge)."""
+        """Return what the network alone measures: nothing where it, or the pose, cannot be relied on, where something
+        else stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to
+        edge)."""
         if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
         return _measured(self.fit, self.config, self.hidden, doubtful)
 
     def network_depth(self) -> Float32Array | None:
-        """Metres (h, w) that the network says at its own size, none where the terrain is hidden; None where it does not
-        fit the terrain."""
+        """Return the metres (h, w) that the network says at its own size, none where the terrain is hidden; None where
+        it does not fit the terrain."""
         if self.fit is None or self.fit.trouble:
             return None
         with np.errstate(divide="ignore"):
@@ -197,7 +198,8 @@ def measure(
     unusable: str = "",
     doubtful: BoolArray | None = None,
 ) -> NetworkMeasurement:
-    """What the network alone measures in a photo: `fuse(...).measured(doubtful)`, for whoever wants no fused depth.
+    """Return what the network alone measures in a photo: `fuse(...).measured(doubtful)`, for whoever wants no fused
+    depth.
 
     Arguments and errors as there.
     """

@@ -32,7 +32,8 @@ from ltm_core.vision.labels import UNLABELLED
 
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
-    """Labels (H, W) with what the terrain lets expect behind hidden pixels (H, W): sky where no ground is traced.
+    """Return the labels (H, W) with what the terrain lets expect behind hidden pixels (H, W): sky where no ground is
+    traced.
 
     So a mast before the sky is no land on the skyline, and a corner of the lens does not end the sky of its column.
     """
@@ -48,7 +49,7 @@ def edges_seen(edges: DepthDiscontinuities, hidden: BoolArray) -> DepthDiscontin
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
-    """`hidden` (H, W) at another size, edge to edge: True where any of what a pixel there covers is hidden."""
+    """Return `hidden` (H, W) at another size, edge to edge: True where any of what a pixel there covers is hidden."""
     if hidden.shape == (height, width):
         return hidden
     shrinks = height <= hidden.shape[0] and width <= hidden.shape[1]
@@ -57,7 +58,7 @@ def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
 
 
 def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Float32Array:
-    """The traced depth (H, W) with +inf for NaN where `labels` (H, W) say so; itself where nothing changes."""
+    """Return the traced depth (H, W) with +inf for NaN where `labels` (H, W) say so; itself where nothing changes."""
     if not _call_sky(depth, labels, sky, depth[:0]):
         return depth
     called = depth.copy()
@@ -67,7 +68,7 @@ def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Floa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _call_sky(depth: Float32Array, labels: UInt8Array, sky: int, called: Float32Array) -> int:
-    """Number of such pixels; they are made sky in `called`, unless that is empty."""
+    """Return the number of such pixels; they are made sky in `called`, unless that is empty."""
     height, width = depth.shape
     below_sky = np.ones(width, np.bool_)
     left, found = width, 0
@@ -127,7 +128,7 @@ def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Ar
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _runs(ground: Float32Array) -> tuple[Int32Array, Int32Array, Int32Array]:
-    """Row, first column and the column behind the last of every run of NaN, row by row."""
+    """Return the row, first column and the column behind the last of every run of NaN, row by row."""
     height, width = ground.shape
     counts = np.zeros(height, np.int32)
     for v in range(height):
@@ -154,7 +155,7 @@ def _runs(ground: Float32Array) -> tuple[Int32Array, Int32Array, Int32Array]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _sky_beside(ground: Float32Array, v: int, start: int, end: int) -> bool:
-    """Whether a run that does not touch the image's edge has sky next to it."""
+    """Return whether a run that does not touch the image's edge has sky next to it."""
     sky = np.float32(np.inf)
     if ground[v, start - 1] == sky or ground[v, end] == sky:
         return True
@@ -179,7 +180,7 @@ _EVERY = 4  # pixels looked at, each way
 
 @dataclass(frozen=True)
 class UnknownShare:
-    """Shares of a picture that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
+    """Shares of an image that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
     first known ground; and in columns that meet `no_ground`.
     """
 
@@ -194,7 +195,7 @@ class UnknownShare:
 
     @property
     def reason(self) -> str:
-        """The share, and what most of it likely comes from."""
+        """Return the share, and what most of it likely comes from."""
         likely = max(
             (self.beyond, "the camera looks over the DEM's edge; give a coarser DEM around it, or possible_ground"),
             (self.between, "the DEM has holes there"),

@@ -58,11 +58,12 @@ class FireEffect:
     """Burned area of each draw in hectares at the hours of `hours_shown`."""
 
     def difference(self) -> Float32Array:
-        """(H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
+        """Return (H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
         return self.after.arrival - self.before.arrival
 
     def flame_difference(self) -> Float32Array:
-        """(H, W) metres by which flames are longer on the map as it is; NaN where the fire does not come on both."""
+        """Return (H, W) metres by which flames are longer on the map as it is; NaN where the fire does not come on
+        both."""
         both = self.before.burned & self.after.burned
         return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
 
@@ -80,9 +81,8 @@ class FireEffect:
         return rows
 
     def first_contact(self) -> float | None:
-        """Hours after which a fire, on the map as it was or as it is, comes to a changed cell; None: to none. What does
-        not burn any more was reached before.
-        """
+        """Return the hours after which a fire, on the map as it was or as it is, comes to a changed cell; None: to
+        none. What does not burn any more was reached before."""
         there = np.concatenate([run.arrival[self.changed & run.burned] for run in (self.before, self.after)])
         return float(there.min()) if there.size else None
 
@@ -95,14 +95,14 @@ def hectares(run: FireRun, hours: float, cell: float) -> float:
 
 
 def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
-    """(H, W): cells of which the fuel model or a band of canopy differs. Raises RasterError for other grids."""
+    """Return (H, W): cells of which the fuel model or a band of canopy differs. Raises RasterError for other grids."""
     if before.geometry.shape != after.geometry.shape:
         raise RasterError(f"landscapes of {before.geometry.shape} and {after.geometry.shape} cells cannot be compared")
     return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
 
 
 def burn_probability(runs: Sequence[FireRun]) -> Float32Array:
-    """(H, W): share of the fires that come to a cell."""
+    """Return (H, W): share of the fires that come to a cell."""
     return np.asarray(np.mean([run.burned for run in runs], axis=0), np.float32)
 
 
@@ -141,7 +141,7 @@ def drawn_codes(
     width: float = 3.0,
     stand: float | None = None,
 ) -> Int16Array:
-    """(H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
+    """Return (H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
     shared = _USUAL_STAND if stand is None else stand
     agreeing = forms_of(doubt.prior)
     prior = np.where(agreeing, doubt.alpha, 0.0).sum(axis=-1)
@@ -166,12 +166,12 @@ def drawn_codes(
 
 
 def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """The layers with other codes, which are changes where they are not the prior's."""
+    """Return the layers with other codes, which are changes where they are not the prior's."""
     return replace(layers, code=codes, changed=codes != layers.prior)
 
 
 def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
-    """(H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
+    """Return (H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
     smooth = ndimage.gaussian_filter(rng.standard_normal(alpha.shape), width, mode="wrap")
     smooth /= _smoothed_deviation(alpha.shape, width)
     field = np.sqrt(shared) * smooth + np.sqrt(1 - shared) * rng.standard_normal(alpha.shape)
@@ -184,7 +184,8 @@ def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: 
 
 @lru_cache(maxsize=4)
 def _smoothed_deviation(shape: tuple[int, ...], width: float) -> float:
-    """What the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is left."""
+    """Return what the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is
+    left."""
     impulse = np.zeros(shape)
     impulse[0, 0] = 1.0
     return float(np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum()))

@@ -48,7 +48,7 @@ class FireRun:
         return np.nan_to_num(self.arrival, nan=np.inf) <= hours
 
     def reaches_edge(self) -> float | None:
-        """Hours after which it is in a cell at the landscape's edge; None: it is in none."""
+        """Return the hours after which it is in a cell at the landscape's edge; None: it is in none."""
         edge = np.ones(self.arrival.shape, np.bool_)
         edge[1:-1, 1:-1] = False
         there = self.arrival[edge & self.burned]
@@ -56,7 +56,7 @@ class FireRun:
 
 
 def interpreter() -> Path:
-    """The Python that has Pyretechnics: LTM_PYRETECHNICS, else that of `make fire`. Raises ConfigError."""
+    """Return the Python that has Pyretechnics: LTM_PYRETECHNICS, else that of `make fire`. Raises ConfigError."""
     named = os.environ.get(VARIABLE)
     found = Path(named) if named else Path(sys.prefix) / "pyretechnics/bin/python"
     if found.is_file():
@@ -90,7 +90,7 @@ class Pyretechnics:
             raise
 
     def spread(self, landscape: Landscape, scenario: FireScenario) -> FireRun:
-        """The fire on a landscape. One core; the time grows with the fire."""
+        """Return the fire on a landscape. One core; the time grows with the fire."""
         given, result = (Path(self._folder.name) / name for name in ("given.npz", "result.npz"))
         np.savez(given, bands=landscape.bands[1:])
         self._ask(

@@ -23,9 +23,8 @@ woody)."""
 
 
 def cubes(bands: Any, weather: dict[str, float], shape: tuple[int, int, int]) -> dict[str, Any]:
-    """Space-time cubes of a landscape's bands (7, H, W), slope to bulk density, in LANDFIRE's units, nodata -9999.
-    Pyretechnics' rows go from south to north.
-    """
+    """Return the space-time cubes of a landscape's bands (7, H, W), slope to bulk density, in LANDFIRE's units, nodata
+    -9999. Pyretechnics' rows go from south to north."""
     slope, aspect, fuel, cover, height, base, density = bands[:, ::-1].astype(np.float32)
     known = fuel != -9999
     codes = np.unique(fuel).astype(int)
@@ -63,7 +62,7 @@ def weather_of(asked: dict[str, Any]) -> dict[str, float]:
 
 
 def spread(asked: dict[str, Any]) -> dict[str, Any]:
-    """Writes arrival (H, W) minutes, NaN where it does not burn, and flame (H, W) metres."""
+    """Write arrival (H, W) minutes, NaN where it does not burn, and flame (H, W) metres."""
     with np.load(asked["given"]) as given:
         bands = given["bands"]
     rows, cols = bands.shape[1:]

@@ -37,7 +37,7 @@ class Moisture:
 
     @classmethod
     def parse(cls, text: str | None) -> Moisture:
-        """Raises ConfigError for nothing, and for what is neither a scenario nor five percentages."""
+        """Raise ConfigError for nothing, and for what is neither a scenario nor five percentages."""
         if not text:
             raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
         name = text.strip().upper()
@@ -68,7 +68,7 @@ class Wind:
 
     @classmethod
     def parse(cls, text: str) -> Wind:
-        """Raises ConfigError for what is no speed and direction."""
+        """Raise ConfigError for what is no speed and direction."""
         try:
             speed, direction = (float(part) for part in text.split(","))
         except ValueError:
@@ -100,7 +100,7 @@ class FireScenario:
 
 
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
-    """Row and column of "x,y" in `crs`, by default the landscape's own.
+    """Return the row and column of "x,y" in `crs`, by default the landscape's own.
 
     Raises ConfigError for what is no place, one outside, and one where nothing burns.
     """

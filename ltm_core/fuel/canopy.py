@@ -90,7 +90,7 @@ def measured_canopy(
     labels: tuple[Float64Array, Float64Array] | None,
     heights: tuple[Float32Array, Float32Array] | None,
 ) -> SeenCanopy:
-    """What was measured of the cells with `trees` (H, W), of all sources.
+    """Return what was measured of the cells with `trees` (H, W), of all sources.
 
     Args:
         new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
@@ -130,10 +130,9 @@ def measured_canopy(
 def with_seen_canopy(
     bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
 ) -> Int16Array:
-    """Canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured, each where it is;
-    crown base and bulk density change from what they were as those of such stands do (`stand_allometry`). Those of
-    broadleaved `codes` (H, W) stay. Cells without trees stay.
-    """
+    """Return the canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured, each
+    where it is; crown base and bulk density change from what they were as those of such stands do (`stand_allometry`).
+    Those of broadleaved `codes` (H, W) stay. Cells without trees stay."""
     cover, height, base, density = (band.astype(np.float64) for band in bands)
     now = (np.isfinite(seen.cover) | np.isfinite(seen.height)) & (cover > 0) & (height > 0)
     share = np.where(np.isfinite(seen.cover), seen.cover, cover).astype(np.float64)
@@ -150,7 +149,8 @@ def with_seen_canopy(
 
 
 def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
-    """Cover, height and their standard errors (4, N) of cells by their flat places, from side x side points each."""
+    """Return the cover, height and their standard errors (4, N) of cells by their flat places, from side x side points
+    each."""
     rows, cols = np.divmod(cells, grid.width)
     offsets = (np.arange(side) + 0.5) / side - 0.5
     x, y = grid.to_map(rows[:, None, None] + offsets[:, None], cols[:, None, None] + offsets)

@@ -75,16 +75,18 @@ class CellAppearanceModel:
 
     @cached_property
     def known(self) -> BoolArray:
-        """(FORMS,): forms that the network was tried on."""
+        """Return (FORMS,): forms that the network was tried on."""
         return np.isfinite(self.weights[:, 0, 0])
 
     @cached_property
     def by_incidence(self) -> Float64Array:
-        """(K, SEEN, FORMS): the weights as `look_kernel.tell_by_look` takes them, 0 for forms that are not known."""
+        """Return (K, SEEN, FORMS): the weights as `look_kernel.tell_by_look` takes them, 0 for forms that are not
+        known."""
         return np.ascontiguousarray(np.nan_to_num(self.weights).transpose(1, 2, 0))
 
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
-        """(N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not known."""
+        """Return (N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not
+        known."""
         inputs = at_incidence(seen, cosine, self.incidence)
         result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
         return np.where(self.known, result, -np.inf)
@@ -97,10 +99,9 @@ def what_is_seen(
     bearing: NDArray[np.floating],
     confidence: NDArray[np.floating] | None,
 ) -> Float64Array:
-    """(N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
+    """Return (N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
     `bearing` (N,), radians clockwise from grid north. A neighbour that the frame does not show is taken to look like
-    the cell itself.
-    """
+    the cell itself."""
     n = len(rows)
     if n == 0:
         return np.zeros((0, SEEN))
@@ -117,6 +118,6 @@ def what_is_seen(
 
 
 def at_incidence(seen: Float64Array, cosine: Float64Array, incidence: Float64Array) -> Float64Array:
-    """(N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
+    """Return (N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
     weigh = np.stack([np.interp(cosine, incidence, one) for one in np.eye(len(incidence))], axis=1)
     return np.asarray((weigh[:, :, None] * seen[:, None, :]).reshape(len(seen), len(incidence) * seen.shape[1]))

@@ -43,9 +43,8 @@ _SCALE: Final = 255
 
 
 def cover_fields(views: int) -> Mapping[str, Field]:
-    """The state of a cell: of each view the newest epoch with its frames, and over these the sums of shares of woody
-    pixels and of cosines of incidence, both x 255. Sums of whole numbers do not depend on their order.
-    """
+    """Return the state of a cell: of each view the newest epoch with its frames, and over these the sums of shares of
+    woody pixels and of cosines of incidence, both x 255. Sums of whole numbers do not depend on their order."""
     return {"woody": Field(np.uint32, (views, 3)), "woody_epoch": Field(np.uint16, (views,))}
 
 
@@ -108,9 +107,8 @@ def _add(
 
 
 def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before` (...), %;
-    NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift.
-    """
+    """Return the cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before`
+    (...), %; NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift."""
     frames = woody[..., 0].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)

@@ -67,7 +67,7 @@ def cell_visibility(
     bend: float = 0.0,
     covariance: ArrayLike | None = None,
 ) -> CellVisibility:
-    """How a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
+    """Return how a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
 
     To first order, on the ground's plane at each point: with the ray arriving along the unit vector d, the ground's
     normal n and p the way from camera to point, a camera moved by o and turned by w moves the ray's end by
@@ -94,7 +94,8 @@ def cell_visibility(
 
 
 def _normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
-    """Upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is unknown."""
+    """Return the upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is
+    unknown."""
     east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
     north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
     length = np.sqrt(1 + east**2 + north**2)
@@ -109,7 +110,7 @@ def _sigmas(
     bearing: Float64Array,
     covariance: ArrayLike | None,
 ) -> tuple[Float64Array, Float64Array]:
-    """Horizontal sigmas of the traced points, away from the camera and sideways, metres."""
+    """Return the horizontal sigmas of the traced points, away from the camera and sideways, metres."""
     if covariance is None:
         return np.zeros(len(lever)), np.zeros(len(lever))
     matrix = checked_covariance(covariance)

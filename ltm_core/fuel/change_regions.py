@@ -107,7 +107,7 @@ def supported_changes(
     rules: FusionRules,
     leaning: UInt8Array | None = None,
 ) -> BoolArray:
-    """(H, W): the cells of `wanted` whose change is to be reported.
+    """Return (H, W): the cells of `wanted` whose change is to be reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region, and plants change by
     regions. So a cell that looks changed counts where sure cells of the same change about it have log odds of
@@ -142,7 +142,7 @@ def supported_changes(
 
 
 def _filled(region: BoolArray, leaning: BoolArray, rules: FusionRules) -> BoolArray:
-    """(H, W): with cells of `leaning` that have so many of `region` about them."""
+    """Return (H, W): with cells of `leaning` that have so many of `region` about them."""
     for _ in range(rules.fill_rounds):
         about = cv2.boxFilter(region.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
         region = region | (leaning & (about >= rules.fill_cells))
@@ -150,13 +150,13 @@ def _filled(region: BoolArray, leaning: BoolArray, rules: FusionRules) -> BoolAr
 
 
 def reach_of(rules: FusionRules) -> int:
-    """Cells out to which others have a say in whether the change of a cell is reported."""
+    """Return the cells out to which others have a say in whether the change of a cell is reported."""
     support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
     return max(support, rules.min_cells - 1) + rules.fill_rounds
 
 
 def _large(members: BoolArray, least: int) -> BoolArray:
-    """(H, W): cells of connected regions (by sides and corners) of `least` cells or more."""
+    """Return (H, W): cells of connected regions (by sides and corners) of `least` cells or more."""
     _, regions = cv2.connectedComponents(members.astype(np.uint8), connectivity=8)
     large = np.bincount(regions.ravel()) >= least
     large[0] = False

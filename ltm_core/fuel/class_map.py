@@ -52,12 +52,12 @@ class MajorityFuelMap:
         return row, col, int(votes.rows.max()) - row + 1, int(votes.cols.max()) - col + 1
 
     def classes(self) -> UInt8Array:
-        """The winning class of every cell, (H, W) uint8; UNSEEN where none has voted."""
+        """Return the winning class of every cell, (H, W) uint8; UNSEEN where none has voted."""
         winner = self.totals.argmax(axis=2).astype(np.uint8)
         return np.where(self.totals.any(axis=2), winner, np.uint8(UNSEEN))
 
     def share(self) -> Float32Array:
-        """The winner's share of all votes in its cell, (H, W) in [0, 1]; NaN where none has voted."""
+        """Return the winner's share of all votes in its cell, (H, W) in [0, 1]; NaN where none has voted."""
         total = self.totals.sum(axis=2).astype(np.float64)
         with np.errstate(invalid="ignore"):
             return np.asarray(self.totals.max(axis=2) / total, np.float32)
@@ -91,7 +91,7 @@ class CoverageMap:
             seen.footprint[cells] = np.fmin(seen.footprint[cells], votes.visibility.footprint)
 
     def count(self) -> Int32Array:
-        """(H, W): how many cameras saw each cell."""
+        """Return (H, W): how many cameras saw each cell."""
         seen = [camera.frames > 0 for camera in self.cameras.values()]
         return np.sum(seen, axis=0, dtype=np.int32) if seen else np.zeros(self.geometry.shape, np.int32)
 
@@ -131,7 +131,7 @@ def write_fuel_map(
 
 
 def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
-    """The class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
+    """Return the class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
     with open_raster(path) as source:
         if source.dtypes[0] != "uint8" or source.crs is None:
             raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
@@ -149,7 +149,7 @@ def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
 def resampled(
     classes: UInt8Array, geometry: GridGeometry, crs: str, phase: float = 15.0
 ) -> tuple[UInt8Array, GridGeometry]:
-    """The map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
+    """Return the map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
 
     EPSG:5070 gives LANDFIRE's grid. Raises ConfigError where `crs` is unknown or not projected in metres.
     """

@@ -45,12 +45,12 @@ _ENOUGH_PAIRS: Final = 20
 
 
 def partners(code: int) -> range:
-    """The FBFM13 models of the fuel type of an FBFM40 code; empty for a code that is no burnable model."""
+    """Return the FBFM13 models of the fuel type of an FBFM40 code; empty for a code that is no burnable model."""
     return next((group for codes, group in _TYPES.items() if code in codes), range(0))
 
 
 def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
-    """Where two maps of the same ground agree on the fuel type that carries the fire.
+    """Return where two maps of the same ground agree on the fuel type that carries the fire.
 
     What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
     analyst's own model, a code that no system has.
@@ -67,7 +67,7 @@ def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
 
 
 def is_custom(codes: Int16Array) -> BoolArray:
-    """Where a code is an analyst's own fuel model: no table knows it, and no label changes it."""
+    """Return where a code is an analyst's own fuel model: no table knows it, and no label changes it."""
     return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)
 
 
@@ -91,7 +91,8 @@ class Crosswalk:
         return cls(plain, shaded, least)
 
     def to_fbfm13(self, codes: Int16Array, cover: Int16Array | None = None) -> Int16Array:
-        """(H, W) of FBFM40 codes; codes that are none become NODATA. `cover`: of trees, %, NODATA where unknown."""
+        """Return (H, W) of FBFM40 codes; codes that are none become NODATA. `cover`: of trees, %, NODATA where
+        unknown."""
         index = _index(codes)
         shaded = np.zeros(codes.shape, np.bool_) if cover is None else cover >= self.least_cover[index]
         return np.where(shaded, self.under_trees[index], self.open_ground[index])
@@ -110,7 +111,8 @@ class Crosswalk:
 
 
 def _lookup(table: Mapping[int, int]) -> Int16Array:
-    """(256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are NODATA."""
+    """Return (256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are
+    NODATA."""
     lookup = np.full(256, NODATA, np.int16)
     for code in (*NONBURNABLE, *CUSTOM):
         lookup[code] = code
@@ -119,7 +121,7 @@ def _lookup(table: Mapping[int, int]) -> Int16Array:
 
 
 def _index(codes: Int16Array) -> Int16Array:
-    """Places in a table; 0, which is no code, for what lies outside it."""
+    """Return the places in a table; 0, which is no code, for what lies outside it."""
     return np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
 
 
@@ -174,7 +176,7 @@ class FuelModels(StrictModel):
         return str(code)
 
     def codes(self, system: FuelSystem) -> frozenset[int]:
-        """The codes of a system, non-burnable ones included."""
+        """Return the codes of a system, non-burnable ones included."""
         return frozenset({FuelSystem.FBFM13: self.fbfm13, FuelSystem.FBFM40: self.fbfm40}[system]) | frozenset(
             self.nonburnable
         )
@@ -182,12 +184,13 @@ class FuelModels(StrictModel):
 
 @lru_cache(maxsize=1)
 def fuel_models() -> FuelModels:
-    """The tables that ship with the project. Raises ConfigError where their file has been damaged."""
+    """Return the tables that ship with the project. Raises ConfigError where their file has been damaged."""
     return load_yaml(config_path("fuel/fuel_models.yaml"), FuelModels)
 
 
 def system_of_codes(codes: Int16Array) -> FuelSystem:
-    """The system of a map (H, W) that does not name it: FBFM13 where all standard models in it that burn are its."""
+    """Return the system of a map (H, W) that does not name it: FBFM13 where all standard models in it that burn are
+    its."""
     models = fuel_models()
     burnable = codes[np.isin(codes, [*models.fbfm13, *models.fbfm40])]
     return FuelSystem.FBFM13 if len(burnable) and (burnable <= max(models.fbfm13)).all() else FuelSystem.FBFM40
@@ -212,7 +215,8 @@ class ChangedCodes(StrictModel):
     """Code after `burned_days`."""
 
     def of(self, form: Int64Array, over_shrubs: BoolArray) -> Int16Array:
-        """(...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has them."""
+        """Return (...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has
+        them."""
         table = [self.grass, self.shrub, self.to_tree, self.bare, self.water, self.built, self.burned]
         trees = (form == LifeForm.TREE - 1) & over_shrubs
         return np.where(trees, self.shrubs_to_tree, np.array(table)[form]).astype(np.int16)
@@ -280,7 +284,7 @@ class FuelClimate(StrictModel):
 
     @classmethod
     def named(cls, name: str) -> FuelClimate:
-        """A climate that ships with the project. Raises ConfigError naming those there are."""
+        """Return a climate that ships with the project. Raises ConfigError naming those there are."""
         folder = config_path("fuel/climates")
         path = folder / f"{name}.yaml"
         if not is_file(path):
@@ -293,9 +297,8 @@ class FuelClimate(StrictModel):
         return Crosswalk.of(self.crosswalk, self.under_trees)
 
     def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
-        """(...) codes of changed cells as the other system has them: what `changed` says of the same cover; NODATA
-        for codes that `changed` does not name.
-        """
+        """Return (...) codes of changed cells as the other system has them: what `changed` says of the same cover;
+        NODATA for codes that `changed` does not name."""
         own, other = getattr(self.changed, system).model_dump(), getattr(self.changed, to).model_dump()
         found = np.full(codes.shape, NODATA, np.int16)
         # Covers that share a code in one system do not in the other: what is named first is the commoner.

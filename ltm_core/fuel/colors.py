@@ -36,17 +36,17 @@ _UNKNOWN: Final[Color] = (222, 222, 220)
 
 
 def code_color(code: int) -> Color:
-    """The colour of a fuel code of either system; grey where it is none."""
+    """Return the colour of a fuel code of either system; grey where it is none."""
     return _LANDFIRE.get(code) or _OURS.get(code) or _UNKNOWN
 
 
 def code_colors(codes: Int16Array) -> UInt8Array:
-    """(..., 3) colours of codes (...)."""
+    """Return (..., 3) colours of codes (...)."""
     table = np.array([code_color(code) for code in range(256)], np.uint8)
     return table[np.where((codes >= 0) & (codes < 256), codes, 0)]
 
 
 def code_names(codes: Int16Array) -> list[tuple[str, Color]]:
-    """Name and colour of each code that occurs, the commonest first."""
+    """Return the name and colour of each code that occurs, the commonest first."""
     found, counts = np.unique(codes[codes != NODATA], return_counts=True)
     return [(fuel_models().name(int(code)), code_color(int(code))) for code in found[np.argsort(-counts)]]

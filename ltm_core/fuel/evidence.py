@@ -49,12 +49,13 @@ _LATEST_NS = (2**32 - 1) * 10**9
 
 
 def camera_hash(source: str) -> int:
-    """The number by which cells remember a camera: CRC-32 of its name, never 0."""
+    """Return the number by which cells remember a camera: CRC-32 of its name, never 0."""
     return zlib.crc32(source.encode()) or 1
 
 
 def _views(source: str, frame: FrameEvidence) -> Int64Array:
-    """(N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the same."""
+    """Return (N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the
+    same."""
     if frame.bearing is None:
         return np.full(len(frame), camera_hash(source) % VIEWS)
     return _directions(frame.bearing)
@@ -113,7 +114,7 @@ class EvidenceMap:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Rows and columns of tiles that cover the grid."""
+        """Return the rows and columns of tiles that cover the grid."""
         return -(-self.geometry.height // TILE), -(-self.geometry.width // TILE)
 
     def add(self, votes: CellVotes) -> Window | None:
@@ -150,7 +151,8 @@ class EvidenceMap:
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
 
     def burn(self, cells: BoolArray, stamp_ns: int) -> None:
-        """The cells (H, W) burned at that time: what was known of them before is void, also where it comes later.
+        """Return the cells (H, W) burned at that time: what was known of them before is void, also where it comes
+        later.
 
         Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
         """
@@ -165,7 +167,7 @@ class EvidenceMap:
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
     def reached_from(self, window: Window) -> Window:
-        """The part of the grid whose layers the evidence in a window has a say in."""
+        """Return the part of the grid whose layers the evidence in a window has a say in."""
         row, col, height, width = window
         reach = self._decider.reach
         top, left = max(row - reach, 0), max(col - reach, 0)
@@ -175,7 +177,7 @@ class EvidenceMap:
         return top, left, bottom - top, right - left
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """The map, or a part of it, as of a time; by default that of the latest frame."""
+        """Return the map, or a part of it, as of a time; by default that of the latest frame."""
         wanted = window or (0, 0, *self.geometry.shape)
         self._slices(wanted)
         around = self.reached_from(wanted)
@@ -183,20 +185,21 @@ class EvidenceMap:
         return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
 
     def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        """(h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none has."""
+        """Return (h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none
+        has."""
         return None
 
     def alpha(self, at_ns: int | None = None) -> Float64Array:
-        """(H, W, FORMS): what prior and evidence together know of each cell's life forms, as the parameters of a
-        Dirichlet distribution, as of a time; by default that of the latest frame.
-        """
+        """Return (H, W, FORMS): what prior and evidence together know of each cell's life forms, as the parameters of a
+        Dirichlet distribution, as of a time; by default that of the latest frame."""
         codes, touched, cells, now, _ = self._known((0, 0, *self.geometry.shape), at_ns)
         return self._decider.alpha(codes, touched, cells, now)
 
     def _known(
         self, window: Window, at_ns: int | None
     ) -> tuple[Int16Array, BoolArray, CellEvidence, float, dict[str, NDArray[Any]]]:
-        """The prior's codes, the touched cells and what evidence says of them, the time in seconds, and the state."""
+        """Return the prior's codes, the touched cells and what evidence says of them, the time in seconds, and the
+        state."""
         part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
         shape = state["last_seen"].shape
@@ -232,9 +235,8 @@ class EvidenceMap:
         return layers
 
     def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """(H, W) each, %: tree cover by the labels of what has been seen, and its standard error; NaN where nobody has
-        looked. `before` (H, W): what is known of it otherwise.
-        """
+        """Return (H, W) each, %: tree cover by the labels of what has been seen, and its standard error; NaN where
+        nobody has looked. `before` (H, W): what is known of it otherwise."""
         return label_cover(self._state["woody"], before)
 
     @property
@@ -243,17 +245,17 @@ class EvidenceMap:
         return self._errors.correlation.between_cells
 
     def seen_by(self, source: str) -> BoolArray:
-        """(H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
+        """Return (H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
         return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
 
     def tiles_of(self, window: Window) -> list[Key]:
-        """(row, col) of the tiles that hold a part of the grid, in row-major order."""
+        """Return (row, col) of the tiles that hold a part of the grid, in row-major order."""
         row, col, height, width = window
         rows = range(row // TILE, (row + height - 1) // TILE + 1)
         return [(r, c) for r in rows for c in range(col // TILE, (col + width - 1) // TILE + 1)]
 
     def tile_state(self, key: Key) -> dict[str, NDArray[Any]]:
-        """A copy of a tile's state by field, (TILE, TILE, *shape); zeros beyond the grid's edges."""
+        """Return a copy of a tile's state by field, (TILE, TILE, *shape); zeros beyond the grid's edges."""
         part = self._tile_slices(key)
         result = {}
         for name, field in EVIDENCE_FIELDS.items():

@@ -4,7 +4,7 @@ Merges evidence that was counted apart: the map of all frames from the maps of s
 
 Partial evidence is what a set of frames says. Merging is the union of disjoint sets: it is commutative and associative,
 nothing is its neutral element, and the result is that of one map which has counted all frames in any order. A frame
-that two parts hold is refused: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
+that two parts hold is rejected: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
 
 | field | of two |
 |---|---|
@@ -47,7 +47,7 @@ def _add_capped(sums: Any, more: Any) -> None:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _least(one: Any, other: Any) -> Any:
-    """The lesser of two, where 0 is none."""
+    """Return the lesser of two, where 0 is none."""
     return other if one == 0 or 0 < other < one else one
 
 
@@ -120,12 +120,12 @@ class PartialEvidence:
     tiles: Mapping[Key, Tile] = field(default_factory=dict)
 
     def merged(self, other: PartialEvidence) -> PartialEvidence:
-        """Raises ArchiveError where both hold a frame, or know of different burns."""
+        """Raise ArchiveError where both hold a frame, or know of different burns."""
         return merged_parts([self, other])
 
     def after(self, evidence: EvidenceMap) -> PartialEvidence:
-        """The same, knowing of the burns that the map knows of, all of which must have been before its frames, or told
-        to it before them."""
+        """Return the same, knowing of the burns that the map knows of, all of which must have been before its frames,
+        or told to it before them."""
         told = {key: evidence.tile_state(key)["burned_at"] for key in self.tiles}
         return PartialEvidence(
             self.stamps,
@@ -141,7 +141,7 @@ class PartialEvidence:
 
 
 def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
-    """What all of them say together; none of them is changed.
+    """Return what all of them say together; none of them is changed.
 
     Raises ArchiveError where two hold a frame, or know of different burns.
     """
@@ -169,7 +169,7 @@ def _merge_into_tile(tile: Tile, other: Tile) -> None:
 
 
 def _distinct(camera: str, parts: list[Int64Array]) -> Int64Array:
-    """All stamps of a camera, rising. Raises ArchiveError where two parts hold one."""
+    """Return all stamps of a camera, rising. Raises ArchiveError where two parts hold one."""
     found, counts = np.unique(np.concatenate(parts), return_counts=True)
     twice = found[counts > 1]
     if len(twice):

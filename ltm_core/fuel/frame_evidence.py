@@ -108,7 +108,7 @@ def tell_by_look(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_normalised(values: Any) -> Float64Array:
-    """(N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
+    """Return (N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
     n, width = values.shape
     out = np.empty((n, width))
     for i in range(n):
@@ -125,7 +125,7 @@ def log_normalised(values: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def normalised(logs: Any, divisors: Any) -> Float64Array:
-    """(N, F) the exponentials of logarithms over `divisors` (N,), as shares of their sum in each row."""
+    """Return (N, F) the exponentials of logarithms over `divisors` (N,), as shares of their sum in each row."""
     n, width = logs.shape
     out = np.empty((n, width))
     for i in range(n):
@@ -143,8 +143,8 @@ def normalised(logs: Any, divisors: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
-    """(N,) index of the form that has most of `amounts` (N, F), -1 where that is less than `least` or than half of the
-    cell's `most` (N,)."""
+    """Return (N,) index of the form that has most of `amounts` (N, F), -1 where that is less than `least` or than half
+    of the cell's `most` (N,)."""
     n, width = amounts.shape
     out = np.empty(n, np.int64)
     for i in range(n):
@@ -184,7 +184,7 @@ def frame_evidence(
     rules: FusionRules,
     stands: UInt8Array | None = None,
 ) -> FrameEvidence:
-    """Evidence w n p(l) of each cell.
+    """Return the evidence w n p(l) of each cell.
 
     p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
     been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
@@ -247,7 +247,7 @@ def _probability(
     errors: LabelErrors,
     rules: FusionRules,
 ) -> Float64Array:
-    """(N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
+    """Return (N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
 
     Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
     """
@@ -281,7 +281,7 @@ def _probability(
 
 
 def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
-    """(N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
+    """Return (N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     result = np.full(shares.shape, -np.inf)
@@ -290,6 +290,6 @@ def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array)
 
 
 def _odds_weight(confidence: Float64Array, sure: float) -> Float64Array:
-    """(N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
+    """Return (N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
     chance = np.clip(confidence, 0.5, sure)
     return np.asarray(np.log(chance / (1 - chance)) / np.log(sure / (1 - sure)))

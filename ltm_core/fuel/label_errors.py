@@ -54,17 +54,17 @@ class LabelCorrelation(StrictModel):
 
     @property
     def between_cells(self) -> float:
-        """Correlation of the evidence of two cells of one stand on that stand."""
+        """Return the correlation of the evidence of two cells of one stand on that stand."""
         return self.stand / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_frames(self) -> float:
-        """Correlation of the evidence of two frames of one view on a cell."""
+        """Return the correlation of the evidence of two frames of one view on a cell."""
         return self.view / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_views(self) -> float:
-        """Correlation of the evidence of two views on a cell."""
+        """Return the correlation of the evidence of two views on a cell."""
         return self.network / self.view if self.view > 0 else 0.0
 
 
@@ -120,7 +120,7 @@ class LabelErrors:
 
     @classmethod
     def assumed(cls) -> LabelErrors:
-        """The errors that are assumed of a network that nobody has measured."""
+        """Return the errors that are assumed of a network that nobody has measured."""
         path = _file_of(ASSUMED)
         content = load_yaml(path, _ErrorsFile)
         if content.shares is None or content.correlation is None:
@@ -174,7 +174,7 @@ class LabelErrors:
         return replace(self.scaled(PHOTO_STEP), source=about)
 
     def scaled(self, level: float) -> LabelErrors:
-        """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
+        """Return a network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
         wrong = self.shares * (1 - np.eye(FORMS))
         total = wrong.sum(axis=1, keepdims=True)
         factor = np.minimum(level, 0.9 / np.maximum(total, 1e-9))
@@ -182,15 +182,14 @@ class LabelErrors:
         return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
 
     def log_likelihood(self) -> Float64Array:
-        """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
+        """Return (FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
 
     def open_odds(self) -> Float32Array:
-        """(256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and not as
-        likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are none of
-        these, and of a network that was not tried on all of them.
-        """
+        """Return (256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and
+        not as likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are
+        none of these, and of a network that was not tried on all of them."""
         odds = np.zeros(256, np.float32)
         kept = [form - 1 for form in (*_OPEN, *_STANDING)]
         shares = np.maximum(self.shares[kept][:, kept], FLOOR)
@@ -221,7 +220,7 @@ def _calibration(model: str) -> Calibration | None:
 
 
 def _calibrated(calibration: Calibration, otherwise: Float64Array) -> Float64Array:
-    """The confusion among life forms, that of `otherwise` for forms which the network does not know."""
+    """Return the confusion among life forms, that of `otherwise` for forms which the network does not know."""
     shares = otherwise.copy()
     names = {name: index for index, name in enumerate(calibration.classes) if name in _NAMES}
     for form, row in names.items():

@@ -73,27 +73,27 @@ FORMS_OF_CODE: Final = _table()
 
 
 def forms_of(codes: Int16Array) -> BoolArray:
-    """(..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
+    """Return (..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
     known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
     return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
 
 
 def held(codes: Int16Array, mask: Sequence[int]) -> BoolArray:
-    """(...) where nothing that is seen changes a cell of these prior codes: codes of `mask` (`FusionRules.mask`), and
-    those of no known form, an analyst's own models or what the prior was told to keep."""
+    """Return (...) where nothing that is seen changes a cell of these prior codes: codes of `mask`
+    (`FusionRules.mask`), and those of no known form, an analyst's own models or what the prior was told to keep."""
     unknown = ~forms_of(codes).any(axis=-1) & (codes != NODATA)
     return np.asarray(np.isin(codes, mask) | unknown, np.bool_)
 
 
 def label_forms(labels: LabelSet) -> Int64Array:
-    """(K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
+    """Return (K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
     indices = {form.name.lower(): form - 1 for form in LifeForm}
     covers = zip(labels.names, labels.ground_cover, strict=True)
     return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)
 
 
 def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
-    """(N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
+    """Return (N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
     table = np.zeros((len(forms), FORMS))
     of_form = np.flatnonzero(forms >= 0)
     table[of_form, forms[of_form]] = 1.0
@@ -101,7 +101,8 @@ def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
 
 
 def life_form_labels(labels: LabelSet) -> LabelSet:
-    """Names and colours of the map's classes: life forms have the ids of the labels of their names; burned has none."""
+    """Return the names and colours of the map's classes: life forms have the ids of the labels of their names; burned
+    has none."""
     shown = LifeForm.BURNED
     return LabelSet(
         names=(*labels.names[:shown], shown.name.lower()),
@@ -164,7 +165,7 @@ class GroundLimits:
         return found
 
     def _asked(self, cells: Int64Array) -> UInt16Array:
-        """(2, N) masks of cells, by the terrain."""
+        """Return (2, N) masks of cells, by the terrain."""
         heights = self._heights(cells)
         inner = slice(PARTS // 2, PARTS // 2 + PARTS)
         none = np.zeros((len(cells), PARTS, PARTS), np.bool_)
@@ -180,7 +181,7 @@ class GroundLimits:
         return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above)])
 
     def _heights(self, cells: Int64Array) -> Float64Array:
-        """(N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
+        """Return (N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
         row, col = np.divmod(cells, self._geometry.width)
         offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
         rows, cols = np.broadcast_arrays(

@@ -27,9 +27,8 @@ _FINE: Final = 8
 
 
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
-    """(H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be read,
-    a layer that it lacks, or one without CRS.
-    """
+    """Return (H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be
+    read, a layer that it lacks, or one without CRS."""
     codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
         codes[_cells(barrier, geometry)] = barrier.code
@@ -37,12 +36,12 @@ def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> 
 
 
 def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
-    """(H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
+    """Return (H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
     return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
 
 
 def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
-    """(H, W): what the barrier takes."""
+    """Return (H, W): what the barrier takes."""
     from rasterio.features import rasterize
 
     lines, areas = _shapes(barrier, geometry)
@@ -55,7 +54,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
 
 
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
-    """(H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
+    """Return (H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
     from rasterio.features import rasterize
     from rasterio.transform import from_origin
 
@@ -70,7 +69,7 @@ def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
 
 
 def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
-    """Lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
+    """Return the lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
     layer = read_geopackage(barrier.path, barrier.layer)
     turn = Transformer.from_crs(layer.crs, geometry.crs, always_xy=True)
 
@@ -90,7 +89,7 @@ def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], 
 
 
 def near(rings: Any, geometry: GridGeometry) -> bool:
-    """Whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
+    """Return whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
     points = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
     if not np.isfinite(points).all():
         return False
@@ -116,15 +115,15 @@ class Burn:
     cells: Int64Array
 
     def mask(self, shape: tuple[int, int]) -> BoolArray:
-        """(H, W), true where it burned."""
+        """Return (H, W), true where it burned."""
         found = np.zeros(shape, np.bool_)
         found.flat[self.cells] = True
         return found
 
 
 def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
-    """The burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the site's
-    CRS, by their times; areas of one time are one burn, those beside the grid none.
+    """Return the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
+    site's CRS, by their times; areas of one time are one burn, those beside the grid none.
 
     Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
     """

@@ -80,18 +80,18 @@ class PriorConfig(StrictModel):
         return self
 
     def files(self) -> dict[str, Path]:
-        """The single-band files that are given, by what they hold."""
+        """Return the single-band files that are given, by what they hold."""
         names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def described(self) -> str:
-        """The names of what it is read from, without the folders that they lie in."""
+        """Return the names of what it is read from, without the folders that they lie in."""
         files = list(self.files().items())
         named = [f"{name} {path.name}" for name, path in files]
         return ", ".join(([] if self.path is None else [self.path.name]) + named)
 
     def below(self, folder: Path) -> PriorConfig:
-        """The same with relative paths taken from `folder`."""
+        """Return the same with relative paths taken from `folder`."""
         paths = self.files() | ({} if self.path is None else {"path": self.path})
         barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
         return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})

@@ -55,7 +55,7 @@ class _Band:
 
 
 def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
-    """The prior on the fuel grid (in the site's CRS), by nearest cell, since codes cannot be averaged.
+    """Return the prior on the fuel grid (in the site's CRS), by nearest cell, since codes cannot be averaged.
 
     Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
     that no system has, nothing on the grid.
@@ -86,7 +86,8 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
 
 
 def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array | None:
-    """The elevations that came with the prior, (H, W) metres as it states them, NaN where none; None: it has none.
+    """Return the elevations that came with the prior, (H, W) metres as it states them, NaN where none; None: it has
+    none.
 
     They are for plausibility alone: a DEM in feet stands 3.28 times as high. Raises RasterError as `load_prior` does.
     """
@@ -98,7 +99,7 @@ def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array |
 
 
 def _bands_of(config: PriorConfig) -> dict[str, _Band]:
-    """What to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
+    """Return what to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
     if config.path is None:
         return {name: _Band(path) for name, path in config.files().items()}
     if is_folder(config.path):
@@ -152,7 +153,7 @@ def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Ban
 
 
 def _files_of(name: str, files: Sequence[Path]) -> list[Path]:
-    """Those whose names hold a band's word; of a plain name and its revisions the plain one."""
+    """Return those whose names hold a band's word; of a plain name and its revisions the plain one."""
     known = re.compile(rf"(^|[^a-z0-9])({_NAMES[name]})([^a-z0-9]|$)", re.IGNORECASE)
     found = [(path, match) for path in files if (match := known.search(path.stem))]
     plain = [path for path, match in found if not match.groupdict().get("revision")]
@@ -180,7 +181,7 @@ def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
 
 
 def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
-    """A band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
+    """Return a band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
 
@@ -210,9 +211,8 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
 
 
 def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str) -> Int16Array:
-    """The codes that the system has, and an analyst's own; the others as `PriorConfig.unknown_codes` wants them. Raises
-    RasterError if it does not.
-    """
+    """Return the codes that the system has, and an analyst's own; the others as `PriorConfig.unknown_codes` wants them.
+    Raises RasterError if it does not."""
     if others == "built":
         codes = np.where(codes == _ELMFIRE_BUILDING, np.int16(_BUILT), codes)
     known = (codes == NODATA) | is_custom(codes) | np.isin(codes, list(fuel_models().codes(system)))

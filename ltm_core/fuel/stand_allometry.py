@@ -78,5 +78,5 @@ def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) ->
 
 
 def broadleaved(codes: Int16Array) -> BoolArray:
-    """(...) where a code's trees have no crown fuel to speak of."""
+    """Return (...) where a code's trees have no crown fuel to speak of."""
     return np.isin(codes, BROADLEAVED)

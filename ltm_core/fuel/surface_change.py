@@ -53,12 +53,12 @@ class LivingFuelMap(EvidenceMap):
 
     @property
     def change_kinds(self) -> UInt8Array:
-        """(H, W) ChangeKind."""
+        """Return (H, W) ChangeKind."""
         return (self.surface_changes // _CODES).astype(np.uint8)
 
     @property
     def already_shown(self) -> BoolArray:
-        """(H, W): where a recorded change was in the cell's evidence already, so that its prior stayed."""
+        """Return (H, W): where a recorded change was in the cell's evidence already, so that its prior stayed."""
         return np.asarray((self.surface_changes > 0) & (self.surface_changes % _CODES == 0), np.bool_)
 
     def recall(self, recorded: NDArray[np.integer]) -> None:
@@ -112,7 +112,7 @@ def news_of(
     fuel: GridGeometry,
     recorded: UInt8Array,
 ) -> SurfaceNews:
-    """What a part of the terrain's grid says that the fuel cells do not know yet.
+    """Return what a part of the terrain's grid says that the fuel cells do not know yet.
 
     Args:
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
@@ -143,8 +143,8 @@ def news_of(
 
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
-    """What is to be recorded of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the state of
-    their tiles then; `evidence` itself stays as it is.
+    """Return what is to be recorded of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the
+    state of their tiles then; `evidence` itself stays as it is.
 
     A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
     change. A change that is taken back gives a cell its prior back.
@@ -178,7 +178,7 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
 
 
 def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
-    """The code of a cell that is now of `form`; 0 where its prior's is one of that form."""
+    """Return the code of a cell that is now of `form`; 0 where its prior's is one of that form."""
     agreeing = forms_of(np.array([given], np.int16))[0]
     if agreeing[form - 1]:
         return 0
@@ -187,7 +187,7 @@ def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
 
 
 def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:
-    """The life form of a cell of `form` whose surface has moved by `shift` metres, NaN unknown; None: it stays.
+    """Return the life form of a cell of `form` whose surface has moved by `shift` metres, NaN unknown; None: it stays.
 
     `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
     is grass: a felled stand burns.
@@ -211,26 +211,26 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
 
 
 def _span(cells: Int64Array, first: int, beyond: int) -> slice:
-    """Where the ascending `cells` lie in [first, beyond)."""
+    """Return where the ascending `cells` lie in [first, beyond)."""
     return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
 
 
 def _changed_cells(recorded: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Fuel cells with a recorded change that the window touches."""
+    """Return the fuel cells with a recorded change that the window touches."""
     known = np.argwhere(recorded > 0)
     inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
     return [(int(r), int(c)) for r, c in known[inside]]
 
 
 def _blocks_changed(kinds: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Blocks of fuel cells in which anything has changed."""
+    """Return the blocks of fuel cells in which anything has changed."""
     row, col = np.nonzero((kinds > 0) & (kinds != UNSEEN))
     pairs = np.unique(np.stack([rows[row] // _BLOCK, cols[col] // _BLOCK]), axis=1)
     return [(int(r), int(c)) for r, c in pairs.T]
 
 
 def _as_layers(kinds: UInt8Array, shift: Float32Array, window: GridGeometry) -> SurfaceLayers:
-    """What the rule of both maps asks of: only changes, how far, and where anybody has looked."""
+    """Return what the rule of both maps asks of: only changes, how far, and where anybody has looked."""
     seen = kinds != UNSEEN
     flat: NDArray[Any] = np.zeros(kinds.shape, np.float32)
     given: dict[str, Any] = {field.name: flat for field in fields(SurfaceLayers)}

@@ -36,7 +36,7 @@ _MOST = 65_535
 
 
 def fitting(votes: CellVotes, turn: int) -> CellVotes:
-    """The votes that fit into a message of `MAX_BYTES`.
+    """Return the votes that fit into a message of `MAX_BYTES`.
 
     Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
     the distance that a fixed camera sees is not left out for good. `turn`: any number, another one for each frame.
@@ -52,12 +52,13 @@ def fitting(votes: CellVotes, turn: int) -> CellVotes:
 
 
 def turn_of(stamp_ns: int) -> int:
-    """A number that the stamp alone decides, for `fitting`: a frame has the same votes live and worked again alone."""
+    """Return a number that the stamp alone decides, for `fitting`: a frame has the same votes live and worked again
+    alone."""
     return zlib.crc32(stamp_ns.to_bytes(8, "little", signed=True))
 
 
 def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
-    """Votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
+    """Return the votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
 
     Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
     when the names are not K distinct identifiers.
@@ -86,14 +87,14 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
 
 
 def no_columns() -> Columns:
-    """Those of a frame that votes for no cell."""
+    """Return those of a frame that votes for no cell."""
     return {axis: np.zeros(0, np.float32) for axis in _AXES}
 
 
 def columns_to_votes(
     columns: Columns, geometry: GridGeometry, class_names: Sequence[str], stamp_ns: int, source: str
 ) -> CellVotes:
-    """Votes over the fuel grid `geometry`; `source`: the camera.
+    """Return the votes over the fuel grid `geometry`; `source`: the camera.
 
     Raises MessageError when columns are missing, foreign or of another type, a point lies outside the grid or not on
     the centre of a cell (then it was counted on another grid), or cells come twice or out of row-major order.
@@ -115,12 +116,12 @@ def columns_to_votes(
 
 
 def most_bytes(cells: int, class_names: Sequence[str]) -> int:
-    """What the columns of so many cells take at most."""
+    """Return what the columns of so many cells take at most."""
     return cells * (4 * len(_AXES) + 2 * len(class_names) + 2 * len(_RESERVED))
 
 
 def checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
-    """Raises MessageError unless they are distinct identifiers that no other column has."""
+    """Raise MessageError unless they are distinct identifiers that no other column has."""
     return _checked(tuple(class_names))
 
 
@@ -134,7 +135,7 @@ def _checked(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str) -> tuple[Int32Array, Int32Array]:
-    """Rows and columns of the cells whose centres these points are."""
+    """Return the rows and columns of the cells whose centres these points are."""
     row, col = geometry.to_grid(x, y)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(2 * row - geometry.height + 1) < geometry.height) & (

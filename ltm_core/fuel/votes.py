@@ -66,9 +66,8 @@ class CellVotes:
         return len(self.rows)
 
     def strongest(self, limit: int) -> CellVotes:
-        """The votes of at most `limit` cells, those that are worth most as evidence: the best placed, with a pixel or
-        more of their own; still in row-major order.
-        """
+        """Return the votes of at most `limit` cells, those that are worth most as evidence: the best placed, with a
+        pixel or more of their own; still in row-major order."""
         if len(self) <= limit:
             return self
         pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
@@ -76,7 +75,7 @@ class CellVotes:
         return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
 
     def only(self, chosen: NDArray[Any]) -> CellVotes:
-        """The votes of some of the cells: indices in rising order, or a mask (N,)."""
+        """Return the votes of some of the cells: indices in rising order, or a mask (N,)."""
         return replace(
             self,
             rows=self.rows[chosen],
@@ -88,7 +87,7 @@ class CellVotes:
         )
 
     def centres(self) -> Float32Array:
-        """Map coordinates of the cells' centres on the terrain, (N, 3) metres."""
+        """Return the map coordinates of the cells' centres on the terrain, (N, 3) metres."""
         x, y = self.geometry.to_map(self.rows, self.cols)
         return np.column_stack([x, y, self.z]).astype(np.float32)
 

@@ -21,28 +21,28 @@ from ltm_core.base.types import Float64Array
 
 
 def matrix_of_quaternion(quaternion: ArrayLike) -> Float64Array:
-    """(3, 3) of (x, y, z, w), of any norm but 0."""
+    """Return (3, 3) of (x, y, z, w), of any norm but 0."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(quaternion).as_matrix(), np.float64)
 
 
 def quaternion_of_matrix(matrix: ArrayLike) -> Float64Array:
-    """(x, y, z, w) of unit norm with w >= 0, of (3, 3)."""
+    """Return (x, y, z, w) of unit norm with w >= 0, of (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_quat(canonical=True), np.float64)
 
 
 def matrix_of_vector(vector: ArrayLike) -> Float64Array:
-    """(3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
+    """Return (3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
 
 
 def vector_of_matrix(matrix: ArrayLike) -> Float64Array:
-    """The rotation vector (3,), radians, of (3, 3)."""
+    """Return the rotation vector (3,), radians, of (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec(), np.float64)
@@ -59,7 +59,7 @@ def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
 
 
 def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
-    """(3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
+    """Return (3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
@@ -104,7 +104,7 @@ class Pose:
     def from_angles(
         cls, position: ArrayLike, azimuth_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0
     ) -> Pose:
-        """A pose from angles in degrees.
+        """Return a pose from angles in degrees.
 
         `azimuth_deg`: of the optical axis, clockwise from grid north. `pitch_deg`: up from the horizon. `roll_deg`:
         of the camera, clockwise about its viewing direction (the image's content turns counter-clockwise).
@@ -122,7 +122,7 @@ class Pose:
 
     @property
     def angles_deg(self) -> tuple[float, float, float]:
-        """(azimuth in [0, 360), pitch, roll) in degrees.
+        """Return (azimuth in [0, 360), pitch, roll) in degrees.
 
         Straight down the azimuth is that of the image's top, straight up that of its bottom, and roll is 0.
         """
@@ -140,7 +140,7 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, position: ArrayLike, quaternion: Sequence[float]) -> Pose:
-        """A pose from a quaternion (x, y, z, w), optical to map; refused unless its norm is 1 within 1e-3."""
+        """Return a pose from a quaternion (x, y, z, w), optical to map; rejected unless its norm is 1 within 1e-3."""
         q = np.asarray(quaternion, np.float64)
         norm = float(np.linalg.norm(q))
         if q.shape != (4,) or not np.isfinite(q).all() or abs(norm - 1.0) > 1e-3:
@@ -149,16 +149,16 @@ class Pose:
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """(x, y, z, w), optical to map, with w >= 0."""
+        """Return (x, y, z, w), optical to map, with w >= 0."""
         x, y, z, w = quaternion_of_matrix(self.rotation)
         return float(x), float(y), float(z), float(w)
 
     def to_map(self, points_optical: Float64Array) -> Float64Array:
-        """Optical-frame points (..., 3) in the map frame."""
+        """Return the optical-frame points (..., 3) in the map frame."""
         return np.asarray(np.asarray(points_optical) @ self.rotation.T + self.position, np.float64)
 
     def to_optical(self, points_map: Float64Array) -> Float64Array:
-        """Map-frame points (..., 3) in the optical frame."""
+        """Return the map-frame points (..., 3) in the optical frame."""
         return np.asarray((np.asarray(points_map, np.float64) - self.position) @ self.rotation, np.float64)
 
 
@@ -182,7 +182,8 @@ UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
 
 
 def axes_of_angles(pose: Pose) -> Float64Array:
-    """(3, 3): in its columns the map's directions about which azimuth, pitch and roll (`Pose.from_angles`) turn."""
+    """Return (3, 3): in its columns the map's directions about which azimuth, pitch and roll (`Pose.from_angles`)
+    turn."""
     azimuth = np.radians(pose.angles_deg[0])
     level_right = (np.cos(azimuth), -np.sin(azimuth), 0.0)
     return np.column_stack([(0.0, 0.0, -1.0), level_right, pose.rotation[:, 2]])
@@ -196,7 +197,8 @@ def pose_covariance(
     pitch_sigma_deg: float,
     roll_sigma_deg: float,
 ) -> Float64Array:
-    """(6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in geometry_msgs/PoseWithCovariance.
+    """Return (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
+    geometry_msgs/PoseWithCovariance.
 
     The errors are independent: azimuth turns about the vertical, pitch about the level axis to the camera's right, roll
     about the viewing direction (`Pose.from_angles`).
@@ -219,7 +221,7 @@ def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64A
 
 
 def sigma_keys(pose: Pose, covariance: Float64Array) -> dict[str, float]:
-    """`pose_sigmas` as a pose file has them, three digits each; what is 0 is left out."""
+    """Return `pose_sigmas` as a pose file has them, three digits each; what is 0 is left out."""
     x, y, z, azimuth, pitch, roll = pose_sigmas(pose, covariance)
     sigmas = {"position_sigma": max(x, y), "height_sigma": z}
     sigmas |= {"azimuth_sigma_deg": azimuth, "pitch_sigma_deg": pitch, "roll_sigma_deg": roll}
@@ -227,9 +229,9 @@ def sigma_keys(pose: Pose, covariance: Float64Array) -> dict[str, float]:
 
 
 def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
-    """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
-    makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.
-    """
+    """Return the standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as
+    `pose_covariance` makes it: the turns about the map's axes as turns about the vertical, the level right and the
+    viewing direction."""
     inverse = np.linalg.pinv(axes_of_angles(pose))
     turns = inverse @ covariance[3:, 3:] @ inverse.T
     variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])

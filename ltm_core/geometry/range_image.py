@@ -54,12 +54,12 @@ class RangeImage:
         return cls(slant, camera, pose, bend, geometry)
 
     def depth(self) -> Float32Array:
-        """Distance along the optical axis, (H, W) metres (REP-118)."""
+        """Return the distance along the optical axis, (H, W) metres (REP-118)."""
         depth: Float32Array = self.range * self.camera.cosines()
         return depth
 
     def horizontal(self) -> Float32Array:
-        """Horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
+        """Return the horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
         up = self.camera.rays() @ self.pose.rotation[2]
         cosine = np.sqrt(np.maximum(0.0, 1.0 - up * up))
         with np.errstate(invalid="ignore"):
@@ -67,7 +67,7 @@ class RangeImage:
         return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
 
     def points(self) -> Float32Array:
-        """Map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
+        """Return the map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
         directions = self.camera.rays() @ self.pose.rotation.T
         slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
         points = directions * slant[..., None]
@@ -77,7 +77,8 @@ class RangeImage:
         return points.astype(np.float32)
 
     def cells(self) -> Int32Array:
-        """The DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's img-DEM."""
+        """Return the DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's
+        img-DEM."""
         if self.geometry is None:
             raise ImageError("this range image has no raster, so it has no cells")
         points = self.points()

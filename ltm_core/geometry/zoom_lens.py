@@ -93,12 +93,12 @@ class ZoomLens:
 
     @classmethod
     def fixed(cls, camera: Camera) -> Self:
-        """The lens of a camera that does not zoom."""
+        """Return the lens of a camera that does not zoom."""
         row = (0.0, _hfov_deg(camera.width, camera.fx), *camera.distortion)
         return cls(camera.width, camera.height, camera.cx, camera.cy, (row,), camera.fy / camera.fx)
 
     def camera(self, zoom: float) -> Camera:
-        """Raises CameraError for a zoom that the table does not reach."""
+        """Raise CameraError for a zoom that the table does not reach."""
         first, last = self.table[0][0], self.table[-1][0]
         slack = _BESIDE * (last - first)
         if len(self.table) > 1 and not first - slack <= zoom <= last + slack:
@@ -141,7 +141,7 @@ class ZoomLens:
         return np.asarray(np.log(np.asarray(zoom) - first + (last - first) / (ratio - 1)), np.float64)
 
     def values(self, zoom: float) -> tuple[float, Float64Array]:
-        """Focal length (pixels) and distortion (5,) at a zoom within the table."""
+        """Return the focal length (pixels) and distortion (5,) at a zoom within the table."""
         rows = np.array(self.table)
         if len(rows) == 1:
             log_tangent, distortion = float(self._log_tangents[0]), rows[0, 2:]

@@ -52,7 +52,7 @@ def fit_head(
     config: HeadFitConfig | None = None,
     one_view: bool = False,
 ) -> FittedHead:
-    """The mean of heads that are taught by two thirds of the photos each: what one photo alone says weighs less.
+    """Return the mean of heads that are taught by two thirds of the photos each: what one photo alone says weighs less.
 
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample.
@@ -68,7 +68,7 @@ def fit_head(
 
 
 def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], config: HeadFitConfig) -> FittedHead:
-    """The head that explains the samples best under the ridge."""
+    """Return the head that explains the samples best under the ridge."""
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
         raise ImageError("no labelled pixel in any photo; label areas first")
@@ -101,7 +101,7 @@ def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], con
 
 
 def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
-    """(N,) of the samples of a photo: those of a class sum to its share's power."""
+    """Return (N,) of the samples of a photo: those of a class sum to its share's power."""
     counts = np.bincount(samples.labels, minlength=len(samples.shares))
     each = samples.shares**rarity / np.maximum(counts, 1)
     return np.asarray(each[samples.labels], np.float64)
@@ -114,7 +114,7 @@ _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was
 
 
 def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
-    """The temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
+    """Return the temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
 
     `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
     """
@@ -134,8 +134,8 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
 
 
 def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
-    """The exponent that makes how sure labels are (N,), 0 to 1, explain best which are right (N,), in photos that
-    count alike, whatever their number of pixels; 1 where no photo has any."""
+    """Return the exponent that makes how sure labels are (N,), 0 to 1, explain best which are right (N,), in photos
+    that count alike, whatever their number of pixels; 1 where no photo has any."""
     known = [(np.log(np.clip(sure, 1e-3, 1 - 1e-3)), right) for sure, right in photos if len(sure)]
     if not known:
         return 1.0

@@ -71,7 +71,7 @@ class HeadTrial:
 
     @property
     def better(self) -> bool:
-        """Whether the macro F1 rose."""
+        """Return whether the macro F1 rose."""
         return self.after.macro_f1 > self.before.macro_f1
 
 
@@ -165,7 +165,8 @@ def score_photos(
     macro: tuple[int, ...] = LAND_AND_SKY,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadScore:
-    """Label each frame with the segmenter at its place and compare with the truth; `look` gets each answer."""
+    """Return the label each frame with the segmenter at its place and compare with the truth; `look` gets each
+    answer."""
     classes = len(segmenters[0].labels)
     labels = SegmentationScore.empty(classes)
     calibration = land_calibration = CalibrationScore.empty()
@@ -182,8 +183,8 @@ def score_photos(
 def _judged_by_others(
     segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
 ) -> tuple[dict[str, LabelHead], LabelAgreement]:
-    """The heads of the groups held out as they are scored, with the agreement that the photos of the other groups gave,
-    so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
+    """Return the heads of the groups held out as they are scored, with the agreement that the photos of the other
+    groups gave, so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
     surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
     judged = {
         group: replace(head, agreement=_agreement([s for g, s in zip(groups, surety, strict=True) if g != group]))
@@ -205,7 +206,7 @@ def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> LabelAgreeme
 
 
 def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
-    """Classes that two held-out groups hold at least: of others, none teaches the one that judges."""
+    """Return the classes that two held-out groups hold at least: of others, none teaches the one that judges."""
     groups: dict[int, set[str]] = {}
     for sample in samples:
         for k in np.unique(sample.labels):
@@ -214,8 +215,8 @@ def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
 
 
 def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
-    """A fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the exponent
-    of agreement, says how sure a label is; a second one follows their chances."""
+    """Return a fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the
+    exponent of agreement, says how sure a label is; a second one follows their chances."""
     weights, start = {}, 0
     for key, count in channels.items():
         weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)

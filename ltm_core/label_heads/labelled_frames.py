@@ -46,11 +46,11 @@ class Frame:
 
 
 def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame]:
-    """Frames of a folder that have their labels, in order of name.
+    """Return the frames of a folder that have their labels, in order of name.
 
     With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
     enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError
-    where a picture cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
+    where an image cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
     and 255.
     """
     frames = []
@@ -76,7 +76,7 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
 
 
 def holds_frames(folder: Path) -> bool:
-    """Whether a folder has labels of pictures in one of the two forms."""
+    """Return whether a folder has labels of images in one of the two forms."""
     return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()
 
 
@@ -91,7 +91,7 @@ def without_classes(frames: Sequence[Frame], classes: Sequence[int]) -> list[Fra
 
 
 def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
-    """The areas of each photo, in the order of the file.
+    """Return the areas of each photo, in the order of the file.
 
     Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder.
     """
@@ -109,7 +109,7 @@ def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
 
 
 def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: int, source: Path) -> Frame:
-    """A photo whose labels are the areas that were named in it."""
+    """Return a photo whose labels are the areas that were named in it."""
     check_picture(photo)
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     if image is None:
@@ -137,7 +137,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
 
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Labels of every n-th pixel put at their places in a full image; any other shape is left as it is."""
+    """Return the labels of every n-th pixel put at their places in a full image; any other shape is left as it is."""
     step = -(-height // labels.shape[0])
     full = np.full((height, width), UNLABELLED, np.uint8)
     if full[::step, ::step].shape != labels.shape or step == 1:

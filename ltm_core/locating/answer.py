@@ -31,7 +31,7 @@ _NARROWEST_DEG = 2.0
 class PlaceView:
     """A place as one camera has it.
 
-    `pixel`: u, v, where it lies in the picture, hidden or not; None behind the camera or outside. `state`: seen,
+    `pixel`: u, v, where it lies in the image, hidden or not; None behind the camera or outside. `state`: seen,
     hidden, outside or unknown. `lift`: metres above the place from which the camera sees it; 0 where it is seen, NaN
     where unknown ground decides. `hidden_by`: x, y, z of the crest before it. `azimuth_deg` (from grid north),
     `pitch_deg`: where to turn. `hfov_deg`: how wide to look, so that what is not known of the place is in view.
@@ -56,7 +56,7 @@ class PlaceView:
 def place_views(
     sight: PointVisibility, cameras: Sequence[PosedCamera], place: Float64Array, extent: float = 0.0
 ) -> list[PlaceView]:
-    """Views of a place (3,) by all cameras, in their order. `extent`: metres by which the place may be off.
+    """Return the views of a place (3,) by all cameras, in their order. `extent`: metres by which the place may be off.
 
     Raises RegionError for a place that is not finite, as beside the DEM, where no height is known.
     """
@@ -88,7 +88,8 @@ def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, exte
 
 
 def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> tuple[float, float, float] | None:
-    """The ground that stands highest in the line of sight, as finely as a fan has it; None where none is known."""
+    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None where none is
+    known."""
     x, y, z = (float(v) for v in camera.pose.position)
     distance = math.hypot(place[0] - x, place[1] - y)
     azimuth = math.atan2(place[0] - x, place[1] - y)
@@ -148,7 +149,7 @@ def answer(
     prior: FuelPrior | None,
     smoke: bool,
 ) -> LocateResult:
-    """Everything that is said of a location. `prior`: its geometry in the map frame."""
+    """Return everything that is said of a location. `prior`: its geometry in the map frame."""
     posterior = location.posterior
     x, y = posterior.mean
     heights = sight.dem.elevation_at(posterior.places[:, 0], posterior.places[:, 1])
@@ -187,7 +188,7 @@ def _mgrs(lon: float, lat: float) -> str | None:
 
 
 def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
-    """The prior's fuel model at a place of the map; None where it knows none."""
+    """Return the prior's fuel model at a place of the map; None where it knows none."""
     if prior is None:
         return None
     row, col = (int(v) for v in prior.geometry.cell_of(x, y))
@@ -259,7 +260,7 @@ def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
 
 
 def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
-    """One camera's view of a place."""
+    """Return one camera's view of a place."""
     hidden = view.hidden_by
     return {
         "camera": view.camera,
@@ -277,9 +278,8 @@ def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
 
 
 def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
-    """A FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
-    ellipses, and the modes where there are several.
-    """
+    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
+    ellipses, and the modes where there are several."""
 
     def lonlat(points: Float64Array) -> list[list[float]]:
         lon, lat = frame.to_lonlat(points[:, 0], points[:, 1])

@@ -64,14 +64,14 @@ class MarkedDirections:
 
     @property
     def azimuth_sigma(self) -> float:
-        """The largest there is beyond 150 m."""
+        """Return the largest there is beyond 150 m."""
         return float(np.sqrt(self.covariance[:, KNOTS > 150.0, 0, 0].max()))
 
 
 def marked_directions(
     mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
-    """Raises RegionError for pixels without a ray, and for those that look straight down or up."""
+    """Raise RegionError for pixels without a ray, and for those that look straight down or up."""
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
@@ -113,7 +113,7 @@ def marked_directions(
 
 
 def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64Array) -> Float64Array:
-    """(K, 2, 2): change of (azimuth, slope) a pixel of u and of v, by differences of the projection."""
+    """Return (K, 2, 2): change of (azimuth, slope) a pixel of u and of v, by differences of the projection."""
     step = 1e-5
 
     def pixels(a: Float64Array, t: Float64Array) -> Float64Array:
@@ -153,9 +153,8 @@ class DirectionTable:
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
-    """Each marked place is a normal distribution of azimuth and slope; over the places, the slope's distribution at an
-    azimuth is taken by its mean and variance.
-    """
+    """Return each marked place is a normal distribution of azimuth and slope; over the places, the slope's distribution
+    at an azimuth is taken by its mean and variance."""
     c = directions.covariance
     off = azimuths[:, None, None] - directions.azimuth[None, :, None]
     drifts = DRIFTS if drifting else DRIFTS[:1]
@@ -194,12 +193,12 @@ def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Arra
 
 
 def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
-    """Density of the angle by which a camera is turned, where one is."""
+    """Return the density of the angle by which a camera is turned, where one is."""
     return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
-    """The marked slope, and its variance (J,), over all marked places."""
+    """Return the marked slope, and its variance (J,), over all marked places."""
     slope = float(directions.slope @ directions.weights)
     own = np.asarray(directions.weights @ directions.covariance[..., 1, 1], np.float64)
     return slope, own + float(directions.weights @ (directions.slope - slope) ** 2)
@@ -244,7 +243,7 @@ def sight_likelihood(
     lean: float = 0.0,
     turned: bool = False,
 ) -> SightLikelihood:
-    """What the mark says of each sample.
+    """Return what the mark says of each sample.
 
     Args:
         height: of the camera, metres.

@@ -37,7 +37,7 @@ class SightRaster:
 def sight_raster(
     fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
 ) -> SightRaster:
-    """Every sample stands for its part of the sector, as long as its step and as wide as its azimuth's share."""
+    """Return every sample stands for its part of the sector, as long as its step and as wide as its azimuth's share."""
     samples = FanSamples(fan.ranges, fan.steps, fan.widths, np.sin(fan.azimuths), np.cos(fan.azimuths))
     sums = SplatSums(*(np.zeros(window.shape) for _ in range(4)))
     x0, y0 = (position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution
@@ -113,7 +113,7 @@ class Fused:
 
 
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """All sights together, as finely as the places that they allow in common ask for.
+    """Return all sights together, as finely as the places that they allow in common ask for.
 
     `turned`: of a camera that is turned by nobody knows how much.
     """
@@ -152,7 +152,7 @@ def _shared(sights: Sequence[Sight]) -> dict[str, float]:
 
 
 def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
-    """Several posteriors of which one is true, on one raster."""
+    """Return several posteriors of which one is true, on one raster."""
     if len(parts) == 1:
         return parts[0]
     bounds = np.array([part.window.bounds for part in parts])
@@ -175,7 +175,7 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
 
 
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
-    """Whole multiples of the resolution from the map's origin, so that equal places give equal rasters."""
+    """Return the whole multiples of the resolution from the map's origin, so that equal places give equal rasters."""
     return GridGeometry.snapped(bounds, resolution, 0.0)
 
 

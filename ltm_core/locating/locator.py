@@ -1,4 +1,4 @@
-"""Locates what is marked in the pictures of one or several cameras: from sightings to a posterior over the map.
+"""Locates what is marked in the images of one or several cameras: from sightings to a posterior over the map.
 
 For a place x, camera c and its marked direction m_c (`sight_likelihood`), with the chance that a plume is higher than
 h, S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) = 1 / (1 + (r / detection_range)^2):
@@ -96,7 +96,7 @@ class Locator:
         self.config = config
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
-        """Where the marked thing stands.
+        """Return where the marked thing stands.
 
         Args:
             sightings: one or several, of one or several cameras, of the same thing.
@@ -151,7 +151,8 @@ def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
 
 
 def _shares(evidences: Float64Array) -> list[float]:
-    """Probabilities of hypotheses that are equally likely before; where nothing is possible under any, still equal."""
+    """Return the probabilities of hypotheses that are equally likely before; where nothing is possible under any, still
+    equal."""
     if not np.isfinite(evidences.max()):
         return [1 / len(evidences)] * len(evidences)
     weights = np.exp(evidences - evidences.max())

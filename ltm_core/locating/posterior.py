@@ -28,11 +28,11 @@ class Ellipse:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Return the square metres."""
         return math.pi * self.major * self.minor
 
     def outline(self, count: int = 72) -> Float64Array:
-        """(count + 1, 2) x, y around it, closed, counter-clockwise."""
+        """Return (count + 1, 2) x, y around it, closed, counter-clockwise."""
         angle = np.linspace(0, 2 * np.pi, count + 1)
         azimuth = math.radians(self.azimuth_deg)
         along = np.array([math.sin(azimuth), math.cos(azimuth)])
@@ -77,7 +77,7 @@ class Posterior:
 
     @cached_property
     def places(self) -> Float64Array:
-        """Cell centres, (N, 2) x, y."""
+        """Return the cell centres, (N, 2) x, y."""
         return np.column_stack(self.geometry.to_map(self.rows, self.cols))
 
     @cached_property
@@ -87,13 +87,13 @@ class Posterior:
 
     @cached_property
     def covariance(self) -> Float64Array:
-        """(2, 2) square metres, the cells' own size included."""
+        """Return (2, 2) square metres, the cells' own size included."""
         off = self.places - np.array(self.mean)
         return np.asarray((off * self.probability[:, None]).T @ off + np.eye(2) * self.geometry.resolution**2 / 12)
 
     @property
     def sigma(self) -> float:
-        """Metres: root mean square of the distance to the mean."""
+        """Return the metres: root mean square of the distance to the mean."""
         return math.sqrt(float(np.trace(self.covariance)))
 
     def ellipse(self, share: float) -> Ellipse:
@@ -112,40 +112,39 @@ class Posterior:
         return Ellipse(unit.centre, unit.major * scale, unit.minor * scale, azimuth)
 
     def densest(self, share: float) -> BoolArray:
-        """(N,) the cells of the smallest region that holds at least `share` of the probability."""
+        """Return (N,) the cells of the smallest region that holds at least `share` of the probability."""
         before = np.concatenate([[0.0], np.cumsum(self.probability)[:-1]])
         return np.asarray(before < share)
 
     def densest_area(self, share: float) -> float:
-        """Square metres of that region."""
+        """Return the square metres of that region."""
         return float(self.densest(share).sum()) * self.geometry.resolution**2
 
     def credibility(self, x: float, y: float) -> float:
-        """Share of the probability in cells more probable than that of a place: it lies in the densest region of any
-        share above this. 1 where it lies in none.
-        """
+        """Return the share of the probability in cells more probable than that of a place: it lies in the densest
+        region of any share above this. 1 where it lies in none."""
         row, col = (int(v) for v in self.geometry.cell_of(x, y))
         here = np.flatnonzero((self.rows == row) & (self.cols == col))
         return float(self.probability[: here[0]].sum()) if len(here) else 1.0
 
     def holds(self, ellipse: Ellipse, x: float, y: float) -> bool:
-        """Whether a place lies in an ellipse."""
+        """Return whether a place lies in an ellipse."""
         return bool(_reach(ellipse, np.array([[x, y]]))[0] <= 1)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
-        """Connected parts of the densest 95 %, most probable first; those of less than a hundredth are left out."""
+        """Return the connected parts of the densest 95 %, most probable first; those of less than a hundredth are left
+        out."""
         return self._parts(0.95)
 
     @cached_property
     def likeliest(self) -> tuple[float, float]:
-        """Mean of the most probable connected part of the densest half, x, y: where to look first. The mean of all may
-        lie between two places.
-        """
+        """Return the mean of the most probable connected part of the densest half, x, y: where to look first. The mean
+        of all may lie between two places."""
         return self._parts(0.5)[0].centre
 
     def _parts(self, share: float) -> tuple[Mode, ...]:
-        """Connected parts of the densest region."""
+        """Return the connected parts of the densest region."""
         chosen = self.densest(share)
         rows, cols, probability = self.rows[chosen], self.cols[chosen], self.probability[chosen]
         top, left = int(rows.min()), int(cols.min())
@@ -164,14 +163,14 @@ class Posterior:
         return tuple(sorted(found, key=lambda mode: -mode.share))
 
     def raster(self) -> Float64Array:
-        """(H, W) of `geometry`."""
+        """Return (H, W) of `geometry`."""
         full = np.zeros(self.geometry.shape)
         full[self.rows, self.cols] = self.probability
         return full
 
 
 def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
-    """Distance from the centre over that of the outline in the same direction, (N,)."""
+    """Return the distance from the centre over that of the outline in the same direction, (N,)."""
     azimuth = math.radians(ellipse.azimuth_deg)
     along = np.array([math.sin(azimuth), math.cos(azimuth)])
     off = places - np.array(ellipse.centre)
@@ -181,9 +180,9 @@ def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
 
 
 def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """A picture of the camera's size whose pixels that are not black are masked, (H, W).
+    """Return an image of the camera's size whose pixels that are not black are masked, (H, W).
 
-    Raises ImageError for a file that is no picture, RegionError for one of another size.
+    Raises ImageError for a file that is no image, RegionError for one of another size.
     """
     from ltm_core.storage.text_io import open_picture
 
@@ -198,7 +197,7 @@ def read_mask(path: Path, camera: Camera) -> BoolArray:
 
 
 def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
-    """Probability a cell, float32, in the frame's CRS; 0 where there is none."""
+    """Return the probability a cell, float32, in the frame's CRS; 0 where there is none."""
     from ltm_core.raster.raster_io import write_geotiff
 
     geometry = posterior.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)

@@ -62,7 +62,7 @@ a leaning plume rises from its base."""
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Where in a picture something may meet the ground.
+    """Where in an image something may meet the ground.
 
     `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
     """
@@ -73,7 +73,7 @@ class ImageMark:
 
 
 def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> ImageMark:
-    """One place (u, v). Raises RegionError: not in the picture, or masked."""
+    """Return one place (u, v). Raises RegionError: not in the image, or masked."""
     place = np.asarray(pixel, np.float64)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
@@ -91,7 +91,7 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
 def marked_box(
     camera: Camera, box: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """A box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
+    """Return a box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
     corners = np.asarray(box, np.float64)
     if corners.shape != (4,) or not np.isfinite(corners).all():
         raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
@@ -107,15 +107,15 @@ def marked_box(
 def marked_polygon(
     camera: Camera, outline: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """The lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
+    """Return the lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
 
     Args:
-        sigma: of a place in the picture, pixels.
+        sigma: of a place in the image, pixels.
         share: of the region's height by which its lower edge is off, where that is more.
         smoke: the region's lowest part is its foot, what is higher leans over; else every place of the edge may be it.
-        mask: (H, W) of the picture; what is True there is left out (sky, a mast in view).
+        mask: (H, W) of the image; what is True there is left out (sky, a mast in view).
 
-    Raises RegionError: not a polygon, not in the picture, its lower edge cut off by the picture's border, all masked.
+    Raises RegionError: not a polygon, not in the image, its lower edge cut off by the image's border, all masked.
     """
     points = np.asarray(outline, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MOST_VERTICES:
@@ -158,7 +158,7 @@ def marked_polygon(
 
 
 def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:
-    """The greatest v of the outline over each u, NaN where it has none."""
+    """Return the greatest v of the outline over each u, NaN where it has none."""
     ends = np.roll(points, -1, axis=0)
     u0, v0, u1, v1 = (a[:, None] for a in (points[:, 0], points[:, 1], ends[:, 0], ends[:, 1]))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -2,7 +2,7 @@
 
 Terrain in a sector around a camera: heights along rays of the map, from near to far, and what stands before what.
 
-A query looks at a sector of a degree or two, so that the terrain is sampled there and nowhere else: no picture needs to
+A query looks at a sector of a degree or two, so that the terrain is sampled there and nowhere else: no image needs to
 be traced for it. Its lines of sight are held against `visibility.PointVisibility` by the tests.
 """
 
@@ -41,12 +41,12 @@ class SightFan:
 
     @property
     def spacing(self) -> float:
-        """Radians between azimuths, the greatest."""
+        """Return the radians between azimuths, the greatest."""
         return float(np.diff(self.azimuths).max())
 
     @property
     def widths(self) -> Float64Array:
-        """(A,) radians for which each azimuth stands."""
+        """Return (A,) radians for which each azimuth stands."""
         return np.asarray(np.gradient(self.azimuths), np.float64)
 
 
@@ -76,9 +76,8 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that is asked
-    for.
-    """
+    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that
+    is asked for."""
     turn = _LEAST_STEP / _STEP
     near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
     far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))
@@ -109,7 +108,7 @@ def _sample(
     heights: Float32Array,
     levels: UInt8Array,
 ) -> None:
-    """Bilinear heights at the places that no finer raster has been over."""
+    """Return the bilinear heights at the places that no finer raster has been over."""
     last_row, last_col = elevation.shape[0] - 1, elevation.shape[1] - 1
     for a in range(len(sines)):
         for k in range(len(ranges)):

@@ -1,4 +1,4 @@
-"""A sighting: one mark in one picture; and the terrain around its direction, with what the mark says of it."""
+"""A sighting: one mark in one image; and the terrain around its direction, with what the mark says of it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _PER_CELL = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One mark in one picture. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
+    """One mark in one image. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
 
     name: str
     """Name of the camera; sightings with the same name share its pose error."""
@@ -84,7 +84,7 @@ class LocatingTerrain:
     smoke: bool
 
     def look(self, sighting: Sighting) -> Sight:
-        """All that a sighting may show.
+        """Return all that a sighting may show.
 
         Raises PoseError for a camera under the ground or a covariance that is none, RegionError for a mark that has no
         direction, or that nothing on the ground explains.
@@ -109,7 +109,8 @@ class LocatingTerrain:
         return sight
 
     def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """The same sighting over a part of the map, sampled for cells of a resolution, as far as that is feasible."""
+        """Return the same sighting over a part of the map, sampled for cells of a resolution, as far as that is
+        feasible."""
         azimuths = sight.fan.azimuths
         low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
         low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
@@ -151,7 +152,8 @@ class LocatingTerrain:
         return np.exp(-np.asarray(lift, np.float64) / self.config.plume_height)
 
     def support(self, sight: Sight) -> tuple[Bounds, float]:
-        """Bounds of the places that a sighting allows, and the size of cells there of which each has a sample."""
+        """Return the bounds of the places that a sighting allows, and the size of cells there of which each has a
+        sample."""
         weight = sight.likelihood.density * self.chance(sight.likelihood.lifts)
         a, k = np.nonzero(weight > weight.max() * IMPOSSIBLE)
         r, azimuth, fan = sight.fan.ranges[k], sight.fan.azimuths[a], sight.fan
@@ -181,7 +183,7 @@ class LocatingTerrain:
         return found
 
     def _check(self, sight: Sight) -> None:
-        """Raises RegionError where nothing on the ground explains the mark."""
+        """Raise RegionError where nothing on the ground explains the mark."""
         if sight.likelihood.fit.max() > IMPOSSIBLE:
             return
         name, fan = sight.name, sight.fan
@@ -207,7 +209,7 @@ class LocatingTerrain:
 
 
 def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
-    """Least and greatest horizontal distance to a rectangle."""
+    """Return the least and greatest horizontal distance to a rectangle."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     near = math.hypot(max(x_min - x, x - x_max, 0.0), max(y_min - y, y - y_max, 0.0))
@@ -216,7 +218,8 @@ def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
 
 
 def _azimuths_of(position: Float64Array, bounds: Bounds, around: float) -> tuple[float, float]:
-    """Azimuths between which a rectangle is seen, within half a turn of `around`; all where one stands in it."""
+    """Return the azimuths between which a rectangle is seen, within half a turn of `around`; all where one stands in
+    it."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     if x_min <= x <= x_max and y_min <= y <= y_max:

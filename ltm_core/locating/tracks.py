@@ -46,15 +46,15 @@ class KnownPoses:
 
     @property
     def newest(self) -> tuple[Pose, Float64Array, int]:
-        """The one told last, with its stamp. After a clock was set back earlier ones have later stamps, and a head
-        looks elsewhere by now. Raises LookupError: none is known."""
+        """Return the one told last, with its stamp. After a clock was set back earlier ones have later stamps, and a
+        head looks elsewhere by now. Raises LookupError: none is known."""
         if not self._poses:
             raise LookupError("no pose is known")
         stamp = next(reversed(self._poses))
         return *self._poses[stamp], stamp
 
     def at(self, stamp: int, age_ns: int) -> tuple[Pose, Float64Array] | None:
-        """The pose of a stamp, or the last before it; None: none is known of then, or of `age_ns` before."""
+        """Return the pose of a stamp, or the last before it; None: none is known of then, or of `age_ns` before."""
         earlier = [known for known in self._poses if known <= stamp]
         if not earlier or stamp - max(earlier) > age_ns:
             return None
@@ -135,10 +135,9 @@ class Tracks:
         self.fires = FireMemory(self.locator.config.sure_of_wrong, self.memory_ns)
 
     def add(self, seen: SeenAt) -> tuple[Track, Location, str | None]:
-        """The track that a sighting belongs to now, where the sighting alone is, and, where it does not agree with a
-        track nearby, the camera that is wrong, if that is known. Raises RegionError, PoseError as `Locator.locate`;
-        nothing has changed then.
-        """
+        """Return the track that a sighting belongs to now, where the sighting alone is, and, where it does not agree
+        with a track nearby, the camera that is wrong, if that is known. Raises RegionError, PoseError as
+        `Locator.locate`; nothing has changed then."""
         alone = self.locator.locate([seen.sighting], self.smoke)
         self.expire(seen.stamp_ns)
         best: tuple[float, Track, Location] | None = None
@@ -212,13 +211,13 @@ class Tracks:
         return verdict
 
     def _with(self, seen: SeenAt, track: Track) -> Track:
-        """The track of a sighting; naming a camera may have moved it from the one that it has joined."""
+        """Return the track of a sighting; naming a camera may have moved it from the one that it has joined."""
         return next((one for one in self.tracks if seen in one.sightings), track)
 
     def _reunite(self, fire: int, wrong: str) -> None:
-        """A turned camera in between lets right ones mark a fire apart: with it one of them agrees by chance, the other
-        then does not. What they have marked becomes one track where they agree, what the wrong one has marked another.
-        """
+        """Return a turned camera in between lets right ones mark a fire apart: with it one of them agrees by chance,
+        the other then does not. What they have marked becomes one track where they agree, what the wrong one has marked
+        another."""
         open_ones = [track for track in self.tracks if track.fire == fire and not track.closed]
         parts = [(track, [s for s in track.sightings if s.sighting.name != wrong]) for track in open_ones]
         apart = sorted((part for part in parts if part[1]), key=lambda part: part[0].number)
@@ -246,7 +245,7 @@ class Tracks:
         self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
-        """The newest of each camera."""
+        """Return the newest of each camera."""
         ordered = sorted(sightings, key=lambda each: each.stamp_ns)
         kept: list[SeenAt] = []
         counts: dict[str, int] = {}
@@ -264,7 +263,7 @@ def _agree(location: Location, limit: float) -> bool:
 
 
 def _nearby(sighting: Sighting, track: Track, alone: Location) -> bool:
-    """Whether a track's place is in the direction of a sighting, as far as a wrong camera may be off."""
+    """Return whether a track's place is in the direction of a sighting, as far as a wrong camera may be off."""
     position = sighting.pose.position
 
     def azimuths(location: Location) -> tuple[float, float]:

@@ -123,12 +123,13 @@ def turn_evidence(
 
 
 def _pose_sigma(sights: Sequence[Sight]) -> float:
-    """Radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its sightings."""
+    """Return the radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its
+    sightings."""
     return math.sqrt(max(float(sight.sighting.covariance[5, 5]) for sight in sights))
 
 
 def _azimuth(directions: MarkedDirections) -> float:
-    """Radians, mean over the marked places."""
+    """Return the radians, mean over the marked places."""
     return float(directions.azimuth @ directions.weights)
 
 

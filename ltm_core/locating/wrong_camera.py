@@ -1,6 +1,6 @@
 """Name the camera of a site that is turned, from the marks of several fires.
 
-The pictures of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
+The images of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
 the result counts here: the cameras whose pose is no longer known are `lost`.
 
 It is not known when a camera was turned. Its marks from before the turn do not contradict it: fires that a camera has
@@ -87,7 +87,7 @@ def judged(
             they may be of two fires.
         slips: (T,) density of the angle of a camera that is turned.
         stamps: times of the fires, nanoseconds; None: all at one time.
-        lost: cameras whose pose is no longer known, by their own pictures.
+        lost: cameras whose pose is no longer known, by their own images.
     """
     marking = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
     names = [*marking, *sorted(set(lost) - set(marking))]
@@ -194,7 +194,7 @@ def _turned_ratios(fires: Sequence[tuple[int, Float64Array]]) -> tuple[Float64Ar
 
 
 def _integral(logs: Float64Array, density: Float64Array) -> float:
-    """Logarithm of the mean of a likelihood over a density of turns."""
+    """Return the logarithm of the mean of a likelihood over a density of turns."""
     greatest = float(logs.max())
     if not math.isfinite(greatest):
         return -math.inf

@@ -57,16 +57,15 @@ FLAME_DIFFERENCE: Final = Scale(
 
 
 def arrival_scale(hours: float) -> Scale:
-    """Eight spans of time from ignition to the end, in whole or half hours where that fits."""
+    """Return eight spans of time from ignition to the end, in whole or half hours where that fits."""
     edges = np.round(np.linspace(0, hours, 9)[1:-1], 2)
     names = [f"{a:g} to {b:g} h" for a, b in zip([0, *edges], [*edges, hours], strict=True)]
     return Scale.of(names, edges.tolist(), cv2.COLORMAP_INFERNO, upwards=False)
 
 
 def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolArray]:
-    """(H, W) values on the scale DIFFERENCE, and where there are any. Where one fire alone comes, and only as time runs
-    out, the other may come a moment after: that is called the same.
-    """
+    """Return (H, W) values on the scale DIFFERENCE, and where there are any. Where one fire alone comes, and only as
+    time runs out, the other may come a moment after: that is called the same."""
     a, b = effect.before.burned, effect.after.burned
     was, now = (np.where(run.burned, run.arrival, effect.hours) for run in (effect.before, effect.after))
     later = now - was
@@ -76,15 +75,14 @@ def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolAr
 
 
 def terrain_of(landscape: Landscape) -> Dem:
-    """The elevations of a landscape as a DEM, unknown ones NaN."""
+    """Return the elevations of a landscape as a DEM, unknown ones NaN."""
     band = landscape.band("elevation")
     return Dem(np.where(band == NODATA, np.nan, band).astype(np.float32), landscape.geometry)
 
 
 def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
-    """Arrival and flame length before and after, their differences, and the burn probability of an ensemble; cells
-    whose fuel has changed are outlined. `cell`: where it starts.
-    """
+    """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble;
+    cells whose fuel has changed are outlined. `cell`: where it starts."""
     canvas = _canvas(effect, landscape, cell, width)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
@@ -111,7 +109,7 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], 
 
 
 def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:
-    """The arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
+    """Return the arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
     arrival = arrival_scale(effect.hours)
     colors = label_colors(arrival.classes(effect.after.arrival, effect.after.burned), arrival)
     heights = terrain_of(landscape).elevation

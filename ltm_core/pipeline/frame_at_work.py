@@ -26,7 +26,7 @@ from ltm_core.vision.segmenter import Segmentation
 
 @dataclass(frozen=True)
 class FrameVotes:
-    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its picture was used, or empty."""
+    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its image was used, or empty."""
 
     columns: Columns
     reason: str
@@ -44,7 +44,7 @@ class MeasuredFrame:
 
 
 class FrameSteps:
-    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier pictures tell, is
+    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier images tell, is
     not told. `fusing`: None: what frames measure is not asked for."""
 
     def __init__(
@@ -62,11 +62,11 @@ class FrameSteps:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum."""
+        """Return what labels, with its checksum."""
         return self.labelling.described
 
     def of(self, frame: PosedImage) -> FrameAtWork:
-        """A frame, for what is asked of it."""
+        """Return a frame, for what is asked of it."""
         return FrameAtWork(self, frame)
 
 
@@ -81,7 +81,7 @@ class FrameAtWork:
         """`covariance`: (6, 6) of the frame's pose; None: it is exact."""
         found, view = self._labelled
         if view.reason is not None:
-            return FrameVotes(no_columns(), view.unusable)  # a picture that shows nothing needs no ranges
+            return FrameVotes(no_columns(), view.unusable)  # an image that shows nothing needs no ranges
         frame, voting = self._frame, self._steps.voting
         cast = voting.cast(self._depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
         return FrameVotes(votes_to_columns(voting.carried(cast), voting.labels.names), view.unusable)
@@ -101,6 +101,6 @@ class FrameAtWork:
 
     @cached_property
     def _depth(self) -> Float32Array:
-        """(H, W) traced, along the optical axis."""
+        """Return (H, W) traced, along the optical axis."""
         camera, pose, tracing = self._frame.camera, self._frame.pose, self._steps.tracing
         return seen(tracing.trace(camera, pose).ranges.depth(), tracing.hidden(camera, pose))

@@ -1,6 +1,6 @@
 """Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
 
-The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
+The steps from a posed image to votes, each made once for a camera: trace, label, vote.
 
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
@@ -102,7 +102,7 @@ class TracedFrame:
         return self.over.version
 
     def bare_earth(self) -> RangeImage:
-        """The ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        """Return the ranges to bare earth of the same version: the same where nothing is known to stand on it."""
         over, seen_from = self.over, self.ranges
         return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
 
@@ -121,9 +121,8 @@ class TracingStep:
         self._over = self._tracers(terrain)
 
     def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
-        """Raises PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
-        below a confirmed surface is traced to the terrain as given.
-        """
+        """Raise PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
+        below a confirmed surface is traced to the terrain as given."""
         over = self._over
         try:
             return TracedFrame(over.tracer.trace(camera, pose), over)
@@ -145,7 +144,8 @@ class TracingStep:
         return self._over.version
 
     def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
-        """(H, W) bool, where the mask of what the camera looks at has it that something else is seen; None: nowhere."""
+        """Return (H, W) bool, where the mask of what the camera looks at has it that something else is seen; None:
+        nowhere."""
         return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
 
     def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
@@ -157,7 +157,7 @@ class TracingStep:
 
 
 def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
-    """Depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
+    """Return the depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
     if hidden is None:
         return values
     result = values.copy()
@@ -166,7 +166,7 @@ def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
 
 
 class LabellingStep:
-    """Labels every pixel of a camera's pictures. Raises ConfigError, ModelError for a network that cannot be taken."""
+    """Labels every pixel of a camera's images. Raises ConfigError, ModelError for a network that cannot be taken."""
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
@@ -180,7 +180,7 @@ class LabellingStep:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum."""
+        """Return what labels, with its checksum."""
         return self._segmenter.described
 
     @property
@@ -190,12 +190,12 @@ class LabellingStep:
 
     @property
     def withdrawal(self) -> Withdrawal:
-        """Which labels are withdrawn."""
+        """Return which labels are withdrawn."""
         return self._segmenter.withdrawal
 
     @property
     def by_view(self) -> bool:
-        """Whether the camera has masks of single views, so that a picture's labels hang on where it looks."""
+        """Return whether the camera has masks of single views, so that an image's labels hang on where it looks."""
         return self._scene.by_view
 
     def label(
@@ -205,10 +205,10 @@ class LabellingStep:
         stamp_ns: int | None = None,
         in_order: bool = True,
     ) -> tuple[Segmentation, SceneView]:
-        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
+        """Of an image (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
 
         `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
-        nobody knows. `in_order`: pictures come as they were taken, so that smoke is detected by comparison with
+        nobody knows. `in_order`: images come as they were taken, so that smoke is detected by comparison with
         previous ones; a single image shows no smoke.
         """
         view = self._scene.look(photo, looking, stamp_ns)
@@ -253,12 +253,12 @@ class VotingStep:
         stamp_ns: int,
         covariance: Float64Array | None,
     ) -> CellVotes:
-        """All votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None: it
-        is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
+        """Return all votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None:
+        it is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
         return self._caster.cast(
             depth, camera, pose, found.labels, stamp_ns, self._camera, found.confidence, covariance
         )
 
     def carried(self, votes: CellVotes) -> CellVotes:
-        """Those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
+        """Return those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
         return fitting(votes, turn_of(votes.stamp_ns))

@@ -100,8 +100,8 @@ class FusingStep:
         covariance: Float64Array | None,
         view: SceneView | None = None,
     ) -> tuple[NetworkMeasurement, str]:
-        """What the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing, where it
-        failed; arguments and errors as there."""
+        """Return what the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing,
+        where it failed; arguments and errors as there."""
         seen, network, trouble = self._look(frame, view)
         ground, _ = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
@@ -113,7 +113,7 @@ class FusingStep:
         return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
 
     def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
-        """What of the photo shows the landscape, and what the network makes of it, or why it failed."""
+        """Return what of the photo shows the landscape, and what the network makes of it, or why it failed."""
         looking = Looking.of(frame.camera, frame.pose)
         seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
         try:
@@ -144,8 +144,8 @@ class FusingStep:
 
 
 def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
-    """The depth network of a camera: one with a head has that of the network which the head corrects, so that the
-    encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
+    """Return the depth network of a camera: one with a head has that of the network which the head corrects, so that
+    the encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
     model = config.model or site.depth_model
     if not model:
         raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
@@ -153,7 +153,7 @@ def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkMani
 
 
 def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
-    """Of the network that labels a camera's pictures; 0 where it is not known here: another computer may run it."""
+    """Of the network that labels a camera's images; 0 where it is not known here: another computer may run it."""
     try:
         return (
             NetworkManifest.find(config.label_model or site.model).serving(site.camera(camera).label_head).label_columns

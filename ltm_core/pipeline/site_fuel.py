@@ -39,7 +39,7 @@ from ltm_core.vision.labels import LabelSet
 
 
 def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
-    """An empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
+    """Return an empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
     Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken.
     """
@@ -47,7 +47,7 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
 
 
 def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable[[], LivingFuelMap]:
-    """Makes such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
+    """Make such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     climate = FuelClimate.named(fuel.climate)
@@ -56,7 +56,7 @@ def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable
 
 
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
-    """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
+    """Return the elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
     return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
 
 

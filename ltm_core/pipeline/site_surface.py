@@ -66,17 +66,16 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
-    """Those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
+    """Return those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
     resolution = None if site.terrain is None else site.terrain.resolution
     return SurfaceVersions(folder, site.name, terrain_grid(site.open_dem().geometry, resolution))
 
 
 def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
-    """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
-    the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing that
-    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
-    moment of which no surface is kept any more.
-    """
+    """Return the terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment,
+    where the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing
+    that stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
+    moment of which no surface is kept any more."""
     note = ""
     if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
         versions = surface_versions(site, state / FOLDER)
@@ -93,7 +92,8 @@ def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = Non
 
 
 def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
-    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
+    """Return the grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of
+    `resolution`."""
     cell = resolution or dem.resolution
     height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
     return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
@@ -160,7 +160,7 @@ TERRAIN_STORE: Final = "terrain.sqlite"
 
 
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
-    """The surface map in a store (`terrain.sqlite`), also while a graph writes it; nothing is written to it.
+    """Return the surface map in a store (`terrain.sqlite`), also while a graph writes it; nothing is written to it.
 
     Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
     """
@@ -181,8 +181,8 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
 
 
 def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
-    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
-    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
+    """Return the hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of
+    its images; None where the site states it. Raises StoreError for a raster that is not there."""
     stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
     rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
     try:
@@ -195,7 +195,7 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
 
 
 def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
-    """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
+    """Return the site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
 
     Raises DemError as `Site.open_dem`.
     """

@@ -38,7 +38,7 @@ _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bea
 
 
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
-    """What the store of a site's map states; `geometry`: the fuel grid in the map frame.
+    """Return what the store of a site's map states; `geometry`: the fuel grid in the map frame.
 
     The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
     """
@@ -62,7 +62,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
 
 
 def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileStore:
-    """A site's store for reading, also while a node writes it; fills the `empty` map of the site.
+    """Return a site's store for reading, also while a node writes it; fills the `empty` map of the site.
 
     The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
     ConfigError for another site's store and as `restore` does.
@@ -80,7 +80,7 @@ def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileS
 
 
 def votes_to_bytes(votes: CellVotes) -> bytes:
-    """All of a frame's votes but the grid, their source and stamp, exactly."""
+    """Return all of a frame's votes but the grid, their source and stamp, exactly."""
     columns: dict[str, NDArray[Any]] = {"row": votes.rows, "col": votes.cols, "z": votes.z, "counts": votes.counts}
     if votes.confidence is not None:
         columns["confidence"] = votes.confidence
@@ -103,7 +103,7 @@ def _description(dtype: np.dtype[Any]) -> Any:
 
 
 def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
-    """The votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
+    """Return the votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
     what = f"the store's frame {frame.stamp_ns} of {frame.source}"
     table = load_array(frame.payload, what, ConfigError)
     try:
@@ -130,12 +130,12 @@ class SurfaceMoves:
         self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
 
     def take(self, changed: Changed) -> None:
-        """Cells whose change is new, which must lie in the grid."""
+        """Return the cells whose change is new, which must lie in the grid."""
         self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
 
     def news(self, kinds: UInt8Array, window: Window, evidence: LivingFuelMap) -> SurfaceNews:
-        """What the kinds of change (`SurfaceLayers.told`) in a window (row, col, height, width) of the grid are news
-        of to a fuel map."""
+        """Return what the kinds of change (`SurfaceLayers.told`) in a window (row, col, height, width) of the grid are
+        news of to a fuel map."""
         row, col, height, width = window
         shift = self._shift[row : row + height, col : col + width]
         known = np.where(shift != 0, shift, np.float32(np.nan))

@@ -27,7 +27,7 @@ _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -sc
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
-    """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
+    """Return the band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
 
     The prepared heights of a large raster are mapped (see `prepared_heights_io`).
     """
@@ -62,8 +62,8 @@ def prepare_heights(path: Path | str) -> Path | None:
 
 
 def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
-    """Band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped where its own
-    grid is another; degrees will do.
+    """Return the band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped
+    where its own grid is another; degrees will do.
 
     Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
     """
@@ -103,7 +103,7 @@ def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) 
 
 
 def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridGeometry:
-    """The cells of `whole` that `bounds` touch."""
+    """Return the cells of `whole` that `bounds` touch."""
     x_min, y_min, x_max, y_max = bounds
     row0, col0 = (max(0, int(v)) for v in whole.cell_of(x_min, y_max))
     row1, col1 = (int(v) for v in whole.cell_of(x_max, y_min))
@@ -125,7 +125,7 @@ def _read(
     width: int | None = None,
     scaling: tuple[float, float] | None = None,
 ) -> Float32Array:
-    """A window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
+    """Return a window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
     height, width = height or source.height, width or source.width
     if scaling is None:
         check_size(source, path, height, width)
@@ -135,7 +135,7 @@ def _read(
 
 
 def _fill(elevation: Float32Array, source: Any, row0: int, col0: int, scaling: tuple[float, float]) -> None:
-    """Strip after strip, so that nothing but the result is ever held whole."""
+    """Return the strip after strip, so that nothing but the result is ever held whole."""
     from rasterio.windows import Window
 
     (height, width), (scale, offset) = elevation.shape, scaling
@@ -170,7 +170,8 @@ def _check_heights(source: Any, path: Path | str) -> None:
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
-    """The horizontal CRS: what a site is compared with; a stated height system is only checked to be in metres."""
+    """Return the horizontal CRS: what a site is compared with; a stated height system is only checked to be in
+    metres."""
     from pyproj.exceptions import CRSError
 
     try:
@@ -223,7 +224,7 @@ class Dem:
 
     @property
     def levels(self) -> tuple[Dem, ...]:
-        """The rasters that the terrain consists of, finest first: of a single one, itself (see `dem_stack`)."""
+        """Return the rasters that the terrain consists of, finest first: of a single one, itself (see `dem_stack`)."""
         return (self,)
 
     @classmethod
@@ -236,7 +237,7 @@ class Dem:
         return cls(*read_heights(path, crs))
 
     def in_frame(self, frame: SiteFrame) -> Dem:
-        """The same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
+        """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
         crs = self.geometry.crs
         if crs is None or CRS.from_user_input(crs) != horizontal(CRS.from_user_input(frame.crs)):
             raise RasterError(
@@ -245,7 +246,8 @@ class Dem:
         return Dem(self.elevation, self.geometry.translated(-frame.x_origin, -frame.y_origin))
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
-        """Bilinear height at map points, metres; NaN outside the outermost cell centres and beside nodata."""
+        """Return the bilinear height at map points, metres; NaN outside the outermost cell centres and beside
+        nodata."""
         row, col = self.geometry.to_grid(x, y)
         height, width = self.elevation.shape
         inside = (row >= 0) & (row <= height - 1) & (col >= 0) & (col <= width - 1)

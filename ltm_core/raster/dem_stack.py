@@ -35,8 +35,8 @@ _lock = threading.Lock()
 
 
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
-    """What `read` makes of the files at `paths`, or what it made of them before, if somebody still holds that and no
-    file has changed.
+    """Return what `read` makes of the files at `paths`, or what it made of them before, if somebody still holds that
+    and no file has changed.
 
     `way`: all else that the result depends on. Nobody may write to a terrain that is shared. Errors
     are those of `read`.
@@ -100,15 +100,16 @@ class DemStack(Dem):
 
     @property
     def levels(self) -> tuple[Dem, ...]:
-        """All rasters, finest first."""
+        """Return all rasters, finest first."""
         return (Dem(self.elevation, self.geometry), *self.coarser)
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
-        """The same stack in a site's map frame; see `Dem.in_frame`."""
+        """Return the same stack in a site's map frame; see `Dem.in_frame`."""
         return DemStack.of_fitted([level.in_frame(frame) for level in self.levels])
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
-        """Bilinear height at map points of the finest level over them; NaN beyond the coarsest and in holes."""
+        """Return the bilinear height at map points of the finest level over them; NaN beyond the coarsest and in
+        holes."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height = np.full(x.shape, np.nan)
         left = np.ones(x.shape, np.bool_)
@@ -151,7 +152,7 @@ def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
 
 
 def with_surface(ground: Dem, surface: Dem) -> Dem:
-    """The terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
+    """Return the terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
 
     `surface` heights are elevations, as the ground's; where it is NaN, the ground shows. Raises RasterError as
     `DemStack` does.
@@ -174,7 +175,8 @@ def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
 
 
 def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, int]:
-    """How many of its rows and columns a raster has beyond another's outermost nodes: west, north, east, south."""
+    """Return how many of its rows and columns a raster has beyond another's outermost nodes: west, north, east,
+    south."""
     x0, y0 = (float(v) for v in coarse.to_map(0, 0))
     x1, y1 = (float(v) for v in coarse.to_map(coarse.height - 1, coarse.width - 1))
     row0, col0 = (float(v) - _ROUNDING for v in fine.to_grid(x0, y0))
@@ -184,7 +186,7 @@ def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, in
 
 
 def _within(fine: Dem, coarse: Dem) -> Dem:
-    """`fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
+    """Return `fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
 
     Raises RasterError where that is more than a coarse cell, or the two do not go together.
     """

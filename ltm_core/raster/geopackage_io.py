@@ -38,7 +38,7 @@ class VectorLayer:
 
 
 def read_geopackage(path: Path, layer: str | None = None) -> VectorLayer:
-    """The lines and areas of a layer, points left out; `layer` may be left away where the file has one.
+    """Return the lines and areas of a layer, points left out; `layer` may be left away where the file has one.
 
     Raises RasterError for a file that is no GeoPackage or damaged, a layer that it lacks, or one without CRS.
     """
@@ -95,7 +95,7 @@ def _crs(database: sqlite3.Connection, path: Path, number: Any) -> str:
 
 
 def _shapes(blob: Any) -> Iterator[tuple[Float64Array | None, list[Float64Array]]]:
-    """A line, or the rings of an area, for each part of a geometry."""
+    """Return a line, or the rings of an area, for each part of a geometry."""
     if not isinstance(blob, bytes) or len(blob) < 8 or blob[:2] != b"GP":
         if blob is None:
             return

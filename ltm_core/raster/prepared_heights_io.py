@@ -44,7 +44,8 @@ def heights_path(raster: Path | str) -> Path:
 
 
 def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
-    """The prepared heights (H, W) of `source`, the open dataset of `raster`; None where there are none of its state.
+    """Return the prepared heights (H, W) of `source`, the open dataset of `raster`; None where there are none of its
+    state.
 
     They are mapped copy-on-write: what is written to them stays in this process, and the arrays are of the type for
     which the kernels are compiled.
@@ -65,9 +66,8 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
 
 
 def own_copy(heights: Float32Array) -> Float32Array:
-    """A copy (H, W) that may be written to. Of prepared heights it is another mapping of their file: only pages that
-    are written to are this process's own, where a copy in memory of 10,000 x 10,000 cells would take 400 MB.
-    """
+    """Return a copy (H, W) that may be written to. Of prepared heights it is another mapping of their file: only pages
+    that are written to are this process's own, where a copy in memory of 10,000 x 10,000 cells would take 400 MB."""
     mapped: Any = heights
     while mapped is not None and not isinstance(mapped, np.memmap):
         mapped = getattr(mapped, "base", None)
@@ -91,7 +91,7 @@ def own_copy(heights: Float32Array) -> Float32Array:
 
 
 def _stale_makes_room(path: Path, raster: Path | str) -> None:
-    """Removes what another state of the raster was prepared as: nobody believes it any more."""
+    """Remove what another state of the raster was prepared as: nobody believes it any more."""
     with contextlib.suppress(OSError):
         with path.open("rb") as file:
             ours = file.read(len(_MARK)) == _MARK
@@ -145,9 +145,8 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
 
 
 def _header(source: Any) -> bytes | None:
-    """What the prepared file of an open dataset begins with; None where its heights may lie in files that GDAL does not
-    name. Raises OSError.
-    """
+    """Return what the prepared file of an open dataset begins with; None where its heights may lie in files that GDAL
+    does not name. Raises OSError."""
     if source.driver == "VRT" or not source.files:
         return None
     files = []

@@ -31,7 +31,7 @@ cell. A file may state any size without containing its tiles."""
 
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
-    """The open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
+    """Return the open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
     from rasterio.errors import CRSError, RasterioError
@@ -48,7 +48,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
 
 def _check_bands(source: Any, path: Path | str) -> None:
-    """Raises RasterError."""
+    """Raise RasterError."""
     if source.count > MOST_BANDS:
         raise RasterError(
             f"{path}: has {source.count} bands, at most {MOST_BANDS} are supported; extract the one you need "

@@ -100,7 +100,8 @@ def _score(near: float, far: float, count: np.int64, sums: Float64Array, sizes: 
 
 
 def _median(sizes: Int64Array) -> float:
-    """The middle of a histogram over `_EDGES`, placed inside its bin by the share of it that lies below the middle."""
+    """Return the middle of a histogram over `_EDGES`, placed inside its bin by the share of it that lies below the
+    middle."""
     below = np.cumsum(sizes)
     middle = below[-1] / 2
     place = int(np.searchsorted(below, middle))
@@ -115,7 +116,8 @@ def _median(sizes: Int64Array) -> float:
 
 
 def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Value]:
-    """`depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th from 0.
+    """Return `depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th
+    from 0.
 
     An array of any other size is taken to cover the same field of view and is read at the nearest pixel. Raises
     ImageError where truth is no such sampling.
@@ -133,5 +135,5 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
 
 
 def _nearest(places: Int64Array, size: int, other: int) -> Int64Array:
-    """The pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
+    """Return the pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
     return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

@@ -25,7 +25,8 @@ _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "w
 
 
 def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[SiteFinding]:
-    """Whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets it."""
+    """Return whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets
+    it."""
     config = site.cameras[name]
     try:
         camera = config.calibration.camera() if config.calibration is not None else None
@@ -70,7 +71,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
 
 
 def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
-    """Where a camera has one: what share of the picture it hides, if its size is known; and those of its views."""
+    """Return where a camera has one: what share of the image it hides, if its size is known; and those of its views."""
     config = site.cameras[name]
     yield from _check_view_masks(site, name)
     if config.mask is None:
@@ -162,7 +163,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
 
 
 def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
-    """Whether the azimuths of all, or of `cameras`, may be radians."""
+    """Return whether the azimuths of all, or of `cameras`, may be radians."""
     poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
     doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
     if doubt is not None:

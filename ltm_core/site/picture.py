@@ -53,7 +53,7 @@ def site_picture(
     offset: tuple[float, float],
     titles: tuple[str, str],
 ) -> RgbImage:
-    """What cameras see over relief, and beside it the prior fuel map where there is one, (H, W, 3).
+    """Return what cameras see over relief, and beside it the prior fuel map where there is one, (H, W, 3).
 
     `dem`, `seen_geometry`, `prior.geometry`: in the map frame. `seen_by`: (h, w) number of views that show a cell, -1
     where the ground is not known, a camera that turns having several; None: no view is known. `offset`: of the map
@@ -116,7 +116,7 @@ def _found(classes: UInt8Array) -> list[int]:
 
 
 def _outline(picture: RgbImage, prior: FuelPrior, view: GridGeometry) -> None:
-    """The edge of the ground that the prior knows, where it does not know all of it."""
+    """Return the edge of the ground that the prior knows, where it does not know all of it."""
     known: BoolArray = prior.codes != NODATA
     if not known.all():
         draw_outline(picture, nearest(known.astype(np.uint8), prior.geometry, view, 0) > 0, 8.0)

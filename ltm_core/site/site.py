@@ -133,8 +133,8 @@ class Site(StrictModel):
         return ray_bend(self.curvature, self.refraction)
 
     def open_dem(self) -> Dem:
-        """The bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser rasters
-        too.
+        """Return the bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser
+        rasters too.
 
         Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
         """
@@ -168,9 +168,8 @@ class Site(StrictModel):
         )
 
     def open_surface(self, ground: Dem) -> Dem:
-        """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
-        where the site has a surface raster.
-        """
+        """Return what cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and
+        houses where the site has a surface raster."""
         given = self.surface
         if given is None:
             return ground
@@ -179,7 +178,7 @@ class Site(StrictModel):
         return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
-        """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
+        """Return the fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
         x, y = self.origin
         x_min, y_min, x_max, y_max = dem.geometry.bounds
         snapped = GridGeometry.snapped(
@@ -188,16 +187,16 @@ class Site(StrictModel):
         return snapped.translated(-x, -y)
 
     def in_crs(self, geometry: GridGeometry) -> GridGeometry:
-        """A raster of the map frame as a raster of the site's CRS, for files."""
+        """Return a raster of the map frame as a raster of the site's CRS, for files."""
         return geometry.translated(*self.origin, crs=self.crs)
 
     def in_map(self, geometry: GridGeometry) -> GridGeometry:
-        """A raster of the site's CRS as a raster of the map frame."""
+        """Return a raster of the site's CRS as a raster of the map frame."""
         x, y = self.origin
         return geometry.translated(-x, -y)
 
     def camera(self, name: str) -> CameraConfig:
-        """Raises ConfigError naming the cameras there are."""
+        """Raise ConfigError naming the cameras there are."""
         if name not in self.cameras:
             raise ConfigError(f"site {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
         return self.cameras[name]

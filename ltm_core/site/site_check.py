@@ -1,6 +1,6 @@
 """Checks a site file before anything runs: terrain, cameras, prior fuel map and networks, each with a remedy.
 
-What the graph's nodes would refuse one after the other, again at each start, is found here at once, by the code that
+What the graph's nodes would reject one after the other, again at each start, is found here at once, by the code that
 they read it with.
 """
 
@@ -129,7 +129,7 @@ def _surface(site: Site, dem: Dem) -> SiteFinding:
 
 
 def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
-    """Heights at points spread evenly over a raster."""
+    """Return the heights at points spread evenly over a raster."""
     rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
     return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
 
@@ -162,7 +162,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
 
 
 def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
-    """A tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
+    """Return a tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
     line = site.fuel.growth.tree_line_m
     if line is None or check.dem is None:
         return

@@ -74,7 +74,7 @@ def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
 
 
 def _mask_file(path: Path, place: str, folder: Path) -> Path:
-    """A site may come from elsewhere: it names no file outside its folder. Raises ConfigError."""
+    """Return a site may come from elsewhere: it names no file outside its folder. Raises ConfigError."""
     try:
         file = (folder / path).resolve()
         inside = file.is_relative_to(folder)
@@ -114,7 +114,7 @@ def write_camera_section(path: Path | str, camera: str, key: str | None, section
 
 
 def edited(text: str, camera: str, key: str | None, section: dict[str, Any], place: str) -> str:
-    """The text of a site file with the section; see `write_camera_section`."""
+    """Return the text of a site file with the section; see `write_camera_section`."""
     root = compose_yaml(text, place)
     cameras = _value(root, "cameras")
     lines = text.splitlines(keepends=True)
@@ -150,7 +150,7 @@ def _value(node: yaml.Node | None, key: str) -> Any:
 
 
 def _end(lines: list[str], node: yaml.Node) -> int:
-    """The line behind a node; comments and empty lines behind it belong to what follows."""
+    """Return the line behind a node; comments and empty lines behind it belong to what follows."""
     # What is written in lines ends where the next thing begins.
     in_lines = isinstance(node, yaml.CollectionNode) and not node.flow_style
     end = node.end_mark.line + (0 if in_lines else 1)
@@ -185,7 +185,8 @@ def dumped(content: dict[str, Any]) -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    """The new file stands beside the old one, so that its relative paths hold, and takes its place when it is whole."""
+    """Return the new file stands beside the old one, so that its relative paths hold, and takes its place when it is
+    whole."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)
     try:

@@ -63,7 +63,7 @@ class SourceSettings(StrictModel):
 
     @property
     def period(self) -> float:
-        """Between two pictures; 0: as they come."""
+        """Between two images; 0: as they come."""
         return float(getattr(self, "every", 0.0))
 
     @property
@@ -125,7 +125,7 @@ class HttpSettings(NetworkSettings):
 
 
 class SnapshotConfig(HttpSettings):
-    """One picture a request."""
+    """One image a request."""
 
     kind: Literal["snapshot"]
     every: float = Field(10.0, gt=0)
@@ -222,7 +222,7 @@ class FolderConfig(SourceSettings):
 
 
 class CameraListConfig(HttpSettings):
-    """A network's list of cameras (JSON) with their times and directions, and a picture a camera, as ALERTCalifornia
+    """A network's list of cameras (JSON) with their times and directions, and an image a camera, as ALERTCalifornia
     has them; `url` is the list's."""
 
     kind: Literal["camera_list"]

@@ -53,7 +53,7 @@ else:
 
 
 class _Bounds(_AnyLoader):
-    """Before a loader: refuses a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera
+    """Before a loader: rejects a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera
     perhaps), and what is nested too deep or repeated too often."""
 
     def __init__(self, stream: str) -> None:
@@ -133,8 +133,8 @@ if yaml.__with_libyaml__:
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """What a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises ConfigError: no
-    YAML, keys twice, or more than the bounds above."""
+    """Return what a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises
+    ConfigError: no YAML, keys twice, or more than the bounds above."""
     if len(text) <= LARGEST_KEPT:
         with contextlib.suppress(ConfigError):  # said below with the place
             return deepcopy(_kept(text))
@@ -147,15 +147,14 @@ def _kept(text: str) -> Any:
 
 
 def compose_yaml(text: str, place: str) -> yaml.Node | None:
-    """The nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
+    """Return the nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
     parse_yaml(text, place)
     return _composed(text, place)
 
 
 def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
-    """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
-    stepped over. None where it stands nowhere.
-    """
+    """Return the line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not
+    have are stepped over. None where it stands nowhere."""
     node = _composed(read_text(path, LARGEST_FILE, ConfigError), str(path))
     line = None
     for key in keys:
@@ -171,7 +170,7 @@ def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
+    """Return what a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
     return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))
 
 
@@ -212,7 +211,7 @@ def checked(
     line_of: Callable[[Keys], int | None] = lambda keys: None,
     unnamed: Collection[str] = (),
 ) -> Model:
-    """`content` as a `model`. Raises ConfigError that lists every wrong key with its value.
+    """Return `content` as a `model`. Raises ConfigError that lists every wrong key with its value.
 
     `line_of`: where in the file a key stands. `unnamed`: sections of the model that the file does not write, such as
     those of the columns of a CSV.

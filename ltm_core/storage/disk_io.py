@@ -12,23 +12,24 @@ from ltm_core.base.errors import ConfigError
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; not, too, of a name that none can have or that we may not look at: until Python 3.14
-    `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
+    """Return whether a file is there; not, too, of a name that none can have or that we may not look at: until Python
+    3.14 `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there; see `is_file`."""
+    """Return whether a folder is there; see `is_file`."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_there(path: Path) -> bool:
-    """Whether a file, a folder or a device is there; see `is_file`."""
+    """Return whether a file, a folder or a device is there; see `is_file`."""
     return os.path.exists(path)  # noqa: PTH110
 
 
 def folder_that_exists(path: Path) -> Path:
-    """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
+    """Return the path, or the nearest folder above it that is there: a disk may be asked before anything is written to
+    it."""
     path = path.absolute()
     while not is_there(path) and path != path.parent:
         path = path.parent
@@ -46,13 +47,13 @@ def make_folder(folder: Path) -> None:
 
 
 def disk_bytes(path: Path) -> int:
-    """Size of the file system that holds `path`. Raises OSError."""
+    """Return the size of the file system that holds `path`. Raises OSError."""
     room = os.statvfs(folder_that_exists(path))
     return room.f_blocks * room.f_frsize
 
 
 def free_bytes(path: Path) -> int:
-    """What we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
+    """Return what we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
     room = os.statvfs(folder_that_exists(path))
     return room.f_bavail * room.f_frsize
 
@@ -95,7 +96,7 @@ class DiskReserve:
 
     @property
     def held(self) -> int:
-        """Bytes that are held now."""
+        """Return the bytes that are held now."""
         try:
             return self.path.stat().st_blocks * 512
         except OSError:
@@ -122,7 +123,7 @@ class DiskReserve:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """What was held is free for the caller; what it leaves is held again."""
+        """Return what was held is free for the caller; what it leaves is held again."""
         held = self.held
         self.give_up()
         try:
@@ -132,7 +133,7 @@ class DiskReserve:
                 self._grow(min(held, free_bytes(self.path) * 15 // 16))
 
     def give_up(self) -> None:
-        """What was held is free for anybody."""
+        """Return what was held is free for anybody."""
         try:
             self.path.unlink(missing_ok=True)
         except OSError:
@@ -140,14 +141,14 @@ class DiskReserve:
 
 
 def require_folder(folder: Path, what: str = "results") -> None:
-    """Raises ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
+    """Raise ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
     reason = _why_not_into(folder)
     if reason is not None:
         raise ConfigError(f"{folder}: cannot write {what} ({reason}): name another folder")
 
 
 def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
-    """Raises ConfigError unless each of `files` can be written, its folders made where they are missing.
+    """Raise ConfigError unless each of `files` can be written, its folders made where they are missing.
 
     `overwrite`: whether files may be there already. Makes and changes nothing.
     """

@@ -33,7 +33,8 @@ LARGEST_TABLE = 4 << 20
 
 
 def read_text(path: Path, most: int, error: type[LtmError], encoding: str = "utf-8") -> str:
-    """The whole of a text file. Raises `error`: no file, more than `most` bytes, or other bytes than `encoding` has."""
+    """Return the whole of a text file. Raises `error`: no file, more than `most` bytes, or other bytes than `encoding`
+    has."""
     try:
         with path.open("rb") as file:
             content = file.read(most + 1)
@@ -55,8 +56,8 @@ _BROKEN = (
 
 
 def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]:
-    """An array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a shape that
-    they do not fill, and Python objects."""
+    """Return an array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a
+    shape that they do not fill, and Python objects."""
     try:
         return _array(BytesIO(content), len(content))
     except _BROKEN as reason:
@@ -64,7 +65,8 @@ def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]
 
 
 def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[LtmError]) -> list[NDArray[Any]]:
-    """These arrays of an .npz file. Raises `error`: no such file, an array missing, or more than `most_bytes` of it."""
+    """Return these arrays of an .npz file. Raises `error`: no such file, an array missing, or more than `most_bytes` of
+    it."""
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = []
@@ -108,15 +110,15 @@ _PHOTOS = {".jpg", ".jpeg", ".png"}
 
 @contextmanager
 def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
-    """The opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no picture, too large, and for
-    whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
+    """Return the opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no image, too large, and
+    for whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
     data = read_picture(path)
     with opened_picture(data, path) as image:
         yield image, data
 
 
 def photos_in(images: Path) -> list[Path]:
-    """The photos of a folder in the order of their names, label images left out; of a file, that file. Raises
+    """Return the photos of a folder in the order of their names, label images left out; of a file, that file. Raises
     ImageError where there is none."""
     paths = [images] if images.is_file() else sorted(images.glob("*"))
     photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
@@ -126,13 +128,13 @@ def photos_in(images: Path) -> list[Path]:
 
 
 def read_rgb(path: Path) -> UInt8Array:
-    """A photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
+    """Return a photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
     with open_picture(path) as (source, _):
         return np.asarray(ImageOps.exif_transpose(source).convert("RGB"), np.uint8)
 
 
 def read_picture(path: Path) -> bytes:
-    """A photo file's bytes. Raises ImageError: no file, or too large."""
+    """Return a photo file's bytes. Raises ImageError: no file, or too large."""
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
@@ -145,7 +147,8 @@ def read_picture(path: Path) -> bytes:
 
 @contextmanager
 def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
-    """The image of a file's bytes, nothing of it decoded. `path`: what errors call it. Raises as `open_picture`."""
+    """Return the image of a file's bytes, nothing of it decoded. `path`: what errors call it. Raises as
+    `open_picture`."""
     from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
     register_heif_opener()
@@ -166,15 +169,15 @@ def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
 
 
 def check_picture(path: Path) -> None:
-    """Before OpenCV decodes a file. Raises ImageError: no picture, or one that takes more memory than a picture."""
+    """Before OpenCV decodes a file. Raises ImageError: no image, or one that takes more memory than an image."""
     with open_picture(path) as (image, data):
         if image.format == "PNG" and not png_is_whole(data):
             raise ImageError(f"{path} ({len(data)} bytes) is truncated: its chunks state more bytes than it has")
 
 
 def png_is_whole(data: bytes) -> bool:
-    """Whether all chunks up to the end chunk lie within the data. OpenCV takes memory for what a chunk states, up to a
-    gigabyte, before it sees that the file ends earlier. Source: PNG specification, section 5.3."""
+    """Return whether all chunks up to the end chunk lie within the data. OpenCV takes memory for what a chunk states,
+    up to a gigabyte, before it sees that the file ends earlier. Source: PNG specification, section 5.3."""
     at = 8
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")

@@ -89,7 +89,7 @@ class TileStore:
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
     ) -> TileStore:
-        """The store in `path`, made where there is none, for this process alone to write.
+        """Return the store in `path`, made where there is none, for this process alone to write.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
         a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or the
@@ -121,7 +121,7 @@ class TileStore:
 
     @classmethod
     def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
-        """A store of that kind as it is, with its own schema, also while another process writes it.
+        """Return a store of that kind as it is, with its own schema, also while another process writes it.
 
         Raises ConfigError and StoreError as `open` does.
         """
@@ -136,7 +136,7 @@ class TileStore:
     def in_memory(
         cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
     ) -> TileStore:
-        """A store that ends with the process."""
+        """Return a store that ends with the process."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)
         return cls(database, schema, "memory", None, kept_frames, most_frames)
@@ -159,7 +159,7 @@ class TileStore:
         self.close()
 
     def keys(self) -> list[Key]:
-        """Tiles that the store holds, in row-major order."""
+        """Return the tiles that the store holds, in row-major order."""
         keys = self._rows("SELECT row, col FROM tiles ORDER BY row, col", (), int, int)
         down, across = self.schema.tiles
         for row, col in keys:
@@ -168,19 +168,20 @@ class TileStore:
         return [(row, col) for row, col in keys]
 
     def read(self, key: Key) -> Tile | None:
-        """A tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
+        """Return a tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
         rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key, bytes)
         return self.schema.unpack(rows[0][0]) if rows else None
 
     def tiles(self) -> Iterator[tuple[Key, Tile]]:
-        """All tiles, one at a time."""
+        """Return all tiles, one at a time."""
         for key in self.keys():
             tile = self.read(key)
             if tile is not None:
                 yield key, tile
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
+        """Return whether a frame must not be counted: it has been, or it is so old that nobody knows (see
+        `forgotten`)."""
         found = self._rows(
             "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
             "FROM sources WHERE name = ?1",
@@ -190,20 +191,20 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
+        """Return whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
     def frame_count(self) -> int:
-        """Frames counted since the store was made, of all sources."""
+        """Return the frames counted since the store was made, of all sources."""
         return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources", (), int)[0][0])
 
     def sources(self) -> dict[str, int]:
-        """Frames counted of each source."""
+        """Return the frames counted of each source."""
         return dict(self._rows("SELECT name, counted FROM sources ORDER BY name", (), str, int))
 
     def newest_ns(self) -> int | None:
-        """The latest stamp that is remembered; None where no frame has been counted."""
+        """Return the latest stamp that is remembered; None where no frame has been counted."""
         found = self._rows(
             "SELECT newest FROM "
             "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
@@ -224,7 +225,8 @@ class TileStore:
         return [Touch(*row) for row in found]
 
     def waiting(self) -> list[FrameRecord]:
-        """Frames that are counted and that no tile holds yet, with their payloads, in the order of their commits."""
+        """Return the frames that are counted and that no tile holds yet, with their payloads, in the order of their
+        commits."""
         found = self._rows(
             "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number",
             (),
@@ -234,7 +236,7 @@ class TileStore:
         return [FrameRecord(name, at, (), model, decompressed(payload, most)) for name, at, model, payload in found]
 
     def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
-        """The journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
+        """Return the journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
         limit = 2**63 - 1 if until_ns is None else until_ns
         found = self._rows(
             "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number",
@@ -244,7 +246,8 @@ class TileStore:
         return (CellChanges.unpack(layer, at, content, self.schema.geometry.shape) for at, content in found)
 
     def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
-        """A layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the first."""
+        """Return a layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the
+        first."""
         if initial.shape != self.schema.geometry.shape:
             raise ValueError(f"initial layer of {initial.shape}, the grid is {self.schema.geometry.shape}")
         result = initial.copy()
@@ -300,7 +303,7 @@ class TileStore:
 
 @contextlib.contextmanager
 def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
-    """The room that was held, for one transaction."""
+    """Return the room that was held, for one transaction."""
     with reserve.lent():
         try:
             yield

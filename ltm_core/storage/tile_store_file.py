@@ -48,7 +48,7 @@ CREATE TABLE touches (
 
 
 def lock_store(path: Path) -> int:
-    """The right to write a store, until the descriptor is closed or the process ends in whatever way."""
+    """Return the right to write a store, until the descriptor is closed or the process ends in whatever way."""
     name = path.with_name(path.name + ".lock")
     try:
         lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
@@ -65,7 +65,7 @@ def lock_store(path: Path) -> int:
 
 
 def create_store(path: Path, schema: StoreSchema) -> None:
-    """A store without content, which appears under its name only when it is whole."""
+    """Return a store without content, which appears under its name only when it is whole."""
     partial = path.with_name(f".{path.name}.new")
     try:
         for leftover in (partial, *(partial.with_name(partial.name + end) for end in ("-wal", "-shm", "-journal"))):
@@ -87,7 +87,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
 
 
 def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
-    """A connection to a store that was found sound, and the schema that it states."""
+    """Return a connection to a store that was found sound, and the schema that it states."""
     _check_header(path)
     with named_errors(str(path)):
         db = sqlite3.connect(
@@ -116,9 +116,8 @@ def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSc
 
 
 def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
-    """A view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the script
-    that makes ours. Raises ConfigError.
-    """
+    """Return a view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the
+    script that makes ours. Raises ConfigError."""
     query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
     with contextlib.closing(sqlite3.connect(":memory:")) as ours:
         ours.executescript(tables)
@@ -169,8 +168,8 @@ def named_errors(name: str) -> Iterator[None]:
 def checked_rows(
     db: sqlite3.Connection, name: str, query: str, values: Sequence[object], *types: type
 ) -> list[tuple[Any, ...]]:
-    """What a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables
-    only where their writer does."""
+    """Return what a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its
+    tables only where their writer does."""
     with named_errors(name):
         rows = db.execute(query, values).fetchall()
     for row in rows:
@@ -181,7 +180,7 @@ def checked_rows(
 
 
 def wants_room(error: StoreError) -> bool:
-    """Whether more room on the disk may help: a quota comes as an error of input and output."""
+    """Return whether more room on the disk may help: a quota comes as an error of input and output."""
     code = getattr(error.__cause__, "sqlite_errorname", "") or ""
     return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
 
@@ -197,7 +196,7 @@ _REMEDIES = {
 
 @contextlib.contextmanager
 def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connection]:
-    """Gives `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
+    """Give `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
     with named_errors(name):
         db.execute("BEGIN IMMEDIATE")
         try:
@@ -266,7 +265,7 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
 
 
 def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
-    """One row for each tile, source and network, however many frames of a transaction there are."""
+    """Return one row for each tile, source and network, however many frames of a transaction there are."""
     touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
     for frame in frames:
         at = frame.stamp_ns
@@ -283,10 +282,10 @@ def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
 
 
 def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) -> None:
-    """Bound what is remembered of a source: the newest `bounds.frames`, and those within `KEPT_NS` of the newest, up
-    to `bounds.most`.
+    """Return the bound what is remembered of a source: the newest `bounds.frames`, and those within `KEPT_NS` of the
+    newest, up to `bounds.most`.
 
-    Not by age alone: a camera whose clock was once set to another year shall neither be refused from then on nor
+    Not by age alone: a camera whose clock was once set to another year shall neither be rejected from then on nor
     be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
     """
     ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
@@ -310,7 +309,7 @@ def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) 
 
 
 def _old_among(db: sqlite3.Connection, number: int, spare: int, limit_ns: int, most: int) -> int:
-    """How many of a source's `spare` oldest frames are older than that; counts at most `most`."""
+    """Return how many of a source's `spare` oldest frames are older than that; counts at most `most`."""
     if spare <= 0:
         return 0
     (old,) = db.execute(

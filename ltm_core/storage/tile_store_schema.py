@@ -37,7 +37,7 @@ class Field:
 
     @property
     def stored(self) -> np.dtype[Any]:
-        """The dtype in the file: little-endian."""
+        """Return the dtype in the file: little-endian."""
         return np.dtype(self.dtype).newbyteorder("<")
 
 
@@ -79,11 +79,11 @@ class StoreSchema:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
+        """Return the rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
         return ceil(self.geometry.height / self.tile), ceil(self.geometry.width / self.tile)
 
     def described(self) -> str:
-        """The schema as the JSON text that the file holds."""
+        """Return the schema as the JSON text that the file holds."""
         return json.dumps(
             {
                 "kind": self.kind,
@@ -97,7 +97,7 @@ class StoreSchema:
 
     @classmethod
     def from_description(cls, text: str, place: str) -> StoreSchema:
-        """The inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
+        """Return the inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
         try:
             content = _Description.model_validate_json(text)
             schema = cls(
@@ -117,12 +117,12 @@ class StoreSchema:
         return schema
 
     def differences(self, other: StoreSchema) -> str:
-        """What `other` has otherwise; empty where both are the same."""
+        """Return what `other` has otherwise; empty where both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
 
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-        """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
+        """Return a tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
         across = self.tiles
         if not (0 <= key[0] < across[0] and 0 <= key[1] < across[1]):
             raise ValueError(f"tile {key} is outside a grid of {across} tiles")
@@ -139,7 +139,7 @@ class StoreSchema:
         return compressed(b"".join(parts))
 
     def unpack(self, content: bytes) -> Tile:
-        """The inverse of `pack`; the arrays are writable. Raises ConfigError where the bytes are damaged."""
+        """Return the inverse of `pack`; the arrays are writable. Raises ConfigError where the bytes are damaged."""
         shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
         sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
         whole = decompressed(content, sum(sizes.values()))
@@ -220,7 +220,7 @@ def compressed(content: bytes) -> bytes:
 
 
 def decompressed(content: bytes, most: int) -> bytes:
-    """Raises ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
+    """Raise ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
     try:
         # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
         stated = zstandard.frame_content_size(content)

@@ -78,7 +78,7 @@ class TileCells(NamedTuple):
         return cls(estimate, candidate, decision, np.empty((slots, CELLS), np.uint8))
 
     def field(self, name: str) -> NDArray[Any]:
-        """One of FIELDS, (slots, cells of a tile), a view."""
+        """Return one of FIELDS, (slots, cells of a tile), a view."""
         blocks = (self.estimate, self.candidate, self.decision)
         return blocks[_BLOCK_OF[name]][name]
 
@@ -127,7 +127,7 @@ class FrameSums(NamedTuple):
 
     @property
     def seen_tiles(self) -> Int32Array:
-        """Tiles that the frame touches, in row-major order."""
+        """Return the tiles that the frame touches, in row-major order."""
         return np.sort(self.tiles[: self.used[1]])
 
 
@@ -144,7 +144,7 @@ def clear(sums: FrameSums) -> None:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def sum_of(sums: FrameSums, place: int) -> int:
-    """Where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
+    """Return where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     number = sums.number_of[tile]
     if number < 0:

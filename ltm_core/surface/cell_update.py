@@ -61,7 +61,7 @@ def _bits(mask: int) -> int:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def independent(cameras: int, first: int, last: int, independent_after: float, settle: float) -> bool:
-    """Whether these views are more than one: two cameras over some time, or one camera long enough apart."""
+    """Return whether these views are more than one: two cameras over some time, or one camera long enough apart."""
     span = float(last) - float(first)
     return span >= independent_after or (span >= settle and _bits(cameras) >= 2)
 
@@ -86,7 +86,7 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _remembered(seconds: int, last: int, lasting: float) -> float:
-    """What is left of the weight of looks that ended with `last`."""
+    """Return what is left of the weight of looks that ended with `last`."""
     passed = float(seconds) - float(last)
     if not passed > 0:
         return 1.0
@@ -149,7 +149,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _both(one: float, other: float) -> float:
-    """Variance of the mean of two that know nothing of each other."""
+    """Return the variance of the mean of two that know nothing of each other."""
     return one * other / (one + other)
 
 
@@ -157,7 +157,8 @@ def _both(one: float, other: float) -> float:
 def _told(
     cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
-    """Height of a cell in which something stood, its variance and the pose's part of it, by what labels say of that.
+    """Return the height of a cell in which something stood, its variance and the pose's part of it, by what labels say
+    of that.
 
     The variance is that at which a normal distribution would tell the two heights apart by the labels' log odds, and
     that of a cell whose pixels say both. A camera that has seen for an hour that it stands tells by far better odds
@@ -195,10 +196,9 @@ def update_cell(
     wait: float,
     rules: Rules,
 ) -> None:
-    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
+    """Return one observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
     variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
-    camera's looks that contradict the estimate are independent.
-    """
+    camera's looks that contradict the estimate are independent."""
     # Does the observation agree with the estimate, and with the candidate that contradicts it?
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0

@@ -70,14 +70,13 @@ class Changed:
 
 
 def margin_of(resolution: float) -> int:
-    """Cells beyond a window that decide about cells inside it."""
+    """Return the cells beyond a window that decide about cells inside it."""
     return math.ceil(REACH * WIDE / resolution)
 
 
 def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Fields of the cells of a window, (h, w) each, zero where nobody has looked. The window starts on a tile's edge
-    or anywhere.
-    """
+    """Return the fields of the cells of a window, (h, w) each, zero where nobody has looked. The window starts on a
+    tile's edge or anywhere."""
     row, col, height, width = window
     parts: dict[str, NDArray[Any]] = {}
     for tile_row in range(row // TILE, (row + height - 1) // TILE + 1):
@@ -102,7 +101,7 @@ _NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by", "watched
 def decide(
     peek: Callable[[Key], Tile | None], reference: Reference, window: Window, config: TerrainConfig, rules: Rules
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
-    """The changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
+    """Return the changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
 
     The estimates of cells that independent views have seen are smoothed with their weights, what stands apart from what
     is open. Change is where the result is beyond the threshold and sure enough, surer where one camera alone has seen
@@ -173,9 +172,8 @@ def _levels(
     alone: BoolArray,
     config: TerrainConfig,
 ) -> tuple[BoolArray, BoolArray]:
-    """Cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's own
-    estimate does not show is the neighbours'.
-    """
+    """Return the cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's
+    own estimate does not show is the neighbours'."""
     half = config.threshold / 2
     own = usable & _shows(off, shift, config.threshold)
     confidence = np.where(alone, np.float32(config.alone), np.float32(config.confidence))
@@ -188,14 +186,13 @@ def _levels(
 
 
 def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArray:
-    """Whether a cell's own estimate shows its neighbours' shift."""
+    """Return whether a cell's own estimate shows its neighbours' shift."""
     return np.asarray(off * np.sign(shift) >= np.maximum(threshold / 2, _OWN_SHARE * np.abs(shift)), np.bool_)
 
 
 def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
-    """Variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both infinite
-    where there is no estimate), and whether independent views made it.
-    """
+    """Return the variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both
+    infinite where there is no estimate), and whether independent views made it."""
     variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
     return variance, relative_variance, sure
 

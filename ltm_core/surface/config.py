@@ -21,7 +21,7 @@ class PoseErrorConfig(StrictModel):
     """Standard deviation of each coordinate in metres."""
 
     def covariance(self) -> Float64Array:
-        """(6, 6): position, then rotation about the map's axes, in metres and radians."""
+        """Return (6, 6): position, then rotation about the map's axes, in metres and radians."""
         return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
 
 

@@ -65,11 +65,11 @@ class ConfirmedSurface:
 
     @property
     def lowered(self) -> int:
-        """Cells whose bare earth has changed."""
+        """Return the cells whose bare earth has changed."""
         return int(np.isfinite(self.ground).sum())
 
     def differs_from(self, other: ConfirmedSurface, least: float) -> bool:
-        """Whether other cells have changed, or one has moved by more than `least` metres."""
+        """Return whether other cells have changed, or one has moved by more than `least` metres."""
         if len(self) != len(other) or not np.array_equal(self._places(), other._places()):
             return True
         moved = np.abs(self.surface - other.surface) > least
@@ -77,14 +77,16 @@ class ConfirmedSurface:
         return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
 
     def ground_over(self, given: Dem) -> Dem:
-        """`given`, which is bare earth, with the ground of cells where that has changed; itself where there are none.
+        """Return `given`, which is bare earth, with the ground of cells where that has changed; itself where there are
+        none.
 
         Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
         """
         return self._over(given, self.ground)
 
     def surface_over(self, given: Dem) -> Dem:
-        """`given`, what cameras saw of the terrain, with the surface of changed cells; otherwise as `ground_over`."""
+        """Return `given`, what cameras saw of the terrain, with the surface of changed cells; otherwise as
+        `ground_over`."""
         return self._over(given, self.surface)
 
     def _over(self, given: Dem, heights: Float32Array) -> Dem:
@@ -97,7 +99,7 @@ class ConfirmedSurface:
         return DemStack.of_fitted(levels) if len(levels) > 1 else levels[0]
 
     def _level(self, level: Dem, places: Int64Array, heights: Float32Array) -> Dem:
-        """One raster, each node of which takes the height of the changed cell in which it lies."""
+        """Return one raster, each node of which takes the height of the changed cell in which it lies."""
         grid, cells = level.geometry, self.geometry
         rows, cols = np.divmod(places, cells.width)
         west, north = cells.to_map(rows.min() - 0.5, cols.min() - 0.5)
@@ -123,7 +125,7 @@ class ConfirmedSurface:
 
 
 def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
-    """(N,): points that no seam of a stack is near. There the finer raster gives way to the coarser one."""
+    """Return (N,): points that no seam of a stack is near. There the finer raster gives way to the coarser one."""
     clear = np.ones(x.shape, np.bool_)
     for fine, coarse in zip(dem.levels[:-1], dem.levels[1:], strict=True):
         g = fine.geometry
@@ -139,7 +141,7 @@ _STRIP = 256
 
 
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """The changed cells, and how many cells independent views have judged.
+    """Return the changed cells, and how many cells independent views have judged.
 
     Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
     half is left. Bare earth itself follows where the ground is lower.
@@ -234,13 +236,12 @@ class SurfaceManifest(StrictModel):
         return self
 
     def entry(self, version: str) -> SurfaceVersion | None:
-        """What is known of a version; None where it is not listed."""
+        """Return what is known of a version; None where it is not listed."""
         return next((one for one in self.versions if one.version == version), None)
 
     def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """The current version, or the one before it that counted at a moment, with the stamp from which on it did;
-        None: as given. Raises StoreError for a moment of which nothing is kept any more.
-        """
+        """Return the current version, or the one before it that counted at a moment, with the stamp from which on it
+        did; None: as given. Raises StoreError for a moment of which nothing is kept any more."""
         past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
         if past:
             found = self.entry(past[-1].version)
@@ -258,7 +259,8 @@ class SurfaceManifest(StrictModel):
 
 
 def of_later_release(content: bytes, error: ValidationError) -> str:
-    """How a manifest that is none for this program shows that a later one wrote it; empty: it does not, and is damaged.
+    """Return how a manifest that is none for this program shows that a later one wrote it; empty: it does not, and is
+    damaged.
 
     It states a later format, or has keys that this program does not know and nothing else is wrong with it.
     """

@@ -68,13 +68,13 @@ class ExpectedViews:
         self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
 
     def get(self, key: Hashable) -> RecordArray | None:
-        """The view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
+        """Return the view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
         if key in self._kept:
             self._kept.move_to_end(key)
         return self._kept.get(key)
 
     def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
-        """The array of a new view, of arbitrary content: to be filled."""
+        """Return the array of a new view, of arbitrary content: to be filled."""
         pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
             pixels = self._kept.popitem(last=False)[1]

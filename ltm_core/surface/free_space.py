@@ -120,7 +120,8 @@ def _seen_through(standing: ElevatedCells, camera: Camera, pose: Pose, pixels: P
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
-    """Whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than `away`."""
+    """Return whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than
+    `away`."""
     found = np.ones(len(u), np.bool_)
     step = pixels.step
     for i in range(len(u)):

@@ -59,7 +59,7 @@ class FuelCellChange:
 
 
 def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChange]:
-    """The cells of the fuel grid (in the map frame) that the surface's changes concern, in row-major order."""
+    """Return the cells of the fuel grid (in the map frame) that the surface's changes concern, in row-major order."""
     rows, cols = np.nonzero(layers.observed | (layers.change > 0))
     if len(rows) == 0:
         return []
@@ -100,7 +100,7 @@ def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChan
 
 
 def cover_after(kind: ChangeKind, shift: float, labels: UInt8Array) -> int | None:
-    """What stands where a surface has moved by `shift` metres and cameras have labelled it so; None: not known.
+    """Return what stands where a surface has moved by `shift` metres and cameras have labelled it so; None: not known.
 
     Ground that has moved is bare. What has grown is not bare, and not grass from 1 m on, whatever a label says; what
     was removed is not what stood there: a tree's label there is an old one.

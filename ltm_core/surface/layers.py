@@ -51,7 +51,7 @@ class SurfaceLayers:
 
     @property
     def told(self) -> UInt8Array:
-        """(H, W) ChangeKind as others are told of it: 255 where independent views have not looked."""
+        """Return (H, W) ChangeKind as others are told of it: 255 where independent views have not looked."""
         known = self.observed | (self.change > 0)
         return np.where(known, self.change, np.uint8(_NOT_LOOKED)).astype(np.uint8)
 

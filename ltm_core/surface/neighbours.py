@@ -40,9 +40,8 @@ class Estimates(NamedTuple):
 
 
 def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
-    """What each cell's neighbours of its own kind, `standing` or not, say of its shift, and the deviation of that if
-    nothing has changed; 0 and infinite where none is near.
-    """
+    """Return what each cell's neighbours of its own kind, `standing` or not, say of its shift, and the deviation of
+    that if nothing has changed; 0 and infinite where none is near."""
     if not (standing & cells.usable).any() or standing.all():
         return _mean(cells, cells.usable, resolution)
     upper, lower = (_mean(cells, cells.usable & kind, resolution) for kind in (standing, ~standing))
@@ -50,9 +49,8 @@ def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float)
 
 
 def _mean(cells: Estimates, kind: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
-    """The nearer neighbours and the wider ones by what they know of the cell's height: where the near ones are unsure,
-    as on the steep sides of crowns, the wide ones count the more.
-    """
+    """Return the nearer neighbours and the wider ones by what they know of the cell's height: where the near ones are
+    unsure, as on the steep sides of crowns, the wide ones count the more."""
     near, near_variance, near_doubt = _smoothed(cells, kind, SMOOTHING / resolution)
     wide, _, wide_doubt = _smoothed(cells, kind, WIDE / resolution)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -65,9 +63,8 @@ def _mean(cells: Estimates, kind: BoolArray, resolution: float) -> tuple[Float32
 
 
 def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """The weighted mean of each cell's neighbourhood, its variance, and its deviation as a whole: both as if the
-    neighbours' errors were one.
-    """
+    """Return the weighted mean of each cell's neighbourhood, its variance, and its deviation as a whole: both as if the
+    neighbours' errors were one."""
     part = kind.astype(np.float32)
     weight = cells.weight * part
     count, total = blurred(part, sigma), blurred(weight, sigma)
@@ -80,9 +77,8 @@ def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32A
 
 
 def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, resolution: float) -> Float32Array:
-    """Each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours differ
-    among each other beyond their noise.
-    """
+    """Return each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours
+    differ among each other beyond their noise."""
     sigma = SMOOTHING / resolution
     count = np.maximum(blurred(cells.usable.astype(np.float32), sigma), 1e-6)
     noise = np.where(cells.usable, variance, 0).astype(np.float32)
@@ -122,9 +118,8 @@ def blurred(values: Float32Array, sigma: float) -> Float32Array:
 
 
 def regions(strong: BoolArray, weak: BoolArray, unseen: BoolArray, least: float) -> BoolArray:
-    """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across a few
-    cells, and through those of a stand that nobody sees.
-    """
+    """Return the cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across
+    a few cells, and through those of a stand that nobody sees."""
     bridge = np.ones((2 * _BRIDGED + 1, 2 * _BRIDGED + 1), np.uint8)
     reached = weak.astype(np.uint8)
     open_to = (weak | unseen).astype(np.uint8)

@@ -73,9 +73,9 @@ class DepthFrame:
         covariance: Float64Array | None = None,
         labels: UInt8Array | None = None,
     ) -> DepthFrame:
-        """What was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size, edge
-        to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked then.
-        """
+        """Return what was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size,
+        edge to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked
+        then."""
         height, width = depth.shape
         measured = ~np.isnan(depth)
         small = full_labels = None
@@ -139,7 +139,7 @@ class Observer:
         self._views = ExpectedViews(int(views_mb * 2**20))
 
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
-        """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
+        """Return what a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
         camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
         view = self._view(camera, frame, covariance)
         expected_pixels = self._expected_pixels(camera, frame, view)
@@ -172,14 +172,14 @@ class Observer:
         )
 
     def sampled(self, frame: DepthFrame) -> Camera:
-        """The camera of those of a frame's pixels that are used."""
+        """Return the camera of those of a frame's pixels that are used."""
         return frame.camera.scaled(self._step(frame))
 
     def _step(self, frame: DepthFrame) -> int:
         return -(-frame.camera.width // self._columns)
 
     def pixels(self, frame: DepthFrame) -> Pixels:
-        """A frame as the kernels take it."""
+        """Return a frame as the kernels take it."""
         labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
         return Pixels(
             np.ascontiguousarray(frame.depth, np.float32),
@@ -191,7 +191,7 @@ class Observer:
         )
 
     def _expected_pixels(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
-        """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
+        """Return what the reference has for the pixels in use (H, W), which it need not be asked twice."""
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
         expected_pixels = self._views.get(key)
         if expected_pixels is None:
@@ -227,6 +227,6 @@ def _least_around(depth: Float32Array) -> Float32Array:
 
 
 def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:
-    """Least and greatest range within `radius` pixels."""
+    """Return the least and greatest range within `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.asarray(cv2.erode(ranges, kernel), np.float32), np.asarray(cv2.dilate(ranges, kernel), np.float32)

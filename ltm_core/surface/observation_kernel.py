@@ -85,17 +85,16 @@ class Pixels(NamedTuple):
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
-    """Height of a ray over the reference surface after `t` metres."""
+    """Return the height of a ray over the reference surface after `t` metres."""
     z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
     return z
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
-    """Where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small changes
-    are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the crown's
-    height, and what stood behind a felled stand is seen where it stands.
-    """
+    """Return where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small
+    changes are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the
+    crown's height, and what stood behind a felled stand is seen where it stands."""
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
@@ -122,7 +121,7 @@ def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: f
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> bool:
-    """Whether the terrain is not known all along under a ray between two ranges."""
+    """Return whether the terrain is not known all along under a ray between two ranges."""
     steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
     for i in range(steps + 1):
         t = begin + (end - begin) * i / steps
@@ -157,7 +156,7 @@ def _carve(
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
-    """Steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
+    """Return the steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
     side = ground.block * ground.resolution
     left = math.inf
     if ray.dx != 0:
@@ -169,7 +168,7 @@ def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int,
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _lowest(ray: Ray, begin: float, end: float) -> float:
-    """A bound on the height of a ray between two ranges."""
+    """Return a bound on the height of a ray between two ranges."""
     ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
     bound: float = ray.z + ends - abs(ray.bend) * (end - begin) ** 2
     return bound

@@ -47,7 +47,7 @@ class Registration:
     residual: tuple[float, float]
 
     def frame(self, frame: DepthFrame) -> DepthFrame:
-        """The frame with the pose that was found."""
+        """Return the frame with the pose that was found."""
         return replace(frame, pose=self.pose, covariance=self.covariance)
 
 
@@ -113,7 +113,7 @@ def _residuals(
     reference: Reference,
     limits: ObservationLimits,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
+    """Return the heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
     with np.errstate(invalid="ignore"):
         used = measured & np.isfinite(expected) & (expected < limits.max_range) & (ranges > limits.min_range)
         used &= np.isfinite(sigmas) & (sigmas > 0) & (ranges < 2 * expected)

@@ -126,7 +126,7 @@ class SurfaceMap:
 
     @property
     def uncommitted(self) -> int:
-        """Frames whose effect is not in the store yet."""
+        """Return the frames whose effect is not in the store yet."""
         return self._pool.uncommitted
 
     @property
@@ -134,7 +134,7 @@ class SurfaceMap:
         return self._pool.in_memory
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame has been counted already."""
+        """Return whether a frame has been counted already."""
         return self._pool.counted(source, stamp_ns)
 
     def add(self, frame: DepthFrame) -> Added:
@@ -184,20 +184,21 @@ class SurfaceMap:
         return self._pool.commit(last)
 
     def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
-        """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""
+        """Return the height, sigma, change and age of a window (row, col, height, width); default: of the whole
+        grid."""
         return layers_of(self._pool, self.reference, window, self._rules)
 
     def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
-        """(H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
+        """Return (H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
         parts = mosaic(self._pool.peek, window, ("shift",))
         return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
 
     def close(self) -> None:
-        """Its store; the map is of no use then. Idempotent."""
+        """Return its store; the map is of no use then. Idempotent."""
         self._pool.store.close()
 
     def seen_window(self) -> tuple[int, int, int, int] | None:
-        """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""
+        """Return the smallest window (row, col, height, width) of whole tiles that any frame has touched."""
         keys = self._pool.known_keys
         if not keys:
             return None
@@ -207,7 +208,7 @@ class SurfaceMap:
         return row, col, min(bottom, height) - row, min(right, width) - col
 
     def heights_at(self, changed: Changed) -> Float32Array:
-        """The updated surface at changed cells, (N,) metres."""
+        """Return the updated surface at changed cells, (N,) metres."""
         surface = self.reference.surface[changed.rows, changed.cols]
         if self.reference.canopy_known:
             return np.asarray(surface + changed.shift, np.float32)
@@ -236,9 +237,8 @@ class SurfaceMap:
         )
 
     def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
-        """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is
-        traced already.
-        """
+        """Return a camera that has not moved keeps its turn for a time: one image more would add little, and its
+        reference is traced already."""
         kept = self._turns.get(frame.source)
         period = int(self.config.independent_after * 1e9)
         if (
@@ -253,7 +253,7 @@ class SurfaceMap:
         return turn
 
     def _nearest(self, tiles: Int32Array, frame: DepthFrame) -> tuple[list[Key], int]:
-        """These tiles, the nearest of them where there are more than fit into memory."""
+        """Return these tiles, the nearest of them where there are more than fit into memory."""
         rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
         most = self._pool.capacity
         if len(rows) > most:

@@ -63,7 +63,7 @@ class BrokenManifestError(StoreError):
 class SurfaceVersions:
     """The versions of a site in a folder, which need not be there before the first is written.
 
-    `geometry`: of the terrain's grid, in the map frame; a version of another grid is refused.
+    `geometry`: of the terrain's grid, in the map frame; a version of another grid is rejected.
     """
 
     folder: Path
@@ -110,11 +110,12 @@ class SurfaceVersions:
             return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
 
     def file(self, version: str) -> Path:
-        """Where the file of a version of the manifest stands."""
+        """Return where the file of a version of the manifest stands."""
         return self.folder / f"surface-{version}.npz"
 
     def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
-        """A version's cells. Raises StoreError where its file is missing, not what was written, or of another grid."""
+        """Return a version's cells. Raises StoreError where its file is missing, not what was written, or of another
+        grid."""
         path = self.file(entry.version)
         try:
             content = _read(path, _MOST_FILE)
@@ -194,7 +195,7 @@ class SurfaceVersions:
         self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
 
     def _write(self, path: Path, content: bytes) -> None:
-        """Whole or not at all, also where the power fails."""
+        """Return the whole or not at all, also where the power fails."""
         partial = path.with_name(f".{path.name}.partial")
         try:
             self.folder.mkdir(exist_ok=True)
@@ -221,7 +222,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 def _to_bytes(surface: ConfirmedSurface) -> bytes:
-    """The same bytes for the same cells."""
+    """Return the same bytes for the same cells."""
     g, sink = surface.geometry, io.BytesIO()
     grid = np.array([g.x_min, g.y_max, g.resolution, g.width, g.height], np.float64)
     np.savez_compressed(sink, grid=grid, **{name: getattr(surface, name) for name in _ARRAYS})
@@ -259,5 +260,5 @@ class ConfirmedTerrain:
 
     @property
     def name(self) -> str:
-        """The version, as frames carry it; AS_GIVEN where there is none."""
+        """Return the version, as frames carry it; AS_GIVEN where there is none."""
         return AS_GIVEN if self.version is None else self.version.version

@@ -47,7 +47,7 @@ MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def new_block() -> Float64Array:
-    """A block before its first row."""
+    """Return a block before its first row."""
     return np.zeros(8 * COLUMNS)
 
 
@@ -276,7 +276,7 @@ def by_pyramid(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
-    """Range of a plumb ray, by the sign of its slope; NaN of one that is none."""
+    """Return the range of a plumb ray, by the sign of its slope; NaN of one that is none."""
     if slope > 0.0:
         return np.inf
     return stage.oz - height_at(ground, stage.ox, stage.oy) if slope < 0.0 else np.nan
@@ -284,7 +284,8 @@ def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def first_reaching(tangents: Float32Array, start: int, count: int, hint: int, slope: float) -> int:
-    """Place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` where none is.
+    """Return the place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count`
+    where none is.
 
     The search widens from `hint` by doubling steps.
     """

@@ -44,7 +44,7 @@ class PossibleGround(StrictModel):
     """Metres above the DEM's highest ground that are assumed if `highest` is not given."""
 
     def limit(self, top: float) -> float:
-        """Metres above which there is no ground outside a DEM whose highest is `top`."""
+        """Return the metres above which there is no ground outside a DEM whose highest is `top`."""
         return top + self.margin if self.highest is None else self.highest
 
 
@@ -71,7 +71,7 @@ class Holes(NamedTuple):
 
 
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
-    """The holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
+    """Return the holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
 
     `rise`: the most that unknown ground rises from one node to the next, metres; `highest`: the highest that it may be
     in outer holes.
@@ -91,7 +91,7 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def run_of(holes: Holes, at: int) -> int:
-    """The run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
+    """Return the run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
     low, high = 0, holes.hole_first.size  # the last run that begins at or before `at` is the one before `low`
     while low < high:
         middle = (low + high) >> 1
@@ -104,7 +104,7 @@ def run_of(holes: Holes, at: int) -> int:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
-    """Height of the node with flat index `at`, or its ceiling where it is unknown."""
+    """Return the height of the node with flat index `at`, or its ceiling where it is unknown."""
     height = nodes[at]
     if height == height:
         return height
@@ -114,7 +114,7 @@ def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
-    """Whether the node with flat index `at` belongs to an outer hole."""
+    """Return whether the node with flat index `at` belongs to an outer hole."""
     return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
 
 
@@ -132,7 +132,7 @@ def _count_runs(elevation: Float32Array) -> int:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _runs(elevation: Float32Array, count: int) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Row, first column and one past the last column of each run of NaN, row after row."""
+    """Return the row, first column and one past the last column of each run of NaN, row after row."""
     row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     k = 0
     for i in range(elevation.shape[0]):
@@ -206,7 +206,8 @@ def _lowered(
     straight: np.float32,
     diagonal: np.float32,
 ) -> bool:
-    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; whether any fell.
+    """Return the lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; whether
+    any fell.
 
     Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance
     transformations in digital images*, CVGIP 34, 1986), also around corners.

@@ -53,7 +53,7 @@ class Wedges(NamedTuple):
 
 
 def no_wedges() -> Wedges:
-    """A profile of which nothing is built."""
+    """Return a profile of which nothing is built."""
     total = 4 * WEDGES_A_FACE
     return Wedges(
         np.zeros(total, np.int64),
@@ -65,7 +65,7 @@ def no_wedges() -> Wedges:
 
 
 def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: RasterStage) -> Wedges:
-    """`wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
+    """Return `wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
         return wedges
@@ -181,7 +181,7 @@ def _walk_wedge(ground: TerrainRaster, stage: RasterStage, index: int, tangent: 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
-    """The least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
+    """Return the least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
     if along_x:
         major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
     else:
@@ -197,7 +197,7 @@ def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> float:
-    """Bound on the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
+    """Return the bound on the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
     highest = -np.inf
     if level == 0:
         step, across = (ground.width, 1) if along_x else (1, ground.width)
@@ -230,7 +230,7 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def wedge_of(along_x: bool, forward: bool, t: float) -> int:
-    """Index of the wedge of a ray."""
+    """Return the index of the wedge of a ray."""
     face = (0 if along_x else 2) + (0 if forward else 1)
     return face * WEDGES_A_FACE + min(max(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), 0), WEDGES_A_FACE - 1)
 

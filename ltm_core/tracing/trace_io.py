@@ -29,7 +29,7 @@ from ltm_core.tracing.holes import PossibleGround
 
 
 class PoseFile(StrictModel):
-    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file."""
+    """A pose file: one image's `pose` and `calibration`, as a camera has them in a site file."""
 
     pose: PlacedPose
     calibration: CalibrationConfig
@@ -40,14 +40,14 @@ class PoseFile(StrictModel):
 
 
 class PictureConfig(PoseFile):
-    """One picture: where its camera stood, how it looked, and its calibration."""
+    """One image: where its camera stood, how it looked, and its calibration."""
 
     pose: PoseConfig
 
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """A picture ready to be traced, in a map frame whose origin is near its camera."""
+    """An image ready to be traced, in a map frame whose origin is near its camera."""
 
     dem: Dem
     frame: SiteFrame
@@ -63,7 +63,7 @@ def load_picture_config(path: Path | str) -> PictureConfig:
 
 
 def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
-    """Place the camera of `config` on `dem`, which is in a CRS.
+    """Return the place the camera of `config` on `dem`, which is in a CRS.
 
     Raises PoseError for a camera under the ground, and where the ground under one that is given above it is not known;
     ConfigError for a CRS that is none.
@@ -85,7 +85,7 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
 
 
 def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
-    """A map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
+    """Return a map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
     crs = dem.geometry.crs
     if crs is None:
         raise ConfigError("the DEM must be in a CRS to place a camera on it")
@@ -95,7 +95,8 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
-    """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
+    """Return a photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's
+    size."""
     from ltm_core.storage.text_io import open_picture, read_rgb
 
     photo = read_rgb(Path(path))
@@ -112,7 +113,7 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
 
 
 def cell_counts(traced: RangeImage) -> UInt32Array:
-    """How many pixels see each DEM cell, (H, W) of the raster."""
+    """Return how many pixels see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
         raise ImageError("this range image has no raster, so it has no cells")
     cells = traced.cells()
@@ -125,10 +126,10 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
 
 
 def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32Array | None = None) -> list[Path]:
-    """Write a traced picture as GeoTIFFs into the folder `out`; returns their paths.
+    """Write a traced image as GeoTIFFs into the folder `out`; returns their paths.
 
     `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
-    pixel of the picture, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
+    pixel of the image, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
     northings to half a metre). These four lie in image space; camera, pose and CRS stand in their tags.
     `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid: `counts` (of `cell_counts`, for those who have them).
     """

@@ -85,11 +85,11 @@ class BoundedCache(Generic[_Value]):
 
     @property
     def held_bytes(self) -> int:
-        """Memory that the values take now."""
+        """Return the memory that the values take now."""
         return self._held
 
     def get(self, key: Hashable) -> _Value | None:
-        """The value, now the most recently used; None where there is none."""
+        """Return the value, now the most recently used; None where there is none."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -149,11 +149,12 @@ class TerrainTracer:
 
     @property
     def statistics(self) -> TracerStatistics:
-        """How often what is kept of earlier frames served, and how much is kept."""
+        """Return how often what is kept of earlier frames served, and how much is kept."""
         return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
-        """Range of every pixel; the array is read-only, since it is given again for the same camera and pose.
+        """Return the range of every pixel; the array is read-only, since it is given again for the same camera and
+        pose.
 
         Args:
             way: "profile" or "pyramid" forces one and keeps no frame; where a profile cannot serve (a camera that is
@@ -183,7 +184,7 @@ class TerrainTracer:
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
 
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
-        """Whether the profile was there, and the ranges (H, W)."""
+        """Return whether the profile was there, and the ranges (H, W)."""
         rays = camera.rays()
         place = (pose.position.tobytes(), self.bend)
         kept = self._profiles.get(place)
@@ -208,12 +209,12 @@ class TerrainTracer:
         return whole, ranges
 
     def _stands_over_known_ground(self, position: Float64Array) -> bool:
-        """Whether a position is over the finest raster, and in no outer hole."""
+        """Return whether a position is over the finest raster, and in no outer hole."""
         filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
         return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
-        """Slant range in metres of rays from one origin, (N,) float32.
+        """Return the slant range in metres of rays from one origin, (N,) float32.
 
         Args:
             origin: (3,) x, y, z in the map frame.
@@ -232,9 +233,8 @@ class TerrainTracer:
         return self._trace(position, np.eye(3), rays)
 
     def ground_clearance(self, pose: Pose) -> float:
-        """Height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and in
-        holes.
-        """
+        """Return the height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and
+        in holes."""
         x, y, z = pose.position
         return float(z - self.dem.elevation_at(x, y))
 
@@ -264,7 +264,7 @@ class TerrainTracer:
             )
 
     def _hole_ceiling(self, position: Float64Array) -> float | None:
-        """Ceiling of the enclosed hole under a position; None where there is none."""
+        """Return the ceiling of the enclosed hole under a position; None where there is none."""
         for dem, ground in zip(self.dem.levels, self._grounds, strict=True):
             filled = filled_corners(dem, ground, position)
             if filled is not None:

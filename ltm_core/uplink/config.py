@@ -100,7 +100,7 @@ class RegionConfig(StrictModel):
 
 
 def load_region(path: Path | str) -> RegionConfig:
-    """Its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
+    """Return its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
     region = load_yaml(path, RegionConfig)
     changes: dict[str, object] = {

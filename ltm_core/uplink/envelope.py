@@ -50,7 +50,8 @@ class Envelope:
 
 
 def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
-    """What is to be signed; the signature follows it. Raises MessageError where it is larger than may be sent."""
+    """Return what is to be signed; the signature follows it. Raises MessageError where it is larger than may be
+    sent."""
     size = _LENGTHS.size + len(header) + len(certificate) + len(body) + LARGEST_SIGNATURE
     if len(header) > LARGEST_HEADER or len(certificate) > LARGEST_CERTIFICATE or size > LARGEST:
         raise MessageError(
@@ -62,7 +63,7 @@ def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
 
 
 def unpacked(content: bytes) -> Envelope:
-    """The parts of an envelope. Raises MessageError on anything else."""
+    """Return the parts of an envelope. Raises MessageError on anything else."""
     if not _LENGTHS.size <= len(content) <= LARGEST:
         raise MessageError(f"an envelope has {_LENGTHS.size} to {LARGEST} bytes, this has {len(content)}")
     magic, header, certificate, body = _LENGTHS.unpack_from(content)
@@ -169,12 +170,12 @@ HeaderT = TypeVar("HeaderT", bound=StrictModel)
 
 
 def header_of(kind: type[HeaderT], envelope: Envelope) -> HeaderT:
-    """Raises MessageError on a header that is none of that kind."""
+    """Raise MessageError on a header that is none of that kind."""
     return _parsed(kind, envelope.header, "header")
 
 
 def outcomes_of(envelope: Envelope) -> list[Outcome]:
-    """What an acknowledgement says. Raises MessageError on a body that is none."""
+    """Return what an acknowledgement says. Raises MessageError on a body that is none."""
     return _parsed(Outcomes, envelope.body, "body").outcomes
 
 

@@ -31,7 +31,7 @@ from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_s
 
 
 def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array, spare: int) -> BoolArray:
-    """Which of N frames go, so that `spare` bytes or more are free; all of them where they hold less.
+    """Return which of N frames go, so that `spare` bytes or more are free; all of them where they hold less.
 
     `stamps_ns`, `sizes`: (N,) int64, bytes. `views`: (N,) a number for each view of each camera. The result is a mask
     in the order given.
@@ -55,7 +55,7 @@ def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array
 
 
 def _every_other(views: NDArray[np.integer]) -> BoolArray:
-    """(N,) the second, fourth, ... of each view, in the order given."""
+    """Return (N,) the second, fourth, ... of each view, in the order given."""
     by_view = np.argsort(views, kind="stable")
     ordered = views[by_view]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(ordered) else np.zeros(0, int)
@@ -122,7 +122,7 @@ class Outbox:
     """
 
     def __init__(self, path: Path | str, max_bytes: int, max_age_s: float) -> None:
-        """Raises StoreError as above, ConfigError where the folder is missing or the file is another program's."""
+        """Raise StoreError as above, ConfigError where the folder is missing or the file is another program's."""
         self._path = Path(path)
         self._max_bytes, self._max_age_ns = max_bytes, round(max_age_s * 1e9)
         self.damage = ""
@@ -168,10 +168,9 @@ class Outbox:
         return new
 
     def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[tuple[FrameKey, int]]:
-        """The newest frames but these, and but those that a `postpone` holds back until later than `now_s`, and the
-        bytes of their messages: a map of the present is worth more than one of an hour ago, and evidence may come in
-        any order. What they hold is read by `frame`, of those alone that are sent.
-        """
+        """Return the newest frames but these, and but those that a `postpone` holds back until later than `now_s`, and
+        the bytes of their messages: a map of the present is worth more than one of an hour ago, and evidence may come
+        in any order. What they hold is read by `frame`, of those alone that are sent."""
         left_out = set(without)
         with named_errors(str(self._path)):
             rows = self._db.execute(
@@ -182,7 +181,7 @@ class Outbox:
         return [((camera, at), size) for camera, at, size in rows if (camera, at) not in left_out][:limit]
 
     def frame(self, key: FrameKey) -> OutboxFrame | None:
-        """What waits under a key; None: nothing."""
+        """Return what waits under a key; None: nothing."""
         with named_errors(str(self._path)):
             row = self._db.execute(
                 "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?", key
@@ -201,7 +200,7 @@ class Outbox:
             )
 
     def oldest_ns(self) -> int | None:
-        """Stamp of the oldest frame; None: nothing waits."""
+        """Return the stamp of the oldest frame; None: nothing waits."""
         with named_errors(str(self._path)):
             (oldest,) = self._db.execute("SELECT min(stamp_ns) FROM frames").fetchone()
         return None if oldest is None else int(oldest)
@@ -240,7 +239,7 @@ class Outbox:
         return frames
 
     def _opened(self) -> sqlite3.Connection:
-        """A sound database; a damaged one is put aside, for what it held cannot be sent."""
+        """Return a sound database; a damaged one is put aside, for what it held cannot be sent."""
         try:
             return _connect(self._path)
         except _DamagedError as error:
@@ -261,7 +260,7 @@ class _DamagedError(ConfigError):
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Raises _DamagedError, ConfigError for a file of another program, which stays as it is, StoreError."""
+    """Raise _DamagedError, ConfigError for a file of another program, which stays as it is, StoreError."""
     try:
         if path.exists() and path.stat().st_size:
             _check_header(path)

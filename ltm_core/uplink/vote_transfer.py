@@ -59,7 +59,7 @@ class VoteTransfer:
         self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:
-        """The votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
+        """Return the votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
 
         `votes`: on `source`.
         """
@@ -81,7 +81,8 @@ class VoteTransfer:
         return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
 
     def _turn(self, votes: CellVotes) -> Float64Array:
-        """(N,) radians from a bearing of the tower's grid to that of the region's: the difference of convergences.
+        """Return (N,) radians from a bearing of the tower's grid to that of the region's: the difference of
+        convergences.
 
         Raises MessageError where the tower's CRS has none there.
         """

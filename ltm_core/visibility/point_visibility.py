@@ -22,7 +22,7 @@ from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, OVER_KNOWN
 
 
 def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:
-    """The directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
+    """Return the directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
 
     A ray of slope s stands at z0 + s r + bend r^2 over horizontal range r (`geodesy.ray_bend`), so a point seems lower
     than it is by bend r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant
@@ -39,7 +39,7 @@ def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> 
 
 
 def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
-    """Unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
+    """Return the unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
 
     NaN where the distortion cannot be inverted, as in `Camera.rays`.
     """
@@ -109,8 +109,8 @@ class PointVisibility:
         self._beyond = possible.steepest, highest_possible(dem, possible)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
-        """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
-        hangs on unknown ground: a hole's ceiling is in the way, or nothing known is but the way leaves the DEM.
+        """Return how far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where
+        that hangs on unknown ground: a hole's ceiling is in the way, or nothing known is but the way leaves the DEM.
 
         Raises PoseError where the origin is under the ground or not finite.
         """
@@ -146,7 +146,8 @@ class PointVisibility:
         return lift, (came_to & BY_CEILING > 0) | nothing_known | np.isnan(slopes)
 
     def visible(self, camera: Camera, pose: Pose, points: ArrayLike, tolerance: float = TOLERANCE) -> Visibility:
-        """Pixels and states of map points (N, 3). A point is visible when raising it by `tolerance` metres shows it."""
+        """Return the pixels and states of map points (N, 3). A point is visible when raising it by `tolerance` metres
+        shows it."""
         targets = np.asarray(points, np.float64)
         lift, unknown = self.lifts(pose.position, targets)
         pixels = project(camera, pose, targets, self.bend)
@@ -157,12 +158,12 @@ class PointVisibility:
 
 
 def project(camera: Camera, pose: Pose, points: ArrayLike, bend: float) -> Float64Array:
-    """Pixels (..., 2) of map points (..., 3) under curvature and refraction; NaN behind the camera."""
+    """Return the pixels (..., 2) of map points (..., 3) under curvature and refraction; NaN behind the camera."""
     return camera.project(line_of_sight_vectors(pose.position, points, bend) @ pose.rotation)
 
 
 def in_image(camera: Camera, pixels: Float64Array) -> BoolArray:
-    """Which places (..., 2) lie on the image, its outermost pixels' outer edges included; NaN does not."""
+    """Return which places (..., 2) lie on the image, its outermost pixels' outer edges included; NaN does not."""
     u, v = pixels[..., 0], pixels[..., 1]
     inside = (u >= -0.5) & (v >= -0.5) & (u <= camera.width - 0.5) & (v <= camera.height - 0.5)
     return np.asarray(inside, np.bool_)

@@ -55,7 +55,7 @@ class LabelHead:
 
     @property
     def maps(self) -> tuple[str, ...]:
-        """Names of the maps that it reads."""
+        """Return the names of the maps that it reads."""
         return tuple(self.weights)
 
     def add_to(self, scores: Float32Array, maps: Sequence[Float32Array]) -> None:
@@ -118,7 +118,7 @@ class LabelHeadFile(StrictModel):
 
 
 def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
-    """The label head of a file, for the network of a manifest, and all that the file says.
+    """Return the label head of a file, for the network of a manifest, and all that the file says.
 
     Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
     """
@@ -161,7 +161,7 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
 
 
 def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = None) -> Path | None:
-    """The file of a camera's label head; None for the network's own, `landscape`.
+    """Return the file of a camera's label head; None for the network's own, `landscape`.
 
     `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
     the user taught. Raises ModelError with every place looked at.
@@ -183,14 +183,15 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
 
 
 def places_of_label_heads(manifest: NetworkManifest, site: Path | None) -> list[Path]:
-    """The folders that label heads of a network are looked for in, the first one first: `site` (a site's), beside the
-    manifest, among what the user taught."""
+    """Return the folders that label heads of a network are looked for in, the first one first: `site` (a site's),
+    beside the manifest, among what the user taught."""
     beside = dict.fromkeys([manifest.folder, added_folder()])
     return [*([] if site is None else [site]), *(label_heads_folder(manifest, folder) for folder in beside)]
 
 
 def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
-    """Where label heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
+    """Return where label heads of a network lie, below the folder of its manifest or, by default, of the user's own
+    models."""
     return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
 
 

@@ -1,4 +1,4 @@
-"""Finds the corners of pictures that a lens's hood covers: smooth, of one colour, cut off by an arc, in all frames.
+"""Finds the corners of images that a lens's hood covers: smooth, of one colour, cut off by an arc, in all frames.
 
 Of a single frame a dark slope in the corner looks alike, or a piece of sky; over frames in other light the hood alone
 keeps its edge. What is found is proposed, and a person confirms it.
@@ -44,7 +44,7 @@ class LensCorner:
 
 
 def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
-    """Of pictures (H, W, 3) RGB of one camera, some 640 pixels wide; deterministic."""
+    """Of images (H, W, 3) RGB of one camera, some 640 pixels wide; deterministic."""
     labs = [_lab(frame) for frame in frames]
     found = []
     for up in (True, False):
@@ -88,7 +88,7 @@ def _top_left(labs: Sequence[Float32Array]) -> LensCorner | None:
 
 
 def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> LensCorner | None:
-    """The region of one colour in the top left corner, if it is one that a hood would have."""
+    """Return the region of one colour in the top left corner, if it is one that a hood would have."""
     height, width = near.shape
     # Letters on the hood are closed; thin bridges to the sky are cut.
     size = max(3, round(0.012 * width))
@@ -118,7 +118,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     if arc is None:
         return None
     middle, radius, residual = arc
-    # The picture's middle lies on the inner side of the arc, and it bends about it.
+    # The image's middle lies on the inner side of the arc, and it bends about it.
     inside = np.hypot(width / 2 - middle[0], height / 2 - middle[1]) < radius
     if not inside or residual > _MOST_RESIDUAL * width or not 0.25 * width < radius < 3.0 * width:
         return None
@@ -132,7 +132,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
 
 
 def _arc(points: Float64Array) -> tuple[Float64Array, float, float] | None:
-    """Middle (u, v), radius and mean residual of a circle through points (N, 2), by least squares."""
+    """Return the middle (u, v), radius and mean residual of a circle through points (N, 2), by least squares."""
     matrix = np.column_stack([2 * points, np.ones(len(points))])
     solution = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
     square = solution[2] + solution[0] ** 2 + solution[1] ** 2

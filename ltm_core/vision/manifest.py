@@ -66,14 +66,14 @@ class InputSpec(StrictModel):
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Shape of the input tensor."""
+        """Return the shape of the input tensor."""
         if self.layout == "NCHW":
             return (1, 3, self.height, self.width)
         return (1, self.height, self.width, 3)
 
 
 class CoarseLook(StrictModel):
-    """A second look at the whole picture, at this size, whose scores of land count by `share` (`tiling`). The
+    """A second look at the whole image, at this size, whose scores of land count by `share` (`tiling`). The
     network's file must take inputs of both sizes."""
 
     width: int = Field(gt=0)
@@ -81,21 +81,21 @@ class CoarseLook(StrictModel):
     share: float = Field(gt=0, lt=1)
 
     def image(self, first: InputSpec) -> InputSpec:
-        """What the network takes for it, where it takes `first` for the first look."""
+        """Return what the network takes for it, where it takes `first` for the first look."""
         return first.model_copy(update={"width": self.width, "height": self.height})
 
 
 class Withdrawal(StrictModel):
     """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
     *tree* where the photo's local contrast is lower (`label_rules.contrast`), as of hazy far slopes, where the
-    picture shows more shrub than tree. 0: none."""
+    image shows more shrub than tree. 0: none."""
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
     tree_contrast: float = Field(default=0.0, ge=0)
 
     @property
     def any(self) -> bool:
-        """Whether anything is withdrawn."""
+        """Return whether anything is withdrawn."""
         return self.confidence > 0 or self.tree_contrast > 0
 
 
@@ -129,7 +129,7 @@ class OutputSpec(StrictModel):
 
     @property
     def is_depth(self) -> bool:
-        """Whether the output is a depth and not labels."""
+        """Return whether the output is a depth and not labels."""
         return self.kind in DEPTH_KINDS
 
     @model_validator(mode="after")
@@ -244,7 +244,8 @@ class NetworkManifest(StrictModel):
         return cls.load(path)
 
     def serving(self, head: str) -> NetworkManifest:
-        """The network that answers where a camera has this head: itself, or the one whose heads it takes (`heads_of`).
+        """Return the network that answers where a camera has this head: itself, or the one whose heads it takes
+        (`heads_of`).
 
         Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
         """
@@ -252,24 +253,26 @@ class NetworkManifest(StrictModel):
 
     @property
     def folder(self) -> Path:
-        """Folder of the manifest file: where its relative paths start."""
+        """Return the folder of the manifest file: where its relative paths start."""
         return self._folder
 
     @property
     def label_columns(self) -> int:
-        """How many columns of labels a photo gets at least: such networks answer for every second pixel of their input,
-        and what fills the photo between them is interpolated."""
+        """Return how many columns of labels a photo gets at least: such networks answer for every second pixel of their
+        input, and what fills the photo between them is interpolated."""
         return max(1, self.input.width // 2)
 
     def model_file(self) -> Path:
-        """Path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare name.
+        """Return the path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare
+        name.
 
         Raises ModelError with every place looked at.
         """
         return self._located(self.file)
 
     def text_file(self) -> Path:
-        """Path of the words' embeddings, found as the network is. Raises ModelError; also where there are none."""
+        """Return the path of the words' embeddings, found as the network is. Raises ModelError; also where there are
+        none."""
         if self.text is None:
             raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
         return self._located(self.text.file)
@@ -291,23 +294,23 @@ class NetworkManifest(StrictModel):
 
 
 def models_folder() -> Path:
-    """Folder of the manifests that ship with the system."""
+    """Return the folder of the manifests that ship with the system."""
     return config_path("labels.yaml").parent / "models"
 
 
 def shipped_names() -> list[str]:
-    """Names of the manifests in `config/models`, sorted."""
+    """Return the names of the manifests in `config/models`, sorted."""
     return _names(models_folder())
 
 
 def added_folder() -> Path:
-    """Folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
+    """Return the folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
     return Path(data) / "ltm" / "models"
 
 
 def added_names() -> list[str]:
-    """Names of the models that a user added, sorted."""
+    """Return the names of the models that a user added, sorted."""
     return _names(added_folder())
 
 

@@ -36,7 +36,7 @@ _LEAST_FRAMES = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """`hidden`: (H, W) bool at the pictures' size. `kind`: lens, caption, or the class of a drawn area."""
+    """`hidden`: (H, W) bool at the images' size. `kind`: lens, caption, or the class of a drawn area."""
 
     kind: str
     hidden: BoolArray
@@ -65,8 +65,8 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
 
 
 def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tuple[int, int]) -> list[Proposal]:
-    """Of areas that a person has drawn, in their order, in pictures of this size (H, W), those that hide the landscape:
-    of no class of `names`. What was drawn or erased over them later, in the same picture, is no part of them."""
+    """Of areas that a person has drawn, in their order, in images of this size (H, W), those that hide the landscape:
+    of no class of `names`. What was drawn or erased over them later, in the same image, is no part of them."""
     found: list[tuple[NamedArea, UInt8Array]] = []
     for area in areas:
         drawn = np.zeros(shape, np.uint8)
@@ -98,7 +98,7 @@ def _at(hidden: BoolArray, shape: tuple[int, ...]) -> BoolArray:
 
 
 def _caption_strips(frames: Sequence[UInt8Array]) -> list[BoolArray]:
-    """(H, W) each, of pictures (H, W, 3) RGB of one camera at their own size."""
+    """Return (H, W) each, of images (H, W, 3) RGB of one camera at their own size."""
     height, width = frames[0].shape[:2]
     rows = max(8, round(_STRIP * height))
     strips = []
@@ -128,7 +128,7 @@ def _strokes(strip: UInt8Array) -> BoolArray:
 
 
 def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
-    """First and last row, first and last column of the letters, where there are any."""
+    """Return the first and last row, first and last column of the letters, where there are any."""
     share: Float64Array = strokes.mean(axis=1)
     busy = share > _LEAST_ROW
     if not busy.any():

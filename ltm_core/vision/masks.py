@@ -1,6 +1,6 @@
 """Mask the pixels of a camera that never show the landscape, for each of its views.
 
-The masks of a turning camera's views: which one belongs to a picture, by where the camera looked.
+The masks of a turning camera's views: which one belongs to an image, by where the camera looked.
 
 What stands still before the lens of a turning camera, its own mast or a roof, lies elsewhere in each view. A mask drawn
 in one view holds where the camera looks there again, with the lens as wide; anywhere else it would hide what is seen.
@@ -100,7 +100,7 @@ class CameraMask:
 
     @classmethod
     def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
-        """Raises ConfigError, too, where a polygon lies beside a picture of this size."""
+        """Raise ConfigError, too, where a polygon lies beside an image of this size."""
         drawn = np.zeros((height, width), np.uint8)
         for number, polygon in enumerate(polygons):
             points = np.array(polygon.polygon, np.float64)
@@ -114,16 +114,16 @@ class CameraMask:
 
     @cached_property
     def share(self) -> float:
-        """Of the picture."""
+        """Of the image."""
         return float(self.hidden.mean())
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Return (width, height)."""
         return self.hidden.shape[1], self.hidden.shape[0]
 
     def check_size(self, width: int, height: int) -> None:
-        """Raises ConfigError where the camera's pictures have another size."""
+        """Raise ConfigError where the camera's images have another size."""
         if self.size != (width, height):
             raise ConfigError(
                 f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
@@ -138,9 +138,9 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 
 
 def read_mask(path: Path, place: str) -> CameraMask:
-    """A PNG of one channel in which all but 0 is masked. `place`: the key that names it, for errors.
+    """Return a PNG of one channel in which all but 0 is masked. `place`: the key that names it, for errors.
 
-    Raises ConfigError: no such picture, another format, colours or an alpha channel, nothing or everything masked.
+    Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked.
     """
     try:
         with open_picture(path) as (source, _):
@@ -173,7 +173,7 @@ the width."""
 
 @dataclass(frozen=True)
 class Looking:
-    """Where a picture was taken to: azimuth and pitch of the optical axis, and how wide the lens was, degrees."""
+    """Where an image was taken to: azimuth and pitch of the optical axis, and how wide the lens was, degrees."""
 
     azimuth_deg: float
     pitch_deg: float
@@ -188,7 +188,7 @@ class Looking:
         return f"azimuth {self.azimuth_deg:.1f}, pitch {self.pitch_deg:.1f}, {self.hfov_deg:.1f} deg wide"
 
     def off_deg(self, view: ViewMask) -> float:
-        """Angle between the optical axes; infinite where the lens is not as wide as the view's."""
+        """Return the angle between the optical axes; infinite where the lens is not as wide as the view's."""
         if view.hfov_deg is not None and abs(self.hfov_deg / view.hfov_deg - 1) > _ZOOM:
             return math.inf
         turned = math.radians(self.azimuth_deg - view.azimuth_deg)
@@ -209,18 +209,18 @@ class ViewMasks:
                 make(*size)
 
     def at(self, looking: Looking) -> ViewMask | None:
-        """The nearest of those views that look there; None: none does."""
+        """Return the nearest of those views that look there; None: none does."""
         off = {view: looking.off_deg(view) for view in self._views}
         near = [view for view, angle in off.items() if angle <= view.within_deg]
         return min(near, key=off.__getitem__, default=None)
 
     def mask(self, view: ViewMask, width: int, height: int) -> CameraMask:
-        """Raises ConfigError where it cannot be of this size."""
+        """Raise ConfigError where it cannot be of this size."""
         return self._views[view](width, height)
 
 
 def packed(mask: CameraMask) -> MakeMask:
-    """What makes a mask that was read: for its own size alone. Kept as bits, for a patrol has many views."""
+    """Return what makes a mask that was read: for its own size alone. Kept as bits, for a patrol has many views."""
     size, place = mask.size, mask.place
     bits: UInt8Array = np.packbits(mask.hidden)
 

@@ -2,8 +2,8 @@
 
 Runs of one network file that several ask for: what one of them computes for the others is kept until they come.
 
-A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for a picture has all
-of it computed that others in this process ask this file for; they take their part when they bring the same picture.
+A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for an image has all
+of it computed that others in this process ask this file for; they take their part when they bring the same image.
 """
 
 from __future__ import annotations
@@ -43,12 +43,13 @@ class SharedRuns:
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
 
     def join(self, owner: object, output: str) -> None:
-        """`owner` will ask for `output` as long as it lives."""
+        """Return `owner` will ask for `output` as long as it lives."""
         with self._lock:
             self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
-        """These outputs of a picture's tensor, which nobody changes meanwhile; `compute` gives those of its names."""
+        """Return these outputs of an image's tensor, which nobody changes meanwhile; `compute` gives those of its
+        names."""
         with self._lock:
             others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
@@ -83,7 +84,7 @@ class OnnxModel:
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
     what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
-    picture is run once for all of them (`shared_runs`).
+    image is run once for all of them (`shared_runs`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs.
@@ -133,7 +134,7 @@ class OnnxModel:
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
 
-        `part`: of a picture, or another size of it, which nobody else will ask for. Raises ModelError where the file
+        `part`: of an image, or another size of it, which nobody else will ask for. Raises ModelError where the file
         gives something else by such a name.
         """
         names = [self._output_name, *maps]
@@ -148,7 +149,7 @@ class OnnxModel:
         return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, {self._input_name: tensor}))
 
     def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
-        """Raises ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
+        """Raise ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
         try:
             return list(self._session.run(outputs, feed, self._options))
         except Exception as reason:  # of the runtime's errors, which have no common base
@@ -225,7 +226,7 @@ class OnnxModel:
 
 @cache
 def _share_arena() -> None:
-    """One heap for the tensors within all networks of this process.
+    """Return one heap for the tensors within all networks of this process.
 
     Else each session keeps as much as its runs at once took, though a thread runs one network after the other. With the
     same blocks for all, and taken as each tensor comes instead of one block for a run, two networks of 640 x 352 keep
@@ -258,7 +259,7 @@ def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
 
 
 def _one_channel(shape: list[int | str | None], layout: str) -> bool:
-    """Whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
+    """Return whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
     if len(shape) == 4:
         channels = shape[1 if layout == "NCHW" else 3]
         return not isinstance(channels, int) or channels == 1
@@ -266,19 +267,20 @@ def _one_channel(shape: list[int | str | None], layout: str) -> bool:
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
-    """Whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
+    """Return whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
     return len(found) == len(expected) and all(
         not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
     )
 
 
 def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect."""
+    """Return the photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect."""
     return as_tensor(fitted(image, spec), spec)
 
 
 def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
-    """Photo (H, W, 3) uint8 RGB in the network's size. Shrinks by area (no aliasing), enlarges bilinearly."""
+    """Return the photo (H, W, 3) uint8 RGB in the network's size. Shrinks by area (no aliasing), enlarges
+    bilinearly."""
     height, width = image.shape[:2]
     if (width, height) == (spec.width, spec.height):
         return image
@@ -288,7 +290,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
 
 
 def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Photo (height, width, 3) uint8 RGB of the network's size -> the tensor that it takes."""
+    """Return the photo (height, width, 3) uint8 RGB of the network's size -> the tensor that it takes."""
     if spec.channels == "bgr":
         image = image[..., ::-1]
     planar = spec.layout == "NCHW"

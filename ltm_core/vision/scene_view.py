@@ -1,4 +1,4 @@
-"""What of a camera's picture shows the landscape: the one place that decides it, for labels, depth, poses and votes."""
+"""What of a camera's image shows the landscape: the one place that decides it, for labels, depth, poses and votes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ltm_core.vision.usable import Unusable, Usability, judge
 @dataclass(frozen=True, eq=False)
 class SceneView:
     """`hidden`: (H, W) bool, True where something else stands before the landscape; None: nowhere. `usability`: whether
-    the picture shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was.
-    `smoke`: share of the picture in which smoke hides the land."""
+    the image shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was.
+    `smoke`: share of the image in which smoke hides the land."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
@@ -30,23 +30,23 @@ class SceneView:
 
     @property
     def reason(self) -> Unusable | None:
-        """Why nothing of the picture is used; None: it is."""
+        """Return why nothing of the image is used; None: it is."""
         return None if self.usability is None else self.usability.reason
 
     @property
     def unusable(self) -> str:
-        """`reason` in words; empty where the picture is used."""
+        """Return `reason` in words; empty where the image is used."""
         return "" if self.usability is None else self.usability.said
 
     @property
     def doubtful(self) -> BoolArray | None:
-        """A grid (rows, columns) over the picture: where it is burnt out or black; None: nowhere."""
+        """Return a grid (rows, columns) over the image: where it is burnt out or black; None: nowhere."""
         if self.usability is None or not self.usability.doubtful.any():
             return None
         return self.usability.doubtful
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
-        """Take labels (H, W) and their confidence (H, W) away, in place: where the landscape is not seen, of a picture
+        """Take labels (H, W) and their confidence (H, W) away, in place: where the landscape is not seen, of an image
         that is not used, and of land where it is burnt out or black."""
         if self.reason is None and self.hidden is None and self.doubtful is None:
             return
@@ -62,10 +62,10 @@ class SceneView:
 
 
 class SceneFilter:
-    """Says of each picture of a camera what of it shows the landscape.
+    """Says of each image of a camera what of it shows the landscape.
 
-    `make`: the camera's mask, that of all its views; None: it has none. `size`: of its pictures, where it is known
-    beforehand. `judged`: whether pictures are judged usable. `views`: masks of single views besides. `place`: longitude
+    `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
+    beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
     and latitude of the site, radians, by which it is told how high the sun stood; None: that is not asked.
     """
 
@@ -85,17 +85,17 @@ class SceneFilter:
     @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
         """With the mask of a PNG; `place`: what names it in errors. Raises ConfigError as `read_mask`, and where it
-        does not have the pictures' size."""
+        does not have the images' size."""
         make, own = mask_maker(path, place)
         return cls(make, size or own, judged)
 
     @property
     def by_view(self) -> bool:
-        """Whether what is hidden hangs on where the camera looks."""
+        """Return whether what is hidden hangs on where the camera looks."""
         return self._views is not None
 
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
-        """(H, W) bool, what is masked in pictures of this size that look there (None: wherever they look); None:
+        """Return (H, W) bool, what is masked in images of this size that look there (None: wherever they look); None:
         nothing. Raises ConfigError."""
         view = None if self._views is None or looking is None else self._views.at(looking)
         if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
@@ -103,7 +103,7 @@ class SceneFilter:
         common = None if self.mask is None else self.mask.hidden
         if view is None or self._views is None:
             return common
-        # A camera dwells at a view: its mask is made once for all pictures of the stay.
+        # A camera dwells at a view: its mask is made once for all images of the stay.
         seen = self._seen
         if seen is None or seen[0] != view.name or seen[1].shape != (height, width):
             own = self._views.mask(view, width, height).hidden
@@ -111,8 +111,8 @@ class SceneFilter:
         return seen[1]
 
     def judge(self, picture: UInt8Array, hidden: BoolArray | None, stamp_ns: int | None) -> Usability | None:
-        """Of a picture (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: when it was taken,
-        None: nobody knows. None: pictures are not judged. Raises ImageError for another shape."""
+        """Of an image (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: when it was taken,
+        None: nobody knows. None: images are not judged. Raises ImageError for another shape."""
         if not self._judged:
             return None
         sun_deg = None
@@ -122,7 +122,7 @@ class SceneFilter:
         return judge(picture, hidden, sun_deg)
 
     def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
-        """Of a picture (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
+        """Of an image (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
         mask is for another size, ImageError for another shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
             raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
@@ -137,7 +137,7 @@ class SceneFilter:
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
-    """What makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
+    """Return what makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
     if not isinstance(config, Path):
         return partial(CameraMask.of_polygons, config, place=place), None
     read = read_mask(config, place)

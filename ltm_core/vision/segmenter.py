@@ -87,7 +87,8 @@ class Segmenter:
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
     ) -> "Segmenter":
-        """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
+        """Return a segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or
+        path.
 
         With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for
         the head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
@@ -98,18 +99,18 @@ class Segmenter:
 
     @property
     def name(self) -> str:
-        """What labels, for tables."""
+        """Return what labels, for tables."""
         return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
 
     @property
     def withdrawal(self) -> Withdrawal:
-        """Which labels are left out."""
+        """Return which labels are left out."""
         own = self.manifest.output.withdraw if self.head is None else self.head.withdraw
         return own.model_copy(update=dict(self.withdraw_otherwise))
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
+        """Return what labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
         ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
         head = self.head
@@ -119,11 +120,11 @@ class Segmenter:
 
     @property
     def model_path(self) -> Path:
-        """The network file in use."""
+        """Return the network file in use."""
         return self._model.path
 
     def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
-        """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
+        """Return the label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
         strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
@@ -160,8 +161,8 @@ class Segmenter:
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
     def logits(self, image: UInt8Array) -> Float32Array:
-        """The scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by the head
-        and averaged with the coarse look's, before any temperature, at the network's resolution.
+        """Return the scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by
+        the head and averaged with the coarse look's, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
@@ -171,14 +172,14 @@ class Segmenter:
         return self._of_whole(image, *self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
-        that its manifest states: what a head is taught from. Raises as `logits` does."""
+        """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
+        h', w') that its manifest states: what a head is taught from. Raises as `logits` does."""
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
 
     def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a head
-        may read."""
+        """Return the network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a
+        head may read."""
         return self._run(image, () if self.head is None else self.head.maps, part)
 
     def _run(
@@ -190,7 +191,7 @@ class Segmenter:
         return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Scores (K, h, w) of a whole picture, corrected by its head and averaged with the coarse look's."""
+        """Return the scores (K, h, w) of a whole image, corrected by its head and averaged with the coarse look's."""
         scores = self._corrected(scores, maps)
         look = self.manifest.coarse_look
         if look is None:
@@ -200,22 +201,23 @@ class Segmenter:
         return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Scores (K, h, w), corrected in place by the head where there is one."""
+        """Return the scores (K, h, w), corrected in place by the head where there is one."""
         if self.head is not None:
             self.head.add_to(scores, [maps[name] for name in self.head.maps])
         return scores
 
     def _tile(self, image: UInt8Array) -> Float32Array:
-        """Probabilities of a part of a photo, with the photo's head."""
+        """Return the probabilities of a part of a photo, with the photo's head."""
         return self._label_probabilities(self._corrected(*self._answer(image, part=True)))
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
-        """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
+        """Return the probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits`
+        does."""
         probabilities = self._probabilities(self.logits(image))
         return dict(zip(self.classes, probabilities, strict=True))
 
     def _scores(self, output: npt.NDArray[Any], image: UInt8Array) -> Float32Array:
-        """Network output of a photo, `image` in the network's size -> (K, h, w), checked."""
+        """Return the network output of a photo, `image` in the network's size -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
         scores = np.ascontiguousarray(scores, dtype=np.float32)
@@ -232,7 +234,7 @@ class Segmenter:
         return scores if self._text is None else self._text.scores(scores)
 
     def _probabilities(self, scores: Float32Array) -> Float32Array:
-        """Scores (K, h, w) -> probabilities of the network's classes."""
+        """Return the scores (K, h, w) -> probabilities of the network's classes."""
         if self.manifest.output.kind in ("logits", "embeddings"):
             temperature = self.manifest.output.temperature if self.head is None else self.head.temperature
             scores = scores * np.float32(1.0 / temperature)
@@ -247,14 +249,15 @@ class Segmenter:
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
     def _label_probabilities(self, scores: Float32Array) -> Float32Array:
-        """Scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
+        """Return the scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
         probabilities = self._probabilities(scores)
         count, rows, cols = probabilities.shape
         grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
 
     def _grouped(self, scores: Float32Array) -> Float32Array:
-        """Sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for cores."""
+        """Return the sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for
+        cores."""
         grouped = np.zeros((len(self._group_labels), scores.shape[1]), np.float32)
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score

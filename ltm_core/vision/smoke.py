@@ -1,11 +1,11 @@
 """Tells smoke before the land: where a camera saw the land's own pattern a while ago, and now something pale without.
 
-Smoke looks as a cloud or a pale slope does in one picture, so each picture is compared with earlier ones of the same
+Smoke looks as a cloud or a pale slope does in one image, so each image is compared with earlier ones of the same
 view. The land's pattern comes back under any exposure; in a cloud of smoke it does not. What is new on the land and
 stays, a felled stand, say, looks like smoke too at first, but it has a pattern that comes back: from one remembered
-picture of it on, it is land again.
+image of it on, it is land again.
 
-Pictures of another view, or of another light, do not agree with the present one and are left out; where none agrees,
+Images of another view, or of another light, do not agree with the present one and are left out; where none agrees,
 nothing is told.
 The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/masks.md).
 """
@@ -64,7 +64,7 @@ _WIDER: Final = 6
 
 @dataclass(frozen=True, eq=False)
 class _SmokeFrame:
-    """A picture at `at_s` seconds. `grey`: (h, w) uint8; `land`: (h, w) bool; `coarse`: (h / 4, w / 4), its pattern."""
+    """An image at `at_s` seconds. `grey`: (h, w) uint8; `land`: (h, w) bool; `coarse`: (h / 4, w / 4), its pattern."""
 
     at_s: float
     grey: UInt8Array
@@ -97,13 +97,13 @@ class _Kept:
 
     @property
     def land(self) -> BoolArray:
-        """(h, w) bool."""
+        """Return (h, w) bool."""
         return np.unpackbits(self.packed_land, count=self.grey.size).view(np.bool_).reshape(self.grey.shape)
 
 
 class _Places:
-    """Memory for `REMEMBERED` pictures, taken with the first one and used in turn: a camera shall need in three hours
-    what it needs at once. 2.9 MB where pictures are 16 to 9, 3.8 MB at 4 to 3."""
+    """Memory for `REMEMBERED` images, taken with the first one and used in turn: a camera shall need in three hours
+    what it needs at once. 2.9 MB where images are 16 to 9, 3.8 MB at 4 to 3."""
 
     def __init__(self) -> None:
         self._bytes = np.empty((REMEMBERED, 0), np.uint8)
@@ -114,7 +114,7 @@ class _Places:
         return self._bytes.nbytes
 
     def keep(self, seen: _SmokeFrame) -> _Kept:
-        """In the place of the one that was kept `REMEMBERED` pictures ago. One that is larger than the first gets a
+        """In the place of the one that was kept `REMEMBERED` images ago. One that is larger than the first gets a
         place of its own."""
         packed = np.packbits(seen.land)
         # Numbers of four bytes first, for they must begin at a multiple of four.
@@ -132,7 +132,7 @@ class _Places:
 
 
 class SmokeMemory:
-    """What a camera saw of its land in the last hours: it tells smoke in later pictures, in their order."""
+    """What a camera saw of its land in the last hours: it tells smoke in later images, in their order."""
 
     def __init__(self) -> None:
         self._seen: deque[_Kept] = deque(maxlen=REMEMBERED)
@@ -140,13 +140,13 @@ class SmokeMemory:
 
     @property
     def nbytes(self) -> int:
-        """That it holds, all of it from the first picture on."""
+        """That it holds, all of it from the first image on."""
         return self._places.nbytes
 
     def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
-        """(H, W) bool, where smoke hides the land in a picture (H, W, 3) RGB taken at `at_s`; None: nowhere that could
-        be told. `labels`: (H, W), what was taken for land is remembered as such. A picture from before the last one
-        is judged, and not remembered; one from hours before begins anew, for a clock was set."""
+        """Return (H, W) bool, where smoke hides the land in an image (H, W, 3) RGB taken at `at_s`; None: nowhere that
+        could be told. `labels`: (H, W), what was taken for land is remembered as such. An image from before the last
+        one is judged, and not remembered; one from hours before begins anew, for a clock was set."""
         now = _SmokeFrame.of(picture, labels, at_s)
         if self._seen and at_s < self._seen[-1].at_s - OLDEST_S:
             self._seen.clear()
@@ -185,7 +185,7 @@ class SmokeMemory:
 
 @dataclass(frozen=True, eq=False)
 class _Pattern:
-    """A picture and, of the grey levels around each pixel, their mean and variance: (h, w) each."""
+    """An image and, of the grey levels around each pixel, their mean and variance: (h, w) each."""
 
     grey: Float32Array
     mean: Float32Array
@@ -200,7 +200,7 @@ class _Pattern:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """The present picture against an earlier one, (h, w) each. `correlation` of their patterns; `deviation`: how much
+    """The present image against an earlier one, (h, w) each. `correlation` of their patterns; `deviation`: how much
     pattern there was; `brighter`: grey levels, exposure left aside; `land`: there was. `agrees`: share of the land."""
 
     correlation: Float32Array
@@ -211,7 +211,7 @@ class _Pair:
 
 
 def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
-    """Whether they may be: a first look, that of `_compare` is the one that counts."""
+    """Return whether they may be: a first look, that of `_compare` is the one that counts."""
     if one.grey.shape != other.grey.shape:
         return False
     scale = float(np.linalg.norm(one.coarse) * np.linalg.norm(other.coarse))
@@ -219,7 +219,7 @@ def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
 
 
 def _newest_and_others(could: list[_Kept]) -> list[_Kept]:
-    """At most so many that each picture stays cheap: the newest, and others spread over the rest."""
+    """At most so many that each image stays cheap: the newest, and others spread over the rest."""
     if len(could) <= 2 * COMPARED:
         return could
     places = np.linspace(0, len(could) - 1, 2 * COMPARED).round().astype(int)
@@ -254,7 +254,7 @@ def _around(values: Float32Array) -> Float32Array:
 
 
 def _clouds(rough: UInt8Array) -> BoolArray:
-    """Connected areas that are large enough, widened."""
+    """Return the connected areas that are large enough, widened."""
     _, parts, statistics, _ = cv2.connectedComponentsWithStats(rough)
     large = statistics[:, cv2.CC_STAT_AREA] >= _LEAST * rough.size
     large[0] = False

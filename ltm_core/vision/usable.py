@@ -1,7 +1,7 @@
-"""Judges whether a picture shows enough of the landscape to be used, and where it does not, cheaply.
+"""Judges whether an image shows enough of the landscape to be used, and where it does not, cheaply.
 
-By night, at dusk, in fog, in glare, with a blank or a blurred picture, a network names what it was taught to see. Such
-a picture does not vote. The judgement is of one picture, reduced to some 480 columns, and of how high the sun stood: a
+By night, at dusk, in fog, in glare, with a blank or a blurred image, a network names what it was taught to see. Such
+an image does not vote. The judgement is of one image, reduced to some 480 columns, and of how high the sun stood: a
 few milliseconds at most.
 
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
@@ -49,7 +49,7 @@ _REGION = 0.6
 
 
 class Unusable(StrEnum):
-    """Why a picture shows too little."""
+    """Why an image shows too little."""
 
     BLANK = "blank"
     NIGHT = "night"
@@ -61,15 +61,15 @@ class Unusable(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Usability:
-    """`reason`: why the picture as a whole shows too little; None: it can be used. `doubtful`: (ROWS, COLUMNS) bool,
-    edge to edge over the picture: cells that are burnt out or black, so that nothing can be told there."""
+    """`reason`: why the image as a whole shows too little; None: it can be used. `doubtful`: (ROWS, COLUMNS) bool,
+    edge to edge over the image: cells that are burnt out or black, so that nothing can be told there."""
 
     reason: Unusable | None
     doubtful: BoolArray
 
     @property
     def said(self) -> str:
-        """In words; empty where the picture can be used."""
+        """In words; empty where the image can be used."""
         return "" if self.reason is None else _SAID[self.reason]
 
 
@@ -84,7 +84,7 @@ _SAID = {
 
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
-    """Of a picture (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
+    """Of an image (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
     `sun_deg`: how high the sun stood, degrees; None: nobody knows.
 
     Raises ImageError for another shape.

@@ -52,7 +52,7 @@ class Vocabulary:
 
     @cached_property
     def label_of(self) -> dict[str, str]:
-        """Each known word and the label it stands for; labels stand for themselves."""
+        """Return each known word and the label it stands for; labels stand for themselves."""
         words = {word: label for label, words in self.synonyms.items() for word in words}
         return words | {label: label for label in self.synonyms}
 
@@ -67,7 +67,7 @@ class QueryMatch:
 
 
 def parse_queries(text: str) -> list[str]:
-    """Comma-separated queries, trimmed, in lower case. Raises ConfigError for none, or one twice."""
+    """Return the comma-separated queries, trimmed, in lower case. Raises ConfigError for none, or one twice."""
     queries = [" ".join(part.lower().split()) for part in text.split(",")]
     queries = [query for query in queries if query]
     if not queries or len(set(queries)) != len(queries):
@@ -78,7 +78,8 @@ def parse_queries(text: str) -> list[str]:
 
 
 def read_queries(queries: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> list[QueryMatch]:
-    """What a network makes of each query. Raises ConfigError for a word that neither it nor the vocabulary knows."""
+    """Return what a network makes of each query. Raises ConfigError for a word that neither it nor the vocabulary
+    knows."""
     words = load_text(manifest).names if manifest.text is not None else manifest.classes
     readings: list[QueryMatch] = []
     taken: dict[str, str] = {}
@@ -118,7 +119,7 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
 def open_vocabulary(
     manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
 ) -> tuple[Segmenter, list[QueryMatch]]:
-    """A segmenter whose labels are the queries, in their order, and what was made of each.
+    """Return a segmenter whose labels are the queries, in their order, and what was made of each.
 
     Among a text network's words only the queries compete; another network's classes that answer no query stay
     unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.

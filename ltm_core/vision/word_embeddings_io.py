@@ -25,7 +25,7 @@ class TextEmbeddings:
     scale: float
 
     def only(self, words: Sequence[str] | None) -> TextEmbeddings:
-        """These words alone, in their order; all where None. Raises ModelError for a word that is not there."""
+        """Return these words alone, in their order; all where None. Raises ModelError for a word that is not there."""
         if words is None:
             return self
         absent = sorted(set(words) - set(self.names))
@@ -34,7 +34,7 @@ class TextEmbeddings:
         return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
 
     def scores(self, dense: Float32Array) -> Float32Array:
-        """`scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
+        """Return `scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
         length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
         # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
         cosine = np.einsum("kd,dhw->khw", self.vectors, dense) / np.maximum(length, 1e-12)
@@ -42,8 +42,8 @@ class TextEmbeddings:
 
 
 def load_text(manifest: NetworkManifest) -> TextEmbeddings:
-    """The text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than the
-    manifest states, a word twice, or one in `mapping` that is not there."""
+    """Return the text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than
+    the manifest states, a word twice, or one in `mapping` that is not there."""
     path, spec = manifest.text_file(), manifest.text
     if spec is None:
         raise ModelError(f"model {manifest.name!r} has no text embeddings")

@@ -25,19 +25,19 @@ Entry = tuple[int, str, Color]
 
 
 def style_path(raster: Path) -> Path:
-    """Where QGIS looks for the style of a raster."""
+    """Return where QGIS looks for the style of a raster."""
     return raster.with_suffix(".qml")
 
 
 def code_entries(codes: Int16Array) -> list[Entry]:
-    """The fuel models that occur, by code."""
+    """Return the fuel models that occur, by code."""
     names = fuel_models()
     found = np.unique(codes[codes != NODATA]).tolist()
     return [(code, f"{code} {names.name(code)}", code_color(code)) for code in found]
 
 
 def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -> Path:
-    """A style that shows a band's values by name. Raises ConfigError where it cannot be written."""
+    """Return a style that shows a band's values by name. Raises ConfigError where it cannot be written."""
     renderer = _renderer("paletted", band=str(band))
     palette = SubElement(renderer, "colorPalette")
     for value, label, color in entries:
@@ -53,7 +53,7 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
 
 
 def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
-    """A style that shows a band from black to white. Raises ConfigError where it cannot be written."""
+    """Return a style that shows a band from black to white. Raises ConfigError where it cannot be written."""
     renderer = _renderer("singlebandgray", grayBand=str(band), gradient="BlackToWhite")
     stretch = SubElement(renderer, "contrastEnhancement")
     for name, text in (
@@ -97,12 +97,13 @@ _NEVER: Final = "1970-01-01T00:00:00Z"
 
 
 def item_path(export: Path) -> Path:
-    """Where the item of an export stands: beside a file, inside a folder."""
+    """Return where the item of an export stands: beside a file, inside a folder."""
     return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
 
 
 def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> dict[str, Any]:
-    """The item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with `ltm:`."""
+    """Return the item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with
+    `ltm:`."""
     from rasterio.warp import transform_bounds
 
     west, south, east, north = (
@@ -146,7 +147,7 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
 
 
 def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
-    """Writes the item of an export. Raises ConfigError where it cannot be written."""
+    """Write the item of an export. Raises ConfigError where it cannot be written."""
     path = item_path(export)
     partial = path.with_name(f".{path.name}.partial")
     try:

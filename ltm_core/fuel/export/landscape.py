@@ -50,7 +50,7 @@ class Landscape:
     dropped: int = 0
 
     def terrain_note(self) -> str:
-        """What is to be told of heights that the site's terrain does not have; empty where it has all."""
+        """Return what is to be told of heights that the site's terrain does not have; empty where it has all."""
         parts = []
         if self.filled:
             parts.append(f"{self.filled} cells have the elevations of the prior map")
@@ -72,7 +72,7 @@ class Landscape:
 
 
 def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Float64Array, Float64Array]:
-    """Degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
+    """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
 
     Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
     north, FLAT where the ground is level; both are NaN beside unknown heights.
@@ -89,16 +89,15 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Floa
 
 
 def _steepest(east: Float64Array, south: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
+    """Return the slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
     slope = np.degrees(np.arctan(np.hypot(east, south)))
     aspect = np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
     return slope, aspect
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
-    """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where the
-    height is unknown. Where a neighbour's is, the slope from the cell's other side goes on to it.
-    """
+    """Return the elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA
+    where the height is unknown. Where a neighbour's is, the slope from the cell's other side goes on to it."""
     heights = np.asarray(padded, np.float64)
     slope, aspect = slope_and_aspect(heights, cell)
     own = heights[1:-1, 1:-1]
@@ -121,7 +120,7 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
 
 
 def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Int16Array:
-    """Cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
+    """Return the cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
     their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
@@ -149,7 +148,7 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClima
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, system: FuelSystem) -> Int16Array:
-    """The layers' codes in a system, of the fuel type that they have in their own.
+    """Return the layers' codes in a system, of the fuel type that they have in their own.
 
     Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk

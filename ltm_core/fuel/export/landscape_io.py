@@ -63,7 +63,7 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
 
 
 def lcp_header(landscape: Landscape, description: str = "") -> bytes:
-    """The header, 7316 bytes; see the module's source."""
+    """Return the header, 7316 bytes; see the module's source."""
     g = landscape.geometry
     to_degrees = Transformer.from_crs(g.crs, "EPSG:4326", always_xy=True)
     _, latitude = to_degrees.transform((g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2)
@@ -79,7 +79,7 @@ def lcp_header(landscape: Landscape, description: str = "") -> bytes:
 
 
 def _classes(band: Int16Array) -> bytes:
-    """Least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
+    """Return the least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
     values = np.unique(band[band != NODATA]).astype(int).tolist()
     if not values:
         return struct.pack("<103i", *[0] * 103)
@@ -117,7 +117,7 @@ _LAYER_UNITS: Final[Mapping[str, str]] = {
 def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
     """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it.
 
-    Raises RasterError for a landscape that they would refuse, ConfigError where it cannot be written.
+    Raises RasterError for a landscape that they would reject, ConfigError where it cannot be written.
     """
     path = Path(path)
     cells = landscape.geometry.width * landscape.geometry.height
@@ -166,7 +166,8 @@ def write_raster(
     colormap: Mapping[int, tuple[int, int, int]] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
-    """A GeoTIFF that appears whole or not at all, its bands named. Raises ConfigError where it cannot be written."""
+    """Return a GeoTIFF that appears whole or not at all, its bands named. Raises ConfigError where it cannot be
+    written."""
     import rasterio
 
     partial = path.with_name(f".{path.stem}.partial.tif")
@@ -188,7 +189,8 @@ def write_layers(
     tags: Mapping[str, str] | None = None,
     palette: LabelSet | None = None,
 ) -> None:
-    """Every layer as a Cloud Optimized GeoTIFF of its name, with its unit and a QGIS style; `palette`: of life forms.
+    """Return every layer as a Cloud Optimized GeoTIFF of its name, with its unit and a QGIS style; `palette`: of life
+    forms.
 
     Raises ConfigError where it cannot be written.
     """
@@ -222,7 +224,7 @@ def write_cog(
     tags: Mapping[str, str] | None = None,
     name: str = "",
 ) -> None:
-    """A Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
+    """Return a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
 
     Raises ConfigError where it cannot be written.
     """

@@ -81,12 +81,12 @@ class Provenance:
 
 
 def landscape_units() -> dict[str, str]:
-    """The unit of each band of a landscape, as tags."""
+    """Return the unit of each band of a landscape, as tags."""
     return {f"unit_{name}": unit for name, unit in zip(LANDSCAPE_BANDS, LANDSCAPE_UNITS, strict=True)}
 
 
 def surface_note(surface: SurfaceVersion) -> str:
-    """What is to be told of heights that views have confirmed."""
+    """Return what is to be told of heights that views have confirmed."""
     return (
         f"heights of surface {surface.version}, confirmed by views as of {iso_moment(surface.as_of_ns)}: "
         f"{surface.changed_share:.1%} of {surface.seen} terrain cells seen have changed"

@@ -29,7 +29,7 @@ def write_kmz(
     made: Provenance | None = None,
     shows: str = "life forms",
 ) -> None:
-    """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
+    """Return `picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
     (h, w, 3) stays in the screen's corner; `made`: what the viewer tells of it, and its time.
 
     Raises ConfigError where it cannot be written.
@@ -116,7 +116,8 @@ class FuelPoints:
 
 
 def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometry, labels: LabelSet) -> FuelPoints:
-    """The cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none is."""
+    """Return the cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none
+    is."""
     known = np.isfinite(heights) & (layers.life_form <= len(LifeForm)) & (layers.life_form > 0)
     if not known.any() or geometry.crs is None:
         raise ConfigError("no cell of the fuel map has a life form and a known height: there are no points to write")
@@ -134,9 +135,8 @@ def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometr
 
 
 def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
-    """Binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS and what it is of as
-    comments.
-    """
+    """Return the binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS and what it is
+    of as comments."""
     table = np.empty(
         len(points.xyz),
         [("xyz", "<f8", 3), ("rgb", "u1", 3), ("life_form", "u1"), ("code", "<i2")],

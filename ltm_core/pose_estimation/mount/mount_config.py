@@ -93,7 +93,7 @@ class MountConfig(PoseConfig):
 
 
 def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
-    """The section `mount` of a calibrated PTZ head, for YAML; its place in the frame's CRS."""
+    """Return the section `mount` of a calibrated PTZ head, for YAML; its place in the frame's CRS."""
     x, y, z = (float(v) for v in model.base.position)
     azimuth, pitch, roll = model.base.angles_deg
     angles = np.degrees(np.degrees(model.angle_covariance))
@@ -129,7 +129,7 @@ def _short(value: float) -> float:
 
 
 class PoseRefinementConfig(StrictModel):
-    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    """How the poses of mounted cameras are kept by their images; a site that has this section runs the node `pose`
     for each camera. Angles in degrees."""
 
     every: float = Field(10.0, ge=0)

@@ -1,8 +1,8 @@
 """Read landmarks and photos of a mount's presets; keep what the photos say of a mount across restarts.
 
-Keeps what a camera's pictures have told of its mount, in a file, over a restart.
+Keeps what a camera's images have told of its mount, in a file, over a restart.
 
-It holds for the place, mount and calibration that the site states, and for the DEM that the pictures were compared
+It holds for the place, mount and calibration that the site states, and for the DEM that the images were compared
 with: where any of these has changed since, it is not used, and the mount's error is found anew.
 """
 
@@ -37,15 +37,15 @@ READING_COLUMNS: dict[str, Sequence[str]] = {
 
 
 def read_ptz_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> PtzPoints:
-    """Control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and zoom of the
-    picture in which each is marked. One place may be marked in several pictures. Raises PoseError."""
+    """Return the control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and
+    zoom of the image in which each is marked. One place may be marked in several images. Raises PoseError."""
     names, rows = read_point_rows(path, frame, first_pixel, READING_COLUMNS)
     return PtzPoints(names, rows[:, :3], rows[:, 3:5], rows[:, 5:8])
 
 
 def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
-    """Pan (deg), tilt (deg) and zoom by the picture's name, of a CSV with the columns name, pan_deg, tilt_deg, zoom, as
-    `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
+    """Return the pan (deg), tilt (deg) and zoom by the image's name, of a CSV with the columns name, pan_deg, tilt_deg,
+    zoom, as `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
     path = Path(path)
     reader = csv.DictReader(io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline=""))
     found: dict[str, tuple[float, float, float]] = {}
@@ -71,7 +71,7 @@ def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
 
 
 def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom: float) -> None:
-    """One line more, below a head line that is written first."""
+    """Return one line more, below a head line that is written first."""
     new = not path.exists()
     with path.open("a", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

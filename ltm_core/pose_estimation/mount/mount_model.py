@@ -39,16 +39,16 @@ class PoseCorrection:
 
     @property
     def known(self) -> bool:
-        """Whether the angles of a pose are of use with it."""
+        """Return whether the angles of a pose are of use with it."""
         return self.angles is None or bool(self.angles.diagonal().max() < _UNKNOWN)
 
     @property
     def held(self) -> bool:
-        """Whether pictures have found it, and agree with it still."""
+        """Return whether images have found it, and agree with it still."""
         return self.angles is not None and self.known
 
     def applied(self, pose: Pose, covariance: Float64Array) -> tuple[Pose, Float64Array]:
-        """A stated pose and its covariance (6, 6) as in `pose_covariance`, corrected."""
+        """Return a stated pose and its covariance (6, 6) as in `pose_covariance`, corrected."""
         if self.angles is not None:
             stated, covariance = covariance, np.zeros((6, 6))
             covariance[:3, :3] = stated[:3, :3]
@@ -60,7 +60,7 @@ class PoseCorrection:
         return corrected, covariance
 
     def angles_at(self, corrected: Pose) -> Float64Array:
-        """(3, 3) of a corrected pose: of another at each pan where the tilt zero is not sure."""
+        """Return (3, 3) of a corrected pose: of another at each pan where the tilt zero is not sure."""
         assert self.angles is not None  # nosec B101 # tells the type checker what holds
         right, cross = corrected.rotation[:, 0], self.tilt_covariance[:3]
         both = np.outer(cross, right)
@@ -88,17 +88,17 @@ class MountModel:
     encoder_sigma: float = math.radians(0.03)
 
     def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
-        """(3, 3), optical to map."""
+        """Return (3, 3), optical to map."""
         pan, tilt = ptz_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
         return np.asarray(self.base.rotation @ ptz_rotation(pan, tilt + self.tilt_zero), np.float64)
 
     def pose(
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Pose, Float64Array]:
-        """The camera's pose, and its (6, 6) covariance as in `pose_covariance`, of what the encoders say.
+        """Return the camera's pose, and its (6, 6) covariance as in `pose_covariance`, of what the encoders say.
 
         The covariance holds the calibration's, the encoders' and that of motion: `moved_deg` is by how much pan and
-        tilt changed while the picture was taken, which lies somewhere between.
+        tilt changed while the image was taken, which lies somewhere between.
         """
         rotation = self.rotation(pan_deg, tilt_deg)
         to_pose = np.zeros((6, 9))
@@ -123,12 +123,12 @@ class MountModel:
 
     @property
     def angle_covariance(self) -> Float64Array:
-        """(4, 4) of the mount's azimuth, pitch and roll and its tilt zero, rad^2."""
+        """Return (4, 4) of the mount's azimuth, pitch and roll and its tilt zero, rad^2."""
         to_angles = self._to_angles()
         return np.asarray(to_angles @ self.covariance[3:, 3:] @ to_angles.T, np.float64)
 
     def with_angle_covariance(self, angles: Float64Array) -> MountModel:
-        """The other way: from (4, 4), rad^2."""
+        """Return the other way: from (4, 4), rad^2."""
         to_map = np.linalg.inv(self._to_angles())
         covariance = self.covariance.copy()
         covariance[3:, 3:] = to_map @ angles @ to_map.T
@@ -149,11 +149,11 @@ class MountModel:
 
 
 def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
-    """Pan clockwise and tilt upwards, rad."""
+    """Return the pan clockwise and tilt upwards, rad."""
     return pan_sign * math.radians(pan_deg), tilt_sign * math.radians(tilt_deg)
 
 
 def ptz_rotation(pan: float, tilt: float) -> Float64Array:
-    """(3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
+    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
     right."""
     return matrix_of_pan_tilt(pan, tilt)

@@ -1,6 +1,6 @@
-"""A PTZ head's mount from landmarks that are marked in pictures of several presets.
+"""A PTZ head's mount from landmarks that are marked in images of several presets.
 
-Shared by all pictures are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
+Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
 form (`mount_search`), least squares in the image, as in `resection`.
 """
@@ -144,7 +144,7 @@ class _Adjustment:
         self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, np.ones(len(encoder), bool)])
 
     def robust_fit(self, model: MountModel) -> tuple[float, Float64Array]:
-        """Median residual (pixels) and state of a fit that gross errors move little, from `model`."""
+        """Return the median residual (pixels) and state of a fit that gross errors move little, from `model`."""
         self._begun = model
         state = np.zeros(int(self._free.sum()))
         everyone = np.ones(len(self._points.names), bool)
@@ -228,7 +228,7 @@ class _Adjustment:
         )
 
     def _residuals(self, state: Float64Array) -> Float64Array:
-        """(N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""
+        """Return (N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""
         whole = self._whole(state)
         model = self._model(whole)
         zooms, presets = len(self._zooms), len(self._presets)
@@ -276,7 +276,7 @@ class _Adjustment:
 
 
 def _span_deg(pans: Float64Array) -> float:
-    """The shortest arc that holds all pans."""
+    """Return the shortest arc that holds all pans."""
     at = np.sort(np.asarray(pans) % 360.0)
     gaps = np.diff(np.append(at, at[0] + 360.0))
     return float(360.0 - gaps.max())

@@ -49,7 +49,8 @@ def closed_forms(
 
 
 def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
-    """Median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those within reach."""
+    """Return the median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those
+    within reach."""
     pairs = list(itertools.combinations(range(len(sights)), 2))
     pairs = [pairs[k] for k in np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]
     best: tuple[float, Float64Array] | None = None
@@ -69,7 +70,7 @@ def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel
 
 
 def _aligned(in_ptz: Float64Array, sights: Float64Array) -> Float64Array:
-    """The rotation that turns directions (N, 3) onto others with the least squares."""
+    """Return the rotation that turns directions (N, 3) onto others with the least squares."""
     u, _, vt = np.linalg.svd(sights.T @ in_ptz)
     turn = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
     return np.asarray(u @ turn @ vt, np.float64)

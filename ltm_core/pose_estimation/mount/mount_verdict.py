@@ -1,6 +1,6 @@
 """Decide whether a correction that several photos of a mount share is accepted.
 
-Pictures of one mount, and where a correction that all share puts them.
+Images of one mount, and where a correction that all share puts them.
 
 A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
 the focal length.
@@ -27,7 +27,7 @@ from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline
 
 @dataclass(frozen=True, eq=False)
 class MountPicture:
-    """A picture as stated (`prior`), what was found in it by itself, and the ridges around."""
+    """An image as stated (`prior`), what was found in it by itself, and the ridges around."""
 
     prior: PosePrior
     search: PictureSearch
@@ -44,7 +44,7 @@ class MountPicture:
 
 
 def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
-    """Of pictures that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
+    """Of images that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
     fits = [
         skyline_fit(p.pose(state), p.camera(state), p.search.evidence, p.search.horizon, config)
         for p in pictures
@@ -54,7 +54,7 @@ def skylines_at(pictures: list[MountPicture], state: Float64Array, config: Pictu
 
 
 def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
-    """How many pictures look where this one does: they share the DEM's errors, so that they count as one."""
+    """Return how many images look where this one does: they share the DEM's errors, so that they count as one."""
     width = picture.search.evidence.camera.hfov_deg
     azimuth = picture.prior.pose.angles_deg[0]
     away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
@@ -70,10 +70,10 @@ def judge_mount(
     away: float,
     config: VerdictConfig,
 ) -> tuple[Word, str]:
-    """The verdict in a word, and why. `found`: poses of the pictures with the correction. `seen`: how their skylines
-    lie on the terrain's there. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: by which the next
-    best correction costs more. `away`: sigmas of what is stated by which it is from none, the most of any angle.
-    """
+    """Return the verdict in a word, and why. `found`: poses of the images with the correction. `seen`: how their
+    skylines lie on the terrain's there. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: by which
+    the next best correction costs more. `away`: sigmas of what is stated by which it is from none, the most of any
+    angle."""
     apart = _alone_apart(pictures, found, config.mount_sharp_deg)
     if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
         return "ambiguous", f"the pictures leave the mount open by {turns_deg.max():.2f} deg"
@@ -94,7 +94,7 @@ def judge_mount(
 
 
 def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config: VerdictConfig) -> bool:
-    """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
+    """Return whether two images or more are accepted by themselves, and all of these lie where the mount puts them."""
     apart = _alone_apart(pictures, found)
     return len(apart) > 1 and max(apart) <= config.mount_apart_deg
 
@@ -102,8 +102,8 @@ def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config:
 def _alone_apart(
     pictures: Sequence[MountPicture], found: Sequence[Pose], most_sigma_deg: float = math.inf
 ) -> list[float]:
-    """Degrees of azimuth or pitch between where pictures are found by themselves and where the mount puts them, of
-    those that are accepted and so sure."""
+    """Return the degrees of azimuth or pitch between where images are found by themselves and where the mount puts
+    them, of those that are accepted and so sure."""
     return [
         float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
         for p, pose in zip(pictures, found, strict=True)
@@ -112,7 +112,7 @@ def _alone_apart(
 
 
 def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: VerdictConfig) -> float:
-    """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
+    """Of a mount as of an image (`pose_verdict.judge`): more where ridges alone tell."""
     evidences = [p.search.evidence for p in pictures]
     if any(evidence.skyline is not None for evidence in evidences):
         return config.gap_asked(seen.veiled, seen.variance)

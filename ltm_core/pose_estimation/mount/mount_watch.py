@@ -1,8 +1,8 @@
-"""Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
+"""Keeps the pose of a mounted camera: corrects what is stated of it by its images, and notices when it has slipped.
 
 A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
-zero. It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog
-only delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last
+zero. It is found in several clear images together (`mount_fit`), so that one wrong skyline moves nothing, and fog
+only delays it. From then on each clear image is laid on the terrain from the corrected pose; where most of the last
 ones say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is
 sought anew.
 """
@@ -62,12 +62,12 @@ class MountState(Enum):
 
 
 class MountWatch:
-    """What the pictures of one camera say of its mount; give them in time order.
+    """What the images of one camera say of its mount; give them in time order.
 
     Args:
         terrain: what its skylines are compared with.
-        config: how many pictures it takes.
-        picture_config: constants of the search in a single picture.
+        config: how many images it takes.
+        picture_config: constants of the search in a single image.
         tilt_zero_sigma_deg: of a PTZ head, how far the zero of its tilt axis may be off; 0: none is sought.
     """
 
@@ -101,7 +101,7 @@ class MountWatch:
         self._become(state, correction, reason)
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
-        """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
+        """Take an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
 
         Raises PoseError for a camera beside the DEM or under its ground.
         """
@@ -121,7 +121,7 @@ class MountWatch:
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
         if evidence.skyline is not None and search.verdict.support < self._search.verdict.clear_support:
-            # What is stated as sure holds a search by force: does the picture show another direction?
+            # What is stated as sure holds a search by force: does the image show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
         self._searches.append(search)
@@ -130,7 +130,7 @@ class MountWatch:
         return True
 
     def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
-        """Whether a picture is clear that shows nothing from near the stated pose."""
+        """Return whether an image is clear that shows nothing from near the stated pose."""
         sigma = self._config.slip_sigma_deg
         wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
         search = self._find(evidence, wide)
@@ -167,7 +167,7 @@ class MountWatch:
             del self._priors[:half], self._searches[:half]
 
     def _nowhere(self) -> PoseCorrection:
-        """The correction so far, of which it is no longer known that it is right."""
+        """Return the correction so far, of which it is no longer known that it is right."""
         return PoseCorrection(self.correction.rotation, unknown_angles(), self.correction.tilt_zero)
 
     def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
@@ -239,7 +239,7 @@ class MountWatch:
 
 
 def unknown_angles() -> Float64Array:
-    """(3, 3): the covariance of angles by which nothing shall be placed."""
+    """Return (3, 3): the covariance of angles by which nothing shall be placed."""
     return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
 
 

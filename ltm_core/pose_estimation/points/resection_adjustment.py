@@ -71,7 +71,7 @@ class Adjustment:
         return fit
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
-        """Least squares over the points within OUTLIER_SIGMAS, until that set stays."""
+        """Return the least squares over the points within OUTLIER_SIGMAS, until that set stays."""
         size = 3 + size_of(free)
         before = None
         for _ in range(10):
@@ -111,7 +111,8 @@ class Adjustment:
 
 
 def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
-    """Camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1, position."""
+    """Return the camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1,
+    position."""
     rest = list(x[3:])
     position = pose.position
     for name in free:
@@ -126,7 +127,7 @@ def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter,
 
 
 def _inverse(jacobian: Float64Array) -> Float64Array:
-    """(J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
+    """Return (J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
     norms = np.linalg.norm(jacobian, axis=0)
     norms[norms == 0] = 1e-12
     _, singular, basis = np.linalg.svd(jacobian / norms, full_matrices=False)
@@ -136,7 +137,7 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
 
 
 def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
-    """The points of `which` by residual, largest first."""
+    """Return the points of `which` by residual, largest first."""
     off = lengths(residuals)
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
     shown = [
@@ -155,7 +156,8 @@ def median_px(residuals: Float64Array) -> float:
 
 
 def _scale(residuals: Float64Array, parameters: int) -> float:
-    """Deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n - p."""
+    """Return the deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n -
+    p."""
     observed = residuals.size
     return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
 
@@ -225,9 +227,8 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
 def unbearable(
     fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
-    """The free parameter that the points bear least, and why; None where they bear all but those that are `forced`.
-    Raises for the angles.
-    """
+    """Return the free parameter that the points bear least, and why; None where they bear all but those that are
+    `forced`. Raises for the angles."""
     camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
     sights = points.places[fit.used] - fit.pose.position

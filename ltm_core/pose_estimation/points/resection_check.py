@@ -43,12 +43,12 @@ class TracedErrors:
 
     @property
     def visible(self) -> BoolArray:
-        """(N,) whether the ray aimed at the surveyed place itself ends there."""
+        """Return (N,) whether the ray aimed at the surveyed place itself ends there."""
         return np.array([state is SurveyedState.SEEN for state in self.states])
 
     @property
     def met(self) -> BoolArray:
-        """(N,) whether the marked pixel meets known terrain."""
+        """Return (N,) whether the marked pixel meets known terrain."""
         return np.isfinite(self.errors)
 
 
@@ -72,7 +72,8 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
 
 
 def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array) -> Float64Array:
-    """Metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not known."""
+    """Return the metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not
+    known."""
     sights = line_of_sight_vectors(position, places, tracer.bend)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 

@@ -44,7 +44,7 @@ class ResectionSetup:
 
 
 def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> ResectionSetup:
-    """Place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
+    """Return the place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
 
     Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
     """
@@ -82,8 +82,8 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
 def read_point_rows(
     path: Path | str, frame: SiteFrame, first_pixel: float = 0.0, further: Mapping[str, Sequence[str]] = {}
 ) -> tuple[tuple[str, ...], Float64Array]:
-    """Names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`, each by
-    the names that it may have. Raises PoseError as `read_control_points` does."""
+    """Return the names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`,
+    each by the names that it may have. Raises PoseError as `read_control_points` does."""
     path = Path(path)
     lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
@@ -104,7 +104,7 @@ def read_point_rows(
 
 
 def _columns(header: Sequence[str], path: Path, names_of: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """The file's column for each key of `names_of`; name may be missing."""
+    """Return the file's column for each key of `names_of`; name may be missing."""
     given = {name.strip().lower(): name for name in header}
     wanted = dict(names_of)
     if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
@@ -158,7 +158,7 @@ def _pose_sigmas(result: Resection) -> dict[str, float]:
 
 
 def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
-    """A line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+    """Return a line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
 
     `position`: as it was given, map metres.
     """

@@ -35,7 +35,7 @@ class ContourDirections:
 
     @classmethod
     def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
-        """Points beyond `nearest` metres; `with_horizon`: the horizon's too, where it is a ridge."""
+        """Return the points beyond `nearest` metres; `with_horizon`: the horizon's too, where it is a ridge."""
         contours = horizon.contours
         kept = np.flatnonzero((contours.following >= 0) & (contours.range > nearest))
         after = contours.following[kept]
@@ -54,7 +54,7 @@ class ContourDirections:
         return cls(here, following, ranges, cells)
 
     def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
-        """Those before a camera or a little beside it, at most so many."""
+        """Return those before a camera or a little beside it, at most so many."""
         ahead = self.here @ pose.rotation
         wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
         kept = np.flatnonzero((ahead[:, 2] > 0.05) & (np.abs(ahead[:, 0]) < wide * ahead[:, 2]))
@@ -63,7 +63,7 @@ class ContourDirections:
         return self._only(kept, every)
 
     def thinned(self, every: int) -> ContourDirections:
-        """Every so many of them."""
+        """Return every so many of them."""
         return self._only(np.arange(0, len(self.range), every), every)
 
     def _only(self, kept: IndexArray, every: int) -> ContourDirections:
@@ -79,14 +79,14 @@ def _directions(azimuth: Float64Array, tangent: Float64Array) -> Float64Array:
 def contour_scores(
     rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
 ) -> Float64Array:
-    """Scores (P,) of rotations (P, 3, 3), optical to map, of an undistorted camera of the photo's size: the sum of
-    responses over what they are in the mean of the picture, by the root of their number."""
+    """Return the scores (P,) of rotations (P, 3, 3), optical to map, of an undistorted camera of the photo's size: the
+    sum of responses over what they are in the mean of the image, by the root of their number."""
     return scores_and_counts(rotations, directions, camera, edges)[0]
 
 
 def usual_score(scores: Float64Array) -> tuple[float, float]:
-    """Median and robust standard deviation of the scores (P,) of many poses. Where most have no ridge in view they
-    score alike, and yet chance spreads those of the others."""
+    """Return the median and robust standard deviation of the scores (P,) of many poses. Where most have no ridge in
+    view they score alike, and yet chance spreads those of the others."""
     middle = float(np.median(scores))
     return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
 
@@ -94,7 +94,8 @@ def usual_score(scores: Float64Array) -> tuple[float, float]:
 def ridge_strength(
     pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
 ) -> float:
-    """How many times more than chance the ridges before a pose lie on edges, taking those within 8 pixels as one.
+    """Return how many times more than chance the ridges before a pose lie on edges, taking those within 8 pixels as
+    one.
 
     `step`: radians of azimuth between the contours' points.
     """
@@ -111,7 +112,7 @@ def ridge_strength(
 def scores_and_counts(
     rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
 ) -> tuple[Float64Array, Float64Array]:
-    """Scores (P,) as in `contour_scores`, and how many points (P,) lie in view."""
+    """Return the scores (P,) as in `contour_scores`, and how many points (P,) lie in view."""
     mean = edges.response.mean(axis=(1, 2), dtype=np.float64)
     scores, counts = np.zeros(len(rotations)), np.zeros(len(rotations))
     _scores(

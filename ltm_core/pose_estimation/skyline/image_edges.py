@@ -32,7 +32,8 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds and masks.
+    """Return the edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds
+    and masks.
 
     The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
     """
@@ -76,9 +77,8 @@ _THICK = 2.0
 
 
 def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
-    """Rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at rows `v`;
-    `v` where there is none, or three of five neighbouring columns do not agree on it. Columns must rise.
-    """
+    """Return the rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at
+    rows `v`; `v` where there is none, or three of five neighbouring columns do not agree on it. Columns must rise."""
     if len(u) < 2:
         return v
     unit = photo.shape[1] / 640
@@ -96,7 +96,7 @@ def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Arra
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
-    """How far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
+    """Return how far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
     total = 0.0
     for i in range(3):
         away = 0.0
@@ -108,7 +108,8 @@ def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
-    """Whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no cloud."""
+    """Return whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no
+    cloud."""
     if lab[row : row + size, column, 0].mean() > lab[above + 1 : above + 1 + size, column, 0].mean():
         return False  # air makes far land as light as the sky and no lighter
     lowest, highest = np.inf, 0.0
@@ -220,7 +221,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
 
 
 def _vertical_gradient(photo: UInt8Array) -> Float32Array:
-    """How much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
+    """Return how much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
     lab = cv2.cvtColor(cv2.GaussianBlur(photo, (0, 0), 1.0), cv2.COLOR_RGB2LAB).astype(np.float32)
     change = np.zeros_like(lab)
     change[1:-1] = lab[2:] - lab[:-2]
@@ -230,7 +231,7 @@ def _vertical_gradient(photo: UInt8Array) -> Float32Array:
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
-    """The first row from which on `run` rows are no sky; H without."""
+    """Return the first row from which on `run` rows are no sky; H without."""
     height = sky.shape[0]
     top = np.full(len(columns), height, np.int64)
     for k in range(len(columns)):
@@ -247,8 +248,8 @@ def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
 def _sharpened(
     strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
 ) -> tuple[Float64Array, Float64Array]:
-    """The edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how strong
-    it is."""
+    """Return the edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how
+    strong it is."""
     height = strength.shape[0]
     v, sharpness = np.empty(len(columns)), np.empty(len(columns))
     for k in range(len(columns)):

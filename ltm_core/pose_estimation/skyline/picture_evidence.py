@@ -26,7 +26,7 @@ _LEAST_SKY = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PictureEdges:
-    """A photo's edges, each found when it is first asked for: `find` gives those in a picture so many pixels wide."""
+    """A photo's edges, each found when it is first asked for: `find` gives those in an image so many pixels wide."""
 
     find: Callable[[int], ImageContours]
     config: ContourConfig
@@ -62,12 +62,12 @@ class PictureEvidence:
 
     @property
     def unseen(self) -> PictureEvidence:
-        """The same, its edges still to be found: for who measures how long that takes."""
+        """Return the same, its edges still to be found: for who measures how long that takes."""
         return replace(self, found=replace(self.found))
 
     @property
     def plants(self) -> float:
-        """The share of trees and shrubs in the land."""
+        """Return the share of trees and shrubs in the land."""
         land = self.labels != np.uint8(Label.SKY)
         grown = (self.labels == np.uint8(Label.TREE)) | (self.labels == np.uint8(Label.SHRUB))
         return float(grown.sum()) / max(float(land.sum()), 1.0)
@@ -127,8 +127,8 @@ def picture_evidence(
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
-    """Labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes below: a
-    caption over the sky is no land, and a lens's corner does not cover its columns."""
+    """Return the labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes
+    below: a caption over the sky is no land, and a lens's corner does not cover its columns."""
     first = np.argmin(shut, axis=0)
     row = ids[first, np.arange(ids.shape[1])]
     found = np.empty_like(ids)

@@ -30,7 +30,7 @@ class CoverHeights(StrictModel):
     other: tuple[float, float]
 
     def table(self) -> Float64Array:
-        """(256, 2) metres by label: how high, and its sigma."""
+        """Return (256, 2) metres by label: how high, and its sigma."""
         table = np.tile(np.array(self.other), (256, 1))
         for label, values in ((Label.TREE, self.tree), (Label.SHRUB, self.shrub), (Label.GRASS, self.grass)):
             table[label] = values
@@ -45,11 +45,11 @@ class CrestCover(StrictModel):
     far: CoverHeights
 
     def of(self, labels: UInt8Array) -> Float64Array:
-        """(N, 4) of labels (N,): near height and sigma, far height and sigma."""
+        """Return (N, 4) of labels (N,): near height and sigma, far height and sigma."""
         return np.asarray(_table(self)[labels], np.float64)
 
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
+        """Return the heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         both, far = self.of(labels), farness(ranges)
         height, sigma = ((1 - far) * both[:, k] + far * both[:, k + 2] for k in (0, 1))
         return height, sigma
@@ -57,7 +57,7 @@ class CrestCover(StrictModel):
 
 @lru_cache(maxsize=8)
 def _table(cover: CrestCover) -> Float64Array:
-    """(256, 4) by label: a search asks for it hundreds of times."""
+    """Return (256, 4) by label: a search asks for it hundreds of times."""
     return np.column_stack([cover.near.table(), cover.far.table()])
 
 
@@ -67,7 +67,7 @@ def farness(ranges: Float64Array) -> Float64Array:
 
 
 def everywhere(heights: CoverHeights) -> CrestCover:
-    """The same at all ranges."""
+    """Return the same at all ranges."""
     return CrestCover(near=heights, far=heights)
 
 
@@ -113,7 +113,7 @@ class SkylineConfig(StrictModel):
 
     @property
     def odds(self) -> float:
-        """The density of a fitting column in one sigma over that of an outlier, for a sigma of one radian."""
+        """Return the density of a fitting column in one sigma over that of an outlier, for a sigma of one radian."""
         # 0.375: the density of Student's t with four degrees of freedom at 0
         return (1 - self.outliers) / self.outliers * self.outlier_span * 0.375
 
@@ -258,7 +258,7 @@ class VerdictConfig(StrictModel):
     `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
 
     def support_asked(self, sigma_deg: float) -> float:
-        """The share of the skyline that must fit where the least sure of the angles is known to `sigma_deg`."""
+        """Return the share of the skyline that must fit where the least sure of the angles is known to `sigma_deg`."""
         return self.sharp_support if sigma_deg <= self.sharp_sigma_deg else self.least_support
 
     def gap_asked(self, veiled: float, variance: float) -> float:

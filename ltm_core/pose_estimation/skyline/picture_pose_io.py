@@ -1,4 +1,4 @@
-"""Sets up the search of a picture's pose from a guess file, and writes what came of it."""
+"""Sets up the search of an image's pose from a guess file, and writes what came of it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ class PoseResult:
 
 
 def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
-    """Place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and ConfigError."""
+    """Return the place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and
+    ConfigError."""
     frame, local = near_frame(guess, dem)
     stated = guess.pose
     position = stated.position(local, frame)
@@ -77,7 +78,7 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
 
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
-    """Class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
+    """Return the class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
     with open_picture(Path(path)) as (source, _):
         labels = np.asarray(source)
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
@@ -115,7 +116,7 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
 def write_result(
     path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
 ) -> None:
-    """The pose file of a result; whether and why it was found stands at its top."""
+    """Return the pose file of a result; whether and why it was found stands at its top."""
     notes = [f"Pose from the picture: {word} ({reason})."]
     if not result.accepted:
         notes.append("It was not taken: this is the pose that was given.")
@@ -123,7 +124,7 @@ def write_result(
 
 
 def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
-    """What was found, for JSON; positions in the frame's CRS."""
+    """Return what was found, for JSON; positions in the frame's CRS."""
     verdict = search.verdict
 
     def place(pose: Pose) -> list[float]:

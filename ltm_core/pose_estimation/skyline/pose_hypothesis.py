@@ -30,10 +30,9 @@ class Hypothesis:
 
 
 def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """The same, from the best down, the first one's pose the mean of those about it, each with its weight by cost, and
-    as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
-    (`pose_verdict`).
-    """
+    """Return the same, from the best down, the first one's pose the mean of those about it, each with its weight by
+    cost, and as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
+    (`pose_verdict`)."""
     if len(hypotheses) < 2:
         return hypotheses
     best, refined = hypotheses[0], hypotheses[0].refined
@@ -48,9 +47,8 @@ def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> l
 
 
 def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """The same, the first one where it is, and as uncertain as those about it lie away from it: of poses by ridges
-    alone one is on its edges, and a mean on none.
-    """
+    """Return the same, the first one where it is, and as uncertain as those about it lie away from it: of poses by
+    ridges alone one is on its edges, and a mean on none."""
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
@@ -60,7 +58,7 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
 
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
-    """The first one, between where skyline and ridges alone put it; None where they contradict each other.
+    """Return the first one, between where skyline and ridges alone put it; None where they contradict each other.
 
     How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
     half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
@@ -94,8 +92,8 @@ def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Fl
 def mean_about_best(
     costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are near that of
-    the first, the best. `variance`: of the skyline's misfits."""
+    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are
+    near that of the first, the best. `variance`: of the skyline's misfits."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.
@@ -109,13 +107,13 @@ def mean_about_best(
 
 
 def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
-    """(7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
+    """Return (7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
     turn = vector_of_matrix(b.pose.rotation @ a.pose.rotation.T)
     return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 
 def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
-    """Radians of azimuth about the prior one within which poses are sought; pi where none is known."""
+    """Return the radians of azimuth about the prior one within which poses are sought; pi where none is known."""
     s = config.search
     if not prior.heading_known:
         return math.pi
@@ -123,7 +121,7 @@ def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
 
 
 def focal_candidates(focal_sigma: float) -> Float64Array:
-    """Factors of the focal length that are tried."""
+    """Return the factors of the focal length that are tried."""
     if focal_sigma <= 0:
         return np.ones(1)
     n = math.ceil(2 * focal_sigma / _FOCAL_STEP)
@@ -160,7 +158,7 @@ def judge(
     gap_by_ridges: float | None = None,
 ) -> PoseVerdict:
     """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
-    the share of trees and shrubs in the picture's land. `gap_by_ridges`: ridges alone are of the same pose, and
+    the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone are of the same pose, and
     alternatives cost so much more by them.
     """
     v = config.verdict

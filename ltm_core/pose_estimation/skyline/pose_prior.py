@@ -1,4 +1,4 @@
-"""What is known of a pose before its picture is looked at."""
+"""What is known of a pose before its image is looked at."""
 
 from __future__ import annotations
 
@@ -53,35 +53,35 @@ class PosePrior:
 
     @property
     def sigmas(self) -> Float64Array:
-        """(6,): x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,): x, y, z (m), azimuth, pitch, roll (rad)."""
         angles = np.radians([self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg])
         return np.array([self.position_sigma, self.position_sigma, self.height_sigma, *angles])
 
     @property
     def covariance(self) -> Float64Array:
-        """(6, 6) as in `pose_covariance`."""
+        """Return (6, 6) as in `pose_covariance`."""
         angles = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
         return pose_covariance(self.pose, self.position_sigma, self.height_sigma, *angles)
 
     def deviation(self, pose: Pose) -> Float64Array:
-        """(6,) of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,) of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
         return np.concatenate([pose.position - self.pose.position, angles_between(self.pose, pose)])
 
 
 def angles_between(a: Pose, b: Pose) -> Float64Array:
-    """Azimuth, pitch and roll (3,), radians in [-pi, pi), by which `b` differs from `a`."""
+    """Return the azimuth, pitch and roll (3,), radians in [-pi, pi), by which `b` differs from `a`."""
     change = np.radians(np.subtract(b.angles_deg, a.angles_deg))
     return np.asarray((change + math.pi) % (2 * math.pi) - math.pi, np.float64)
 
 
 def angle_slopes(pose: Pose) -> Float64Array:
-    """(3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down, where
-    azimuth and roll turn about one axis, each takes half of a turn about it."""
+    """Return (3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down,
+    where azimuth and roll turn about one axis, each takes half of a turn about it."""
     return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
 
 
 def rotations_of(angles_deg: Float64Array) -> Float64Array:
-    """(P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
+    """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
     a, p, r = np.radians(angles_deg).T
     zero = np.zeros_like(a)
     forward = np.stack([np.sin(a) * np.cos(p), np.cos(a) * np.cos(p), np.sin(p)], axis=-1)
@@ -92,7 +92,7 @@ def rotations_of(angles_deg: Float64Array) -> Float64Array:
 
 
 def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
-    """A pose turned by a rotation vector (3,) about the map's axes, and shifted."""
+    """Return a pose turned by a rotation vector (3,) about the map's axes, and shifted."""
     matrix = matrix_of_vector(rotation) @ pose.rotation
     u, _, vt = np.linalg.svd(matrix)  # many small turns stay a rotation
     return Pose(pose.position if shift is None else pose.position + shift, u @ vt)

@@ -5,7 +5,7 @@ Least squares of a pose over a photo's skyline and the ridges within it, from a 
 Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
 the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
 
-Settles a pose on the ridges in its picture, whose errors neighbouring places share.
+Settles a pose on the ridges in its image, whose errors neighbouring places share.
 
 What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
 (`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
@@ -181,7 +181,7 @@ def picture_system(
     config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Normal matrix (7, 7) and gradient (7,) of the picture's cost."""
+    """Return the normal matrix (7, 7) and gradient (7,) of the image's cost."""
     normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     skyline = skyline_observations(pose, camera, evidence, horizon, wide, config)
     contours = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
@@ -195,12 +195,12 @@ def picture_system(
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
-    """How far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of, in one
-    sigma of a pixel."""
+    """Return how far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of,
+    in one sigma of a pixel."""
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     like = odds / rows.sigma / q**2.5
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
-    # of this, would state more than pictures err by.
+    # of this, would state more than images err by.
     return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
 
 
@@ -218,7 +218,8 @@ def settled_on_ridges(
     focal_sigma: float,
     config: PicturePoseConfig,
 ) -> RefinedPose:
-    """The same picture's pose by ridges alone, the DEM's own horizon among them; with its skyline's fit as it was."""
+    """Return the same image's pose by ridges alone, the DEM's own horizon among them; with its skyline's fit as it
+    was."""
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
     unseen = replace(evidence, skyline=None)
@@ -256,8 +257,8 @@ def ridge_system(
 
 
 def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
-    """(N, N), px^2, of the errors of `rows`, each of which `fits` (N,) so far: what does not is as unsure as it is
-    unlikely, by itself."""
+    """Return (N, N), px^2, of the errors of `rows`, each of which `fits` (N,) so far: what does not is as unsure as it
+    is unlikely, by itself."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)

@@ -58,7 +58,7 @@ def search_ridges(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Hypotheses from the best down; none where too few ridges may be in view."""
+    """Return the hypotheses from the best down; none where too few ridges may be in view."""
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
     config = config.model_copy(
         update={
@@ -134,7 +134,8 @@ def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
 
 
 def _restarts() -> list[Float64Array]:
-    """Degrees. Along a ridge that runs up through the picture azimuth, pitch and roll make up for each other."""
+    """Return the degrees. Along a ridge that runs up through the image azimuth, pitch and roll make up for each
+    other."""
     offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
     return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
 
@@ -182,7 +183,7 @@ def poses_on_skyline(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Hypotheses from the best down, of a picture that shows a skyline."""
+    """Return the hypotheses from the best down, of an image that shows a skyline."""
     s, skyline = config.search, evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
     reach = search_reach(prior, config)
@@ -252,7 +253,7 @@ def _best_over_pitch(
     camera: Camera,
     evidence: PictureEvidence,
 ) -> Float64Array:
-    """Ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
+    """Return the ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
     best = np.full(len(rotations), -np.inf)
     for offset in _PITCHES_DEG:
         c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))

@@ -128,17 +128,18 @@ class TerrainHorizon:
 
     @property
     def azimuths(self) -> Float64Array:
-        """(N,) radians, increasing."""
+        """Return (N,) radians, increasing."""
         return np.asarray(self.start + self.step * np.arange(len(self.tangent)), np.float64)
 
     @property
     def whole(self) -> bool:
-        """The azimuths go all round."""
+        """Return the azimuths go all round."""
         return len(self.tangent) * self.step > 2 * math.pi - 1.5 * self.step
 
     @property
     def open(self) -> BoolArray:
-        """(N,) where land beyond the DEM may stand over the known horizon, by more than a hundredth of a degree."""
+        """Return (N,) where land beyond the DEM may stand over the known horizon, by more than a hundredth of a
+        degree."""
         return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
 
 
@@ -207,7 +208,7 @@ def terrain_horizon(
 
 
 def _read_only(elevation: Float32Array) -> Float32Array:
-    """Rasters of a stack are of one type for compiled code, whichever of them are shared."""
+    """Return the rasters of a stack are of one type for compiled code, whichever of them are shared."""
     view = elevation.view()
     view.flags.writeable = False
     return view
