@@ -35,7 +35,7 @@ _NAME = re.compile(rb"\w+")
 
 
 def use_own_cache(source: Path) -> Path | None:
-    """Return the point numba to the cache of this state of `source`; the folder, or None where not ours.
+    """Point numba to the cache of this state of `source`. Return the folder, or None if it is not our own.
 
     Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
     A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to. What lies

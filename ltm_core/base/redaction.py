@@ -15,13 +15,12 @@ _PARAMETER = re.compile(rf"(?i)\b({'|'.join(SECRET_KEYS)})(\s*[=:]\s*)(?!\{{)[^\
 
 
 def redacted(text: str) -> str:
-    """Return `text` without the user part of URLs, and without the values of parameters that are named like a
-    password."""
+    """Return `text` without the user part of URLs and without the values of password-like parameters."""
     return _PARAMETER.sub(rf"\1\2{HIDDEN}", _USER_INFO.sub(f"{HIDDEN}@", text))
 
 
 def shown(value: Any, keys: Sequence[int | str] = (), length: int = 80) -> str:
-    """Return a configuration's wrong value as an error may show it: `keys` say where it stands."""
+    """Return an invalid value of a configuration as an error may show it; `keys` is its place in the file."""
     if any(_secret(key) for key in keys):
         return HIDDEN
     return redacted(f"{_masked(value)!r:.{length}}")
@@ -47,5 +46,5 @@ def _masked(value: Any) -> Any:
 
 
 def plain(text: str, most: int = 1000) -> str:
-    """Return `text` so that it cannot write to a terminal but letters; at most so many."""
+    """Return at most `most` characters of `text` without control characters."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:most])

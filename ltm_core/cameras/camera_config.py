@@ -24,7 +24,7 @@ from ltm_core.raster.dem import Dem
 
 
 class PartialCalibration(StrictModel):
-    """What is known of a camera's calibration, in pixels of the upright image."""
+    """Known part of a camera's calibration, in pixels of the upright image."""
 
     width: int | None = Field(None, gt=0)
     height: int | None = Field(None, gt=0)
@@ -59,7 +59,7 @@ class PartialCalibration(StrictModel):
         return self.k1, self.k2, self.p1, self.p2, self.k3
 
     def camera_of(self, width: int, height: int, fx: float) -> Camera:
-        """Of an image of this size; `fx`: where neither fx nor hfov_deg is stated."""
+        """Return the camera of an image of this size; `fx` applies if neither fx nor hfov_deg is stated."""
         if self.hfov_deg is not None:
             fx = Camera.from_fov(width, height, self.hfov_deg).fx
         fx = self.fx if self.fx is not None else fx
@@ -75,7 +75,7 @@ class PartialCalibration(StrictModel):
 
 
 class CalibrationConfig(PartialCalibration):
-    """A whole calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
+    """Complete calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy if known)."""
 
     width: int = Field(gt=0, le=MOST_A_SIDE)
     height: int = Field(gt=0, le=MOST_A_SIDE)
@@ -105,7 +105,7 @@ _PARTS = (
 
 
 class PartialPose(StrictModel):
-    """What is known of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
+    """Known part of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
 
     x: float | None = None
     """Easting in `crs`, in metres, without subtracting an origin; y is the northing."""
@@ -144,7 +144,7 @@ class PartialPose(StrictModel):
         return self
 
     def over(self, other: PartialPose | None) -> PartialPose:
-        """This, with what it leaves out (place, height, azimuth, pitch, roll, each with its sigma) from another."""
+        """Return this pose, completed (place, height, azimuth, pitch, roll, each with its sigma) from another one."""
         if other is None:
             return self
         taken: dict[str, Any] = {}
@@ -157,7 +157,7 @@ class PartialPose(StrictModel):
         return PartialPose.model_validate(self.model_dump() | taken)
 
     def covariance(self, pose: Pose, position: float, angle_deg: float) -> Float64Array | None:
-        """Return (6, 6) as in `pose_covariance`, from the sigmas that are stated; None where none is.
+        """Return the (6, 6) covariance as in `pose_covariance` from the stated sigmas; None if there are none.
 
         `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not.
         """
@@ -172,7 +172,7 @@ class PartialPose(StrictModel):
         )
 
     def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
-        """Return its place in the map frame; None where it is not known.
+        """Return the position in the map frame; None if it is not known.
 
         Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's.
         """
@@ -185,7 +185,7 @@ class PartialPose(StrictModel):
         return x - frame.x_origin, y - frame.y_origin
 
     def lonlat(self) -> tuple[float, float] | tuple[None, None]:
-        """WGS 84 degrees; None where the place is not known without a frame. Raises as `xy` does."""
+        """Return the position in WGS 84 degrees; None if it is not known without a frame. Raises as `xy` does."""
         if self.lon is not None and self.lat is not None:
             return self.lon, self.lat
         if self.x is None or self.y is None or self.crs is None:
@@ -193,7 +193,7 @@ class PartialPose(StrictModel):
         return _transformed(self.x, self.y, self.crs, "EPSG:4326")
 
     def grid_azimuth_deg(self, frame: SiteFrame, place: tuple[float, float, float], on: date | None) -> float | None:
-        """From grid north at a map place. Raises ConfigError for a magnetic one without the day it was read on."""
+        """Return the azimuth from grid north at a map place. Raises ConfigError for a magnetic one without a date."""
         azimuth = self.azimuth_deg
         if azimuth is None or self.azimuth_ref == "grid":
             return azimuth
@@ -209,7 +209,7 @@ class PartialPose(StrictModel):
 
 
 class PlacedPose(PartialPose):
-    """A pose whose place is known: x, y or lon, lat, and z or `height_above_ground`."""
+    """Pose with a known place: x, y or lon, lat, and z or `height_above_ground`."""
 
     @model_validator(mode="after")
     def _a_place(self) -> Self:
@@ -220,8 +220,7 @@ class PlacedPose(PartialPose):
         return self
 
     def described(self, frame: SiteFrame) -> str:
-        """Return the place as it is stated, and where that is another, as what it is in the frame's CRS. Raises as
-        `xy`."""
+        """Return the place as stated, with its coordinates in the frame's CRS if these differ. Raises as `xy`."""
         stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
         given = f"({stated[0]:.10g}, {stated[1]:.10g})"
         if crs is None or crs == frame.crs:
@@ -230,7 +229,8 @@ class PlacedPose(PartialPose):
         return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
 
     def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
-        """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
+        """Return the position in the map frame. Raises PoseError if the ground under a camera with a relative height is
+        unknown."""
         place = self.xy(frame)
         assert place is not None  # nosec B101 # tells the type checker what holds
         if self.z is not None:
@@ -246,14 +246,13 @@ class PlacedPose(PartialPose):
 
 
 class PoseConfig(PlacedPose):
-    """A whole pose. Pitch and roll are 0 unless given."""
+    """Complete pose. Pitch and roll are 0 unless given."""
 
     azimuth_deg: AzimuthDeg
 
     def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """In the map frame. Raises PoseError for a camera under the ground, and what `position` and `grid_azimuth_deg`
-        raise.
-        """
+        """Return the pose in the map frame. Raises PoseError for a camera under the ground, and as `position` and
+        `grid_azimuth_deg`."""
         place = self.position(dem, frame)
         ground = float(dem.elevation_at(*place[:2]))
         if place[2] <= ground:

@@ -53,7 +53,7 @@ RollDeg = Annotated[float, AfterValidator(_roll)]
 
 
 def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
-    """Return why the azimuths of one file may be radians; None where nothing says so.
+    """Return why the azimuths of a file may be in radians; None if they are plausible.
 
     They are doubted where all lie within 2 pi and one at least is no whole number. Of right azimuths, spread evenly,
     2 pi / 360 = 1.7 % lie there: one camera in 57 is doubted, of files with two cameras one in 3,300.
@@ -72,7 +72,7 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
 
 
 def doubt_of_height(z: float, ground: float) -> str | None:
-    """Return why a camera's height `z` over `ground`, both metres, may be in feet or wrong; None where it is plausible.
+    """Return why a camera's height `z` over `ground`, in metres, may be in feet or wrong; None if it is plausible.
 
     Doubted are cameras TALLEST_MAST or more above the ground, and those under it. NaN ground says nothing.
     """
@@ -110,7 +110,7 @@ _FAR_OFF = 50.0
 
 
 def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
-    """Return why a DEM's heights, (H, W) metres, may be in feet by themselves; None where they are plausible.
+    """Return why a DEM's heights (H, W) in metres may be in feet; None if they are plausible.
 
     Only mountains show it: hills in feet are as steep as mountains in metres.
     """
@@ -131,8 +131,8 @@ def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
 
 
 def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str) -> str | None:
-    """Return why heights, metres, do not go with those of another raster of the same places, called `name`; None where
-    they do, or too few are known of both."""
+    """Return why heights in metres do not match those of another raster of the same places, called `name`; None if they
+    do, or if too few are known in both."""
     known = np.isfinite(heights) & np.isfinite(others) & (np.abs(others) > 20) & (np.abs(heights) > 20)
     if known.sum() < _LEAST_CELLS:
         return None

@@ -42,7 +42,7 @@ OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
-    """Return (3, 3): the optical frame of an upright photo of the back camera to the phone's axes.
+    """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
     `turned_deg`: by how much the phone was turned counter-clockwise, as the one who holds it sees it, from portrait: 90
     for landscape with the top to the left.
@@ -54,8 +54,8 @@ def phone_camera(turned_deg: float = 0.0) -> Float64Array:
 
 
 def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
-    """Return `phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape
-    allows, as the image stands most upright. Without an attitude (None) the first of them."""
+    """Return `phone_camera` for the way the phone was held: by `turned_deg`, or by the image's shape so that the image
+    is as upright as possible. Without an attitude (None), the first candidate."""
     allowed = turned_deg or ((0.0,) if portrait else (90.0, 270.0))
     mounts = [phone_camera(angle) for angle in allowed]
     if enu_from_phone is None or len(mounts) == 1:
@@ -64,7 +64,7 @@ def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: 
 
 
 def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
-    """Return the azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
+    """Return the azimuth from the world's north, pitch and roll of a camera, as used by `Pose.from_angles`.
 
     Raises PoseError on a matrix that is no rotation.
     """
@@ -72,7 +72,7 @@ def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, fl
 
 
 class SensorsConfig(StrictModel):
-    """How a camera's pose comes from its fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
+    """Settings for poses from fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
 
     mount: Literal["phone", "phone_sensor"] | tuple[float, float, float, float] = "phone"
     """Orientation of the camera in the attitude's frame: a phone's back camera whose app turns images upright (`phone`)
@@ -100,8 +100,8 @@ class SensorsConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """`altitude`: metres above the WGS 84 ellipsoid, NaN where not known. `covariance`: (3, 3) of east, north, up in
-    m^2, None where not known."""
+    """Position fix. `altitude`: metres above the WGS 84 ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north,
+    up in m^2, None if unknown."""
 
     stamp_ns: int
     lon: float
@@ -112,8 +112,8 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """`rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations about these in rad^2,
-    None where not known."""
+    """Attitude of a device. `rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations
+    about these in rad^2, None if unknown."""
 
     stamp_ns: int
     rotation: Float64Array

@@ -42,7 +42,8 @@ _NEAR, _MIDDLE, _FAR = (
 
 
 class ErrorTables(NamedTuple):
-    """An `ErrorModel` as compiled code takes it. `least_said`: of the true inverse depth that a network says."""
+    """Compiled form of an `ErrorModel`. `least_said`: minimum of a network's value as a share of the true inverse
+    depth."""
 
     shift: Float32Array
     factor: Float32Array
@@ -51,7 +52,7 @@ class ErrorTables(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Where the true inverse depth is x, the network says x - shift x, with a sigma of factor x.
+    """Error model: at true inverse depth x, the network gives x - shift x, with a sigma of factor x.
 
     `tables`: shift and factor, (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they
     differ over the photo.
@@ -62,12 +63,12 @@ class ErrorModel:
 
     @classmethod
     def none(cls) -> ErrorModel:
-        """In place of a network that is not there."""
+        """Return the model used without a network."""
         plain = np.zeros((1, 1, OCTAVES), np.float32)
         return cls(ErrorTables(plain, plain + 1, np.float32(1.0)), False)
 
     def standardized(self, read: Float64Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
-        """True less read inverse depth at samples (N,), in sigmas of both network and terrain."""
+        """Return true minus measured inverse depth at samples (N,), in sigmas of both network and terrain."""
         shift, factor, _ = self.tables
         rows = samples.rows * shift.shape[0] // size[0]
         cols = samples.cols * shift.shape[1] // size[1]
@@ -77,7 +78,7 @@ class ErrorModel:
 
 
 def octaves(depth: NDArray[np.floating]) -> IndexArray:
-    """Return the half octave that each depth, metres, is in."""
+    """Return the half octave of each depth in metres."""
     places = np.rint(2.0 * np.log2(depth) - FIRST)
     return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
 
@@ -94,7 +95,7 @@ def _place(depth: np.float32) -> np.float32:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
-    """By how much less than the true `inverse` depth the network says in a cell of the tables, and its sigma, 1/m."""
+    """Return the bias of the network at the true `inverse` depth in a cell of the tables, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
     shift, factor = tables.shift, tables.factor
@@ -108,8 +109,8 @@ def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def interpolation_table(tables: ErrorTables) -> Float32Array:
-    """Return both tables (R, C, D) side by side, (R, C * D, 4): each value, and by how much the next half octave's is
-    more."""
+    """Return both tables (R, C, D) side by side, (R, C * D, 4): each value, and its difference to the next half
+    octave."""
     shift, factor = tables.shift, tables.factor
     rows, cols, count = shift.shape
     both = np.zeros((rows, cols * count, 4), np.float32)
@@ -134,8 +135,8 @@ def expected_predictions(
     less: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Return `expected_prediction` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of
-    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,), to work in.
+    """Compute `expected_prediction` for a row of pixels (W,) into `less` and `sigma`. `tables`: (C * D, 4), one row of
+    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,) work arrays.
 
     The logarithm is taken from the numbers' own bits, so that no table is looked up: log2(2^e (1 + m)) is
     e + m + 0.3438 m (1 - m) but for 0.009.
@@ -162,7 +163,7 @@ def expected_predictions(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
-    """Return the true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
+    """Return the true inverse depth for the network's value `read`, and its sigma, 1/m."""
     plain = np.float32(1.0)
     less, sigma = expected_prediction(row, col, read, tables)
     if read > 0:
@@ -178,7 +179,7 @@ _FINE = 4  # cells of the tables in one region, each way
 def estimate_errors(
     read: Float64Array, samples: GroundSamples, size: tuple[int, int], config: FusionConfig
 ) -> ErrorModel:
-    """From what the network said (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
+    """Estimate a network's errors from its values (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
     rules = config.error_model
     usable = read * samples.depth < rules.nearer
     samples, read = samples.part(usable), read[usable]

@@ -51,8 +51,7 @@ def expected_surface(
     dem_sigma: float,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in
-    `ground`.
+    """Return depth and sigma of the visible surface, (H, W) float32 metres; +inf and NaN are those of `ground`.
 
     Args:
         ground: traced depth along the optical axis (H, W).
@@ -177,9 +176,9 @@ def _cover(
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
-    terrain's heights, metres. label_columns: of the network that made the labels, whose edges are no finer; 0: they
-    are the photo's own."""
+    """Standard deviations of the inputs. angle_sigma: camera direction, radians, in addition to its pose's covariance.
+    dem_sigma: terrain heights, metres. label_columns: width of the network that made the labels, which limits their
+    resolution; 0: the photo's own."""
 
     angle_sigma: float = float(np.radians(0.03))
     dem_sigma: float = 1.0
@@ -187,8 +186,8 @@ class FusionSettings:
 
 
 class Expectation(NamedTuple):
-    """What is known of a photo's pixels before any of them is decided: depth and sigma (H, W) that the terrain lets
-    expect; the network's fit, its view of the photo, and what may stand before the ground, None without a network."""
+    """Expectation of a photo's pixels before fusion: depth and sigma (H, W) from the terrain; the network's fit, its
+    view of the photo, and the occlusion prior, None without a network."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -206,7 +205,7 @@ def expect(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> Expectation:
-    """Return what `fuse` decides by; arguments as there."""
+    """Return the inputs of the decisions of `fuse`; arguments as there."""
     if network is None:
         return Expectation(*_surface(traced, labels, classes, settings, config), None, None, None)
     expected, sigma, fit = fitted(traced, network, labels, classes, settings, config)
@@ -237,8 +236,8 @@ def fitted(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array, ScaleFit]:
-    """Return the pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its
-    errors there; with depth and sigma of the expected surface."""
+    """Return the network's scale from trustworthy ground (pixel sampling and RANSAC regression) and its errors there,
+    with depth and sigma of the expected surface."""
     expected, sigma = _surface(traced, labels, classes, settings, config)
     samples = ground_samples(expected, sigma, labels, classes.ground, traced.camera.fy, config)
     return expected, sigma, fit_scale(network, samples, (expected.shape[0], expected.shape[1]), config)

@@ -23,22 +23,22 @@ from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
 
 
 def derived(default: Any, meaning: str, **bounds: float) -> Any:
-    """Return a constant that follows from something else; `bounds`: of pydantic, as ge=0."""
+    """Declare a constant that follows from others; `bounds` as in pydantic, for example ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
-    """Return a constant that `ltm-lab train fusion` writes."""
+    """Declare a constant that `ltm-lab train fusion` writes."""
     return Field(default, description=meaning, json_schema_extra={"origin": "fitted"})
 
 
 def chosen(default: Any, meaning: str, **bounds: float) -> Any:
-    """Return a constant that a person has chosen on development scenarios; `bounds`: of pydantic, as ge=0."""
+    """Declare a constant chosen on the development scenarios; `bounds` as in pydantic, for example ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "chosen"}, **bounds)  # type: ignore[call-overload]
 
 
 class ClassLogOdds(StrictModel):
-    """Log odds by what the labels call a place."""
+    """Log odds by the label of a place."""
 
     grass: float = fitted(..., "grass")
     shrub: float = fitted(..., "shrub")
@@ -50,7 +50,7 @@ class ClassLogOdds(StrictModel):
 
 
 class CoverConfig(StrictModel):
-    """What grows on the ground, by class."""
+    """Vegetation heights by class."""
 
     grass: float = chosen(0.2, "metres by which the visible surface of grass stands above bare ground", ge=0, lt=100)
     shrub: float = chosen(
@@ -64,7 +64,7 @@ class CoverConfig(StrictModel):
 
 
 class SurfaceConfig(StrictModel):
-    """The depth that the terrain lets expect, and its sigma (`expected_surface`)."""
+    """Expected depth of the terrain and its sigma (`expected_surface`)."""
 
     jump: float = chosen(1.25, "ratio of depths of neighbouring pixels from which on they lie on two surfaces")
     most_roll_deg: float = chosen(20.0, "roll of a camera whose columns are still about plumb")
@@ -74,7 +74,7 @@ class SurfaceConfig(StrictModel):
 
 
 class SamplingConfig(StrictModel):
-    """Where the terrain can be trusted (`ground_sampling`)."""
+    """Selection of trustworthy terrain samples (`ground_sampling`)."""
 
     most: int = chosen(6000, "samples that a fit gets at most")
     crowd: int = chosen(4, "times the places of a middling half octave of ranges that one may have")
@@ -85,7 +85,7 @@ class SamplingConfig(StrictModel):
 
 
 class RegressionConfig(StrictModel):
-    """The straight line that most samples agree on (`robust_regression`)."""
+    """Straight line through most samples (`robust_regression`)."""
 
     trials: int = derived(128, "pairs tried: with 45 % outliers one is clean with 0.3, so all fail once in 10^19", ge=1)
     scored: int = chosen(800, "points, evenly taken, that score the trials; the inliers come from all", ge=8)
@@ -96,7 +96,7 @@ class RegressionConfig(StrictModel):
 
 
 class ScaleConfig(StrictModel):
-    """One scale and shift for a network's depth (`scale_fit`, `robust_regression`)."""
+    """Scale and shift of a network's depth (`scale_fit`, `robust_regression`)."""
 
     least_samples: int = chosen(50, "of trustworthy ground below which no scale is fitted")
     least_positive: float = chosen(0.9, "of a relative network's values: below, it has no line without a shift")
@@ -113,7 +113,7 @@ class ScaleConfig(StrictModel):
 
 
 class ErrorModelConfig(StrictModel):
-    """A network's slow errors and noise, by region and depth (`error_model`)."""
+    """Systematic errors and noise of a network by region and depth (`error_model`)."""
 
     regional: bool = chosen(True, "whether corrections differ over the photo, where held-out regions bear them out")
     by_depth: bool = chosen(True, "whether bias and spread differ by range")
@@ -137,14 +137,14 @@ class ErrorModelConfig(StrictModel):
 
 
 class UpsamplingConfig(StrictModel):
-    """A network's depth drawn to the photo's edges (`guided_filter`)."""
+    """Alignment of a network's depth with the photo's edges (`guided_filter`)."""
 
     radius: int = chosen(1, "of the windows, pixels of the network")
     edge: float = chosen(12.0, "contrast in 8-bit steps from which on a change of grey counts as an edge")
 
 
 class BoundaryConfig(StrictModel):
-    """Where the photo has the edge between two ridges (`occlusion_boundaries`)."""
+    """Location of the edge between two ridges in the photo (`occlusion_boundaries`)."""
 
     usual_crest: float = chosen(0.25, "metres by which crests are usually raised: a cut's prior falls by e for each")
     strip_px: int = chosen(60, "most pixels that an edge is raised: a near crest's cover is an object")
@@ -166,7 +166,7 @@ class BoundaryConfig(StrictModel):
 
 
 class OcclusionConfig(StrictModel):
-    """What may stand before the ground (`occlusion_prior`)."""
+    """Objects in front of the ground (`occlusion_prior`)."""
 
     standing: ClassLogOdds = fitted(
         ClassLogOdds(grass=-3.2, shrub=0.2, tree=2.7, bare=-3.2, water=-3.2, built=2.7, unlabelled=0.1),
@@ -179,7 +179,7 @@ class OcclusionConfig(StrictModel):
 
 
 class DecisionConfig(StrictModel):
-    """Terrain or network, pixel by pixel (`pixel_fusion`, `fusion_rows`)."""
+    """Choice between terrain and network for each pixel (`pixel_fusion`, `fusion_rows`)."""
 
     disagree: float = chosen(0.4, "squared sigmas from which on a disagreement is looked at")
     agree: float = chosen(9.0, "squared sigmas up to which both are averaged")
@@ -200,7 +200,7 @@ class DecisionConfig(StrictModel):
 
 
 class PoseCheckConfig(StrictModel):
-    """Whether the terrain lies where the photo has it (`pose_check`, `skyline_check`)."""
+    """Check that the terrain matches the photo (`pose_check`, `skyline_check`)."""
 
     enabled: bool = chosen(True, "whether a pose that contradicts the photo stops fusion")
     reach_deg: float = chosen(2.5, "how far a wrong pose is looked for")
@@ -229,7 +229,7 @@ class PoseCheckConfig(StrictModel):
 
 
 class FusionConfig(StrictModel):
-    """All constants of TopoDepth's fusion. Sigmas of what goes in are `topodepth.FusionSettings`."""
+    """All constants of TopoDepth's fusion. Sigmas of the inputs are in `topodepth.FusionSettings`."""
 
     pose_check: PoseCheckConfig = PoseCheckConfig()
     cover: CoverConfig = CoverConfig()
@@ -244,11 +244,11 @@ class FusionConfig(StrictModel):
     decision: DecisionConfig = DecisionConfig()
 
     def constants(self) -> Iterator[tuple[str, Any, str, str]]:
-        """Return the dotted name, value, origin and meaning of every constant."""
+        """Iterate over dotted name, value, origin and meaning of every constant."""
         yield from _constants(self, "")
 
     def updated(self, changes: dict[str, Any]) -> FusionConfig:
-        """With other values by dotted name; the types and bounds of all are checked. Raises ValueError."""
+        """Return a copy with other values by dotted name; all types and bounds are checked. Raises ValueError."""
         content = self.model_dump()
         for name, value in changes.items():
             *path, last = name.split(".")
@@ -271,13 +271,12 @@ def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, s
 
 
 def fusion_path(manifest: NetworkManifest) -> Path:
-    """Return where the constants that were fitted with a network lie."""
+    """Return the path of the constants fitted with a network."""
     return manifest.folder / f"{manifest.name}{FUSION_SUFFIX}"
 
 
 def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
-    """Return the constants beside a manifest; the defaults where there are none. Raises ConfigError for a wrong
-    file."""
+    """Return the constants beside a manifest, or the defaults. Raises ConfigError for an invalid file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()
 

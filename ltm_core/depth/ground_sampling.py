@@ -57,7 +57,7 @@ class ClassPriors:
 
 
 class LabelView(NamedTuple):
-    """A label image as compiled code takes it: ids (H, W), whether there are any, and the id of sky."""
+    """Compiled form of a label image: ids (H, W), whether there are any, and the id of sky."""
 
     ids: UInt8Array
     known: bool
@@ -65,7 +65,7 @@ class LabelView(NamedTuple):
 
     @classmethod
     def of(cls, labels: UInt8Array | None, classes: ClassPriors) -> LabelView:
-        """`labels`: (H, W) class ids, or None."""
+        """Return the view of `labels`, (H, W) class ids or None."""
         return cls(np.zeros((1, 1), np.uint8) if labels is None else labels, labels is not None, classes.sky)
 
 
@@ -88,7 +88,8 @@ class _SamplingRules(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroundSamples:
-    """`rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface there."""
+    """Ground samples. `rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface
+    there."""
 
     rows: IndexArray
     cols: IndexArray
@@ -99,7 +100,7 @@ class GroundSamples:
         return len(self.rows)
 
     def part(self, chosen: BoolArray) -> GroundSamples:
-        """Return those that `chosen` (N,) names."""
+        """Return the samples selected by `chosen` (N,)."""
         return GroundSamples(self.rows[chosen], self.cols[chosen], self.depth[chosen], self.sigma[chosen])
 
 
@@ -111,7 +112,7 @@ def ground_samples(
     focal: float,
     config: FusionConfig,
 ) -> GroundSamples:
-    """Evenly spread pixels with terrain that is no sky, at no silhouette, not grazed, and of a class that is ground.
+    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes and grazing views.
 
     `ground`: (256,) which classes are. `focal`: pixels. Where sigma is a large part of the depth is left
     out as well: ground near a low mast is unsure, but a network must not be left without what is near.

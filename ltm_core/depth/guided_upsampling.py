@@ -73,7 +73,7 @@ class NetworkView(NamedTuple):
 
     @classmethod
     def none(cls) -> NetworkView:
-        """In place of a network that is not there."""
+        """Return the view used without a network."""
         grey, column = np.zeros((1, 1), np.uint8), np.zeros(1, np.int32)
         cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)
         return cls(cells, grey, column, part, ErrorModel.none().tables, np.float32(1.0), False)
@@ -95,8 +95,8 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
-    """Return what the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown,
-    and the greatest and the least that neighbours see. `row`: (4, w), to work in."""
+    """Compute the network's view of row `v` of the photo into `out` (3, W): inverse depth, 1/m, NaN where unknown, and
+    the maximum and minimum among neighbours. `row`: (4, w) work array."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):
@@ -120,7 +120,7 @@ def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
-    """Return the inverse depth, 1/m, that the network sees in one pixel."""
+    """Return the network's inverse depth in one pixel, 1/m."""
     cells, grey = view.cells, view.grey
     top, down = _row(v, cells.shape[1], grey.shape[0])
     x, part = view.columns[u], view.parts[u]

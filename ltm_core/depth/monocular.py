@@ -20,7 +20,7 @@ DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 
 @dataclass(frozen=True, eq=False)
 class NetworkDepth:
-    """Depth as a network gives it, over the whole field of view of the photo, edge to edge.
+    """Depth of a network over the whole field of view of the photo, edge to edge.
 
     `values`: (h, w) float32 at any size. Of kind `relative_inverse`: inverse depth but for a scale and a shift;
     `affine_invariant`: depth but for a scale and a shift; `metric`: metres along the optical axis. NaN: no answer.

@@ -30,8 +30,8 @@ _Answer = tuple[np.float32, np.float32, np.float32, np.float32]
 
 
 class BoundaryRules(NamedTuple):
-    """`BoundaryConfig` as compiled code takes it, and more. `highest`: metres that any class may rise over a crest;
-    `focal`: pixels; `jump`: ratio of depths between two surfaces; `open`: as `DecisionRules`."""
+    """Compiled form of `BoundaryConfig`, with further values. `highest`: metres that each class may rise over a crest;
+    `focal`: pixels; `jump`: ratio of depths between two surfaces; `open`: as in `DecisionRules`."""
 
     usual_crest: np.float32
     strip_px: int
@@ -87,7 +87,7 @@ def refine_occlusion_boundaries(
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
 ) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return the edges found.
 
     `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
     `edges`: of `ground`, where they are known.

@@ -34,7 +34,7 @@ OWN = 4.0
 
 
 class DecisionRules(NamedTuple):
-    """`DecisionConfig` as compiled code takes it."""
+    """Compiled form of `DecisionConfig`."""
 
     disagree: np.float32
     agree: np.float32
@@ -127,8 +127,8 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def average_row(row: FusionRow, rules: DecisionRules) -> None:
-    """Return the mean by inverse variance, in inverse depth, where both agree within so many sigmas and the terrain is
-    one surface; see `compare_row`."""
+    """Average both depths by inverse variance, in inverse depth, where they agree and the terrain is one surface; see
+    `compare_row`."""
     d, s, kind = row.depth, row.sigma, row.source
     true, own, off, joint, weight = row.true, row.own, row.off, row.joint, row.part
     agree, torn = rules.agree, rules.torn
@@ -147,7 +147,7 @@ def average_row(row: FusionRow, rules: DecisionRules) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
-    """Return what a row is without a network."""
+    """Initialise a row as it is without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
     for u in range(len(d)):
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
@@ -166,7 +166,7 @@ def fuse_pixels(
     source: UInt8Array,
     config: FusionConfig,
 ) -> None:
-    """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
+    """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
     `topodepth.DepthSource`.
 
     `over`: (H, W) depth of a canopy raster, `network`: what it sees, `standing`: what may stand there, `labels`: (H, W)
@@ -265,8 +265,8 @@ def _fuse(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: DecisionRules) -> np.float32:
-    """Return a network's sigma, 1/m, of what may stand before the ground, of which its own is `t`; which of its
-    neighbours' depths, from `back` to `near`, a pixel has stays unsure."""
+    """Return a network's sigma, 1/m, for objects in front of the ground, where `t` is its own; which of the neighbours'
+    depths from `back` to `near` a pixel has is uncertain."""
     between = rules.between * (near - back)
     return np.float32(np.sqrt(rules.elsewhere * t * t + between * between))
 
@@ -275,8 +275,8 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 def surely_terrain(
     odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
-    """Return whether a disagreement is surely too small for `network_chance` to find anything before the ground: its
-    odds at their best, without exponential and logarithm."""
+    """Return whether a disagreement is certainly too small for `network_chance` to find an object: its odds at their
+    best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
     need = (rules.few - odds) * rules.per_likelihood_weight
@@ -292,8 +292,8 @@ def log_against(
     gross: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Return the log likelihood by which what a network sees speaks for the terrain, against something that is anywhere
-    before it and is seen at the inverse depth `other`, 1/m.
+    """Return the log likelihood ratio of the terrain against an object anywhere in front of it that is seen at the
+    inverse depth `other`, 1/m.
 
     `off`: by how much it is nearer than it would say of the terrain, with variance `joint`, of its own `spread`.
     `gross`: share of gross errors, which are anywhere too.
@@ -312,7 +312,7 @@ def network_chance(
     odds: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Return the chance that the inverse depth `other` is the network's alone, and not the terrain's word; see
+    """Return the probability that the inverse depth `other` is the network's alone, not the terrain's; see
     `log_against`.
 
     `odds`: log odds of something that stands there. Of the log likelihood only a part counts: a network's errors go on

@@ -27,10 +27,9 @@ from ltm_core.vision.labels import UNLABELLED
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """`edges`: of the terrain that were looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much
-    the camera should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how
-    many times better it fits there. `suspected`, and `reason` in words.
-    """
+    """Result of the check. `edges`: number of terrain edges used; `columns`: of the skyline. `pitch_deg`,
+    `azimuth_deg`: turn of the camera (up, clockwise) with the best fit, 0 if unknown. `gain`: ratio of the fits.
+    `suspected`, and `reason` in words."""
 
     edges: int
     columns: int
@@ -44,7 +43,7 @@ class PoseCheck:
 
     @classmethod
     def none(cls) -> PoseCheck:
-        """Of a pose that is not checked."""
+        """Return the result for a pose that is not checked."""
         return cls(0, 0, 0.0, 0.0, 1.0, False, "", False)
 
 

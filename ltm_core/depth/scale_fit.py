@@ -30,8 +30,8 @@ _RULES = RegressionConfig()
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """y = scale x + shift, with `sigma`, the robust standard deviation of its inliers (of weighted residuals), and
-    which points are `inliers`, (N,) bool."""
+    """Line y = scale x + shift, with `sigma`, the robust standard deviation of its inliers (of weighted residuals), and
+    the mask of `inliers`, (N,) bool."""
 
     scale: float
     shift: float
@@ -94,8 +94,7 @@ def robust_line(
 
 
 def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionConfig = _RULES) -> Line | None:
-    """Return the number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest
-    half."""
+    """Return the centre of most of `values` (N,), the middle of their densest half, as a line of scale 1."""
     if len(values) < rules.fewest:
         return None
     ordered = np.sort(values)
@@ -116,7 +115,7 @@ def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionCon
 
 @dataclass(frozen=True, eq=False)
 class ScaleFit:
-    """A network's inverse depth in 1/m at its own size, and what the fit says of it.
+    """Inverse depth of a network in 1/m at its own size, with the quality of its fit.
 
     `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
     among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `error_model`: what it says where
@@ -199,8 +198,8 @@ def _too_few(samples: GroundSamples, least: int) -> str:
 
 
 def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:
-    """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
-    less where the terrain itself is unsure."""
+    """Fit scale and shift. Residuals of inverse depth are weighted in proportion to it in the near range, evenly in the
+    far range, and less where the terrain is uncertain."""
     inverse = 1.0 / samples.depth
     relative = samples.sigma / samples.depth
     if kind == "relative_inverse":

@@ -21,9 +21,9 @@ from ltm_core.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class SkylineCheck:
-    """`columns` with a known far skyline. `pitch_deg`, `azimuth_deg`: turn of the camera (up, clockwise) that fits
-    best. `least_deg`: the smallest turn that fits about as well. `gain`: cost without a turn over that at the best.
-    """
+    """Result of the check. `columns`: number with a known far skyline. `pitch_deg`, `azimuth_deg`: turn of the camera
+    (up, clockwise) with the best fit. `least_deg`: smallest turn that fits about as well. `gain`: ratio of the cost
+    without a turn to that at the best one."""
 
     columns: int
     pitch_deg: float
@@ -45,7 +45,7 @@ def check_skyline(
     config: PoseCheckConfig,
     cell: float = 1.0,
 ) -> SkylineCheck | None:
-    """Compare the traced depth's (H, W) skyline with that of the labels (H, W); None where too little is known.
+    """Compare the traced depth's (H, W) skyline with that of the labels (H, W); return None if too little is known.
 
     `crest`: (256,) metres to which each class may rise over a crest. `nearest`: metres; crests that are nearer say
     nothing. `reach`: radians of the largest turn that is tried. `cell`: pixels of the photo that one of the labels'

@@ -40,7 +40,7 @@ from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 
 class DepthSource(IntEnum):
-    """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
+    """Source of a pixel's depth: the values of `FusedDepth.source`."""
 
     UNKNOWN = 0
     TERRAIN = 1
@@ -91,16 +91,15 @@ class FusedDepth:
     hidden: BoolArray | None = field(default=None, repr=False)
 
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
-        """Return what the network alone measures: nothing where it, or the pose, cannot be relied on, where something
-        else stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to
-        edge)."""
+        """Return the network's measurement alone: empty if the network or the pose is unreliable; without pixels that
+        do not show the terrain or show too little (`doubtful`, bool of any size, edge to edge)."""
         if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
         return _measured(self.fit, self.config, self.hidden, doubtful)
 
     def network_depth(self) -> Float32Array | None:
-        """Return the metres (h, w) that the network says at its own size, none where the terrain is hidden; None where
-        it does not fit the terrain."""
+        """Return the network's depth (h, w) in metres at its own size, NaN where the terrain is hidden; None if it does
+        not fit the terrain."""
         if self.fit is None or self.fit.trouble:
             return None
         with np.errstate(divide="ignore"):
@@ -110,7 +109,7 @@ class FusedDepth:
         return np.asarray(metres, np.float32)
 
     def info(self) -> dict[str, Any]:
-        """JSON-ready: what `fused/info` carries."""
+        """Return the JSON-ready content of `fused/info`."""
         line = self.fit.line if self.fit is not None else None
         shares = cv2.calcHist([self.source], [0], None, [len(DepthSource)], [0, len(DepthSource)]).ravel() / max(
             1, self.source.size
@@ -198,8 +197,7 @@ def measure(
     unusable: str = "",
     doubtful: BoolArray | None = None,
 ) -> NetworkMeasurement:
-    """Return what the network alone measures in a photo: `fuse(...).measured(doubtful)`, for whoever wants no fused
-    depth.
+    """Return the network's measurement of a photo alone: `fuse(...).measured(doubtful)` without the fused depth.
 
     Arguments and errors as there.
     """

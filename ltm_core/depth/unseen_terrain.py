@@ -32,8 +32,7 @@ from ltm_core.vision.labels import UNLABELLED
 
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
-    """Return the labels (H, W) with what the terrain lets expect behind hidden pixels (H, W): sky where no ground is
-    traced.
+    """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced.
 
     So a mast before the sky is no land on the skyline, and a corner of the lens does not end the sky of its column.
     """
@@ -42,14 +41,14 @@ def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, s
 
 
 def edges_seen(edges: DepthDiscontinuities, hidden: BoolArray) -> DepthDiscontinuities:
-    """Without those that hidden pixels (H, W) cover, and those that are the hidden area's own border."""
+    """Return edges without those that hidden pixels (H, W) cover or that border the hidden area."""
     above = np.maximum(edges.rows - 1, 0)
     seen = ~(hidden[edges.rows, edges.cols] | hidden[above, edges.cols])
     return DepthDiscontinuities(edges.rows[seen], edges.cols[seen], edges.jump)
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
-    """Return `hidden` (H, W) at another size, edge to edge: True where any of what a pixel there covers is hidden."""
+    """Return `hidden` (H, W) at another size, edge to edge: True if any of the area of a pixel is hidden."""
     if hidden.shape == (height, width):
         return hidden
     shrinks = height <= hidden.shape[0] and width <= hidden.shape[1]
@@ -58,7 +57,8 @@ def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
 
 
 def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Float32Array:
-    """Return the traced depth (H, W) with +inf for NaN where `labels` (H, W) say so; itself where nothing changes."""
+    """Return the traced depth (H, W) with +inf for NaN where `labels` (H, W) are sky; unchanged depth is returned
+    itself."""
     if not _call_sky(depth, labels, sky, depth[:0]):
         return depth
     called = depth.copy()
@@ -181,8 +181,7 @@ _EVERY = 4  # pixels looked at, each way
 @dataclass(frozen=True)
 class UnknownShare:
     """Shares of an image that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
-    first known ground; and in columns that meet `no_ground`.
-    """
+    first known ground; and in columns with `no_ground`."""
 
     beyond: float
     between: float
@@ -195,7 +194,7 @@ class UnknownShare:
 
     @property
     def reason(self) -> str:
-        """Return the share, and what most of it likely comes from."""
+        """Return the share, and its most likely reason."""
         likely = max(
             (self.beyond, "the camera looks over the DEM's edge; give a coarser DEM around it, or possible_ground"),
             (self.between, "the DEM has holes there"),
@@ -206,7 +205,8 @@ class UnknownShare:
 
 
 def unknown_share(depth: Float32Array) -> UnknownShare:
-    """Of ranges or depths (H, W): finite, +inf sky, NaN unknown; every fourth pixel each way is looked at."""
+    """Return the unknown share of ranges or depths (H, W): finite, +inf sky, NaN unknown; every fourth pixel each way
+    is used."""
     part = depth[::_EVERY, ::_EVERY]
     unknown, known = np.isnan(part), np.isfinite(part)
     above = np.logical_or.accumulate(known, axis=0)

@@ -33,8 +33,8 @@ USUAL_HOURS = (1.0, 3.0, 6.0)
 
 @dataclass(frozen=True)
 class Area:
-    """Hectares that have burned some hours after ignition; `ensemble`: least, middle and most of the draws but the
-    outermost tenths, None without one."""
+    """Burned area in hectares some hours after ignition; `ensemble`: lowest, median and highest of the draws without
+    the outermost tenths, None without one."""
 
     hours: float
     before: float
@@ -44,9 +44,8 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class FireEffect:
-    """`changed`: (H, W) cells of which fuel or canopy differ. `probability`: (H, W) share of the drawn landscapes on
-    which a cell burns; None: none was drawn.
-    """
+    """Comparison of two fires. `changed`: (H, W) cells with different fuel or canopy. `probability`: (H, W) share of
+    the drawn landscapes on which a cell burns; None: none was drawn."""
 
     before: FireRun
     after: FireRun
@@ -58,12 +57,11 @@ class FireEffect:
     """Burned area of each draw in hectares at the hours of `hours_shown`."""
 
     def difference(self) -> Float32Array:
-        """Return (H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
+        """Return (H, W) hours by which the fire arrives later on the updated map; NaN unless it arrives on both."""
         return self.after.arrival - self.before.arrival
 
     def flame_difference(self) -> Float32Array:
-        """Return (H, W) metres by which flames are longer on the map as it is; NaN where the fire does not come on
-        both."""
+        """Return (H, W) metres by which flames are longer on the updated map; NaN unless the fire arrives on both."""
         both = self.before.burned & self.after.burned
         return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
 
@@ -81,8 +79,8 @@ class FireEffect:
         return rows
 
     def first_contact(self) -> float | None:
-        """Return the hours after which a fire, on the map as it was or as it is, comes to a changed cell; None: to
-        none. What does not burn any more was reached before."""
+        """Return hours until a fire, on the previous or the updated map, reaches a changed cell; None: never. Cells
+        that no longer burn count by the previous map."""
         there = np.concatenate([run.arrival[self.changed & run.burned] for run in (self.before, self.after)])
         return float(there.min()) if there.size else None
 
@@ -95,14 +93,14 @@ def hectares(run: FireRun, hours: float, cell: float) -> float:
 
 
 def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
-    """Return (H, W): cells of which the fuel model or a band of canopy differs. Raises RasterError for other grids."""
+    """Return (H, W) cells with a different fuel model or canopy band. Raises RasterError for different grids."""
     if before.geometry.shape != after.geometry.shape:
         raise RasterError(f"landscapes of {before.geometry.shape} and {after.geometry.shape} cells cannot be compared")
     return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
 
 
 def burn_probability(runs: Sequence[FireRun]) -> Float32Array:
-    """Return (H, W): share of the fires that come to a cell."""
+    """Return (H, W) the share of the fires that reach a cell."""
     return np.asarray(np.mean([run.burned for run in runs], axis=0), np.float32)
 
 
@@ -117,9 +115,8 @@ _SHOWN: Final = 1.0
 
 @dataclass(frozen=True, eq=False)
 class CellDoubt:
-    """What is known of each cell. `alpha`: (H, W, FORMS) of the Dirichlet distribution of its life forms, prior and
-    evidence together. `prior`, `code`: (H, W) fuel codes before and now. `fixed`: (H, W) cells that no draw changes.
-    """
+    """Uncertainty of each cell. `alpha`: (H, W, FORMS) of the Dirichlet distribution of its life forms, prior and
+    evidence together. `prior`, `code`: (H, W) fuel codes before and now. `fixed`: (H, W) cells that no draw changes."""
 
     alpha: Float64Array
     prior: Int16Array
@@ -128,7 +125,7 @@ class CellDoubt:
 
     @classmethod
     def of(cls, layers: FuelLayers, alpha: Float64Array, mask: tuple[int, ...]) -> CellDoubt:
-        """`mask`: codes that labels never change (`FusionRules.mask`)."""
+        """Return the uncertainty of a map; `mask`: codes that labels never change (`FusionRules.mask`)."""
         fixed = held(layers.prior, mask) | (layers.code == NODATA)
         return cls(alpha, layers.prior, layers.code, fixed)
 
@@ -166,7 +163,7 @@ def drawn_codes(
 
 
 def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """Return the layers with other codes, which are changes where they are not the prior's."""
+    """Return the layers with other codes, which are changes where they differ from the prior's."""
     return replace(layers, code=codes, changed=codes != layers.prior)
 
 

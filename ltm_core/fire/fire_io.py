@@ -26,7 +26,8 @@ _LCP_UNITS: Final[Mapping[str, str]] = {
 
 
 def read_landscape(path: Path) -> Landscape:
-    """Raise RasterError for a file without the eight bands, a metric CRS, square cells or LANDFIRE's units."""
+    """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS, square cells or LANDFIRE's
+    units."""
     with open_raster(path) as source:
         if source.count < len(LANDSCAPE_BANDS):
             raise RasterError(
@@ -56,7 +57,7 @@ def read_landscape(path: Path) -> Landscape:
 
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
-    """Raise ConfigError unless both lie on one grid."""
+    """Raise ConfigError unless both are on one grid."""
     from pyproj import CRS
 
     a, b = before.geometry, after.geometry
@@ -101,7 +102,7 @@ BANDS: Mapping[str, str] = {
 
 
 def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Mapping[str, str]) -> None:
-    """Return one GeoTIFF of float32 bands, NaN where the fire does not come. Raises ConfigError where it cannot be
+    """Write one GeoTIFF of float32 bands, NaN where the fire does not arrive. Raises ConfigError if it cannot be
     written."""
     layers = [
         effect.before.arrival,

@@ -26,7 +26,7 @@ _WATER: Final = 98
 
 @dataclass(frozen=True)
 class Moisture:
-    """% of the dry weight: dead fuel of 1 h, 10 h and 100 h, live herbs, live wood, needles of the crowns."""
+    """Fuel moisture in % of the dry weight: dead fuel of 1 h, 10 h and 100 h, live herbs, live wood, crown needles."""
 
     dead_1h: float
     dead_10h: float
@@ -37,7 +37,7 @@ class Moisture:
 
     @classmethod
     def parse(cls, text: str | None) -> Moisture:
-        """Raise ConfigError for nothing, and for what is neither a scenario nor five percentages."""
+        """Parse a moisture. Raises ConfigError unless it is a scenario or five percentages."""
         if not text:
             raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
         name = text.strip().upper()
@@ -60,15 +60,15 @@ class Moisture:
 
 @dataclass(frozen=True)
 class Wind:
-    """`speed`: m/s at 10 m above ground or open canopy. `direction`: degrees clockwise from grid north from which it
-    blows."""
+    """Wind. `speed`: m/s at 10 m above ground or open canopy. `direction`: degrees clockwise from grid north from which
+    it blows."""
 
     speed: float
     direction: float
 
     @classmethod
     def parse(cls, text: str) -> Wind:
-        """Raise ConfigError for what is no speed and direction."""
+        """Parse a wind. Raises ConfigError unless it is a speed and a direction."""
         try:
             speed, direction = (float(part) for part in text.split(","))
         except ValueError:
@@ -86,7 +86,7 @@ class Wind:
 
 @dataclass(frozen=True)
 class FireScenario:
-    """`row`, `col`: the cell where it starts. `hours`: how long it runs, under a wind that does not change."""
+    """Fire under constant wind. `row`, `col`: the ignition cell. `hours`: its duration."""
 
     row: int
     col: int
@@ -100,7 +100,7 @@ class FireScenario:
 
 
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
-    """Return the row and column of "x,y" in `crs`, by default the landscape's own.
+    """Return row and column of "x,y" in `crs`, by default the landscape's own.
 
     Raises ConfigError for what is no place, one outside, and one where nothing burns.
     """

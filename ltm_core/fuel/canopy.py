@@ -44,10 +44,9 @@ _CELLS = 1000
 
 @dataclass(frozen=True, eq=False)
 class SeenCanopy:
-    """(H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over bare earth,
-    metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a changed
-    surface is lower than higher, so that what still stands may only not have been confirmed as gone yet; None: nowhere.
-    """
+    """Observed canopy, (H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over
+    bare earth, metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a
+    changed surface is lower than higher, so that the rest may not have been confirmed as gone yet; None: nowhere."""
 
     cover: Float32Array
     height: Float32Array
@@ -57,9 +56,8 @@ class SeenCanopy:
 
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
-    """Of the cells of a fuel grid (in the map frame) a quarter of which has changed; None where nothing is confirmed,
-    or it is not known what stood on the ground before.
-    """
+    """Return the canopy of the cells of a fuel grid (in the map frame) that have changed by at least a quarter; None if
+    nothing is confirmed, or if the earlier canopy is unknown."""
     if terrain.surface is None or not terrain.canopy_known:
         return None
     cells = terrain.surface
@@ -90,7 +88,7 @@ def measured_canopy(
     labels: tuple[Float64Array, Float64Array] | None,
     heights: tuple[Float32Array, Float32Array] | None,
 ) -> SeenCanopy:
-    """Return what was measured of the cells with `trees` (H, W), of all sources.
+    """Return the measured canopy of the cells with `trees` (H, W), from all sources.
 
     Args:
         new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
@@ -130,9 +128,9 @@ def measured_canopy(
 def with_seen_canopy(
     bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
 ) -> Int16Array:
-    """Return the canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured, each
-    where it is; crown base and bulk density change from what they were as those of such stands do (`stand_allometry`).
-    Those of broadleaved `codes` (H, W) stay. Cells without trees stay."""
+    """Return canopy bands (4, H, W) of cells with trees, updated by observations: cover and height as measured; crown
+    base and bulk density change in proportion to the allometry of such stands (`stand_allometry`). Broadleaved `codes`
+    (H, W) and cells without trees do not change."""
     cover, height, base, density = (band.astype(np.float64) for band in bands)
     now = (np.isfinite(seen.cover) | np.isfinite(seen.height)) & (cover > 0) & (height > 0)
     share = np.where(np.isfinite(seen.cover), seen.cover, cover).astype(np.float64)
@@ -185,11 +183,10 @@ _SAID = 1 / 3
 
 
 def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> tuple[Float32Array, Float32Array]:
-    """Of the cells of a fuel grid (in the map frame): mean height of what stands 2 m and more over bare earth where
-    independent views have measured it, and its standard error, metres; NaN where hardly anything was seen to stand.
-    `before` (H, W): what a map said, metres, which meets what was measured by their standard errors; NaN, or too low to
-    stand: nothing.
-    """
+    """Return, for the cells of a fuel grid (in the map frame), the mean height of objects of 2 m and more over bare
+    earth where independent views have measured it, and its standard error, metres; NaN where hardly anything was seen
+    to stand. `before` (H, W): heights of an earlier map, metres, combined with the measurement by their standard
+    errors; NaN or too low: not used."""
     size = fuel.width * fuel.height
     count, total, squares, cubes, noise = (np.zeros(size) for _ in range(5))
     top, left, height, width = surface.seen_window() or (0, 0, 0, 0)

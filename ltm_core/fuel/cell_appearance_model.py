@@ -31,9 +31,8 @@ _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 
 
 class CellAppearanceFile(StrictModel):
-    """`incidence`: rising cosines of the angle between sight and the ground's normal. `weights`: of each form that the
-    network was tried on, at each of them: of what is looked at (`SEEN`).
-    """
+    """File of a `CellAppearanceModel`. `incidence`: increasing cosines of the angle between line of sight and ground
+    normal. `weights`: for each form on which the network was tested, at each incidence, of the features (`SEEN`)."""
 
     incidence: list[float] = Field(min_length=2)
     weights: dict[str, list[list[float]]]
@@ -52,9 +51,8 @@ class CellAppearanceFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class CellAppearanceModel:
-    """`incidence`: (K,) rising cosines. `weights`: (FORMS, K, SEEN), between which it is linear; NaN for a form that
-    the network was never tried on.
-    """
+    """Model of a cell's label features by life form. `incidence`: (K,) increasing cosines. `weights`: (FORMS, K, SEEN),
+    interpolated linearly; NaN for a form on which the network was never tested."""
 
     incidence: Float64Array
     weights: Float64Array
@@ -75,18 +73,17 @@ class CellAppearanceModel:
 
     @cached_property
     def known(self) -> BoolArray:
-        """Return (FORMS,): forms that the network was tried on."""
+        """Return (FORMS,) whether the network was tested on a form."""
         return np.isfinite(self.weights[:, 0, 0])
 
     @cached_property
     def by_incidence(self) -> Float64Array:
-        """Return (K, SEEN, FORMS): the weights as `look_kernel.tell_by_look` takes them, 0 for forms that are not
-        known."""
+        """Return (K, SEEN, FORMS) weights for `frame_evidence.form_by_appearance`, 0 for unknown forms."""
         return np.ascontiguousarray(np.nan_to_num(self.weights).transpose(1, 2, 0))
 
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
-        """Return (N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not
-        known."""
+        """Return (N, FORMS) log likelihood of the features (N, SEEN), up to a constant for each cell; -inf for unknown
+        forms."""
         inputs = at_incidence(seen, cosine, self.incidence)
         result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
         return np.where(self.known, result, -np.inf)
@@ -99,9 +96,9 @@ def what_is_seen(
     bearing: NDArray[np.floating],
     confidence: NDArray[np.floating] | None,
 ) -> Float64Array:
-    """Return (N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
-    `bearing` (N,), radians clockwise from grid north. A neighbour that the frame does not show is taken to look like
-    the cell itself."""
+    """Return (N, SEEN) features of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in
+    directions `bearing` (N,), radians clockwise from grid north. A neighbour outside the frame is assumed to look like
+    the cell."""
     n = len(rows)
     if n == 0:
         return np.zeros((0, SEEN))
@@ -118,6 +115,6 @@ def what_is_seen(
 
 
 def at_incidence(seen: Float64Array, cosine: Float64Array, incidence: Float64Array) -> Float64Array:
-    """Return (N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
+    """Return (N, K SEEN) the features times the interpolation weight of each of the K incidences."""
     weigh = np.stack([np.interp(cosine, incidence, one) for one in np.eye(len(incidence))], axis=1)
     return np.asarray((weigh[:, :, None] * seen[:, None, :]).reshape(len(seen), len(incidence) * seen.shape[1]))

@@ -43,16 +43,15 @@ _SCALE: Final = 255
 
 
 def cover_fields(views: int) -> Mapping[str, Field]:
-    """Return the state of a cell: of each view the newest epoch with its frames, and over these the sums of shares of
-    woody pixels and of cosines of incidence, both x 255. Sums of whole numbers do not depend on their order."""
+    """Return the fields of a cell's cover state: for each view the newest epoch with its frames, and their sums of
+    shares of woody pixels and of cosines of incidence, both x 255. Integer sums do not depend on the order."""
     return {"woody": Field(np.uint32, (views, 3)), "woody_epoch": Field(np.uint16, (views,))}
 
 
 @dataclass(frozen=True, eq=False)
 class WoodyLooks:
-    """What a frame says of cells: `rows`, `cols` (N,); `sums`: (N, 3) 1, share of woody pixels, cosine of incidence.
-    `bearing`: (N,) radians.
-    """
+    """Woody pixels of a frame by cell: `rows`, `cols` (N,); `sums`: (N, 3) 1, share of woody pixels, cosine of
+    incidence. `bearing`: (N,) radians."""
 
     rows: Int64Array
     cols: Int64Array
@@ -61,9 +60,8 @@ class WoodyLooks:
 
 
 def woody_looks(votes: CellVotes, forms: Int64Array) -> WoodyLooks | None:
-    """Of the cells that a frame sees with ten pixels or more and places to within a cell; None where it does not say
-    how it sees them. `forms`: (K,) index of each label's life form, -1 for none.
-    """
+    """Return the observations of cells that a frame sees with at least ten pixels and locates to within a cell; None
+    without visibility. `forms`: (K,) index of each label's life form, -1 for none."""
     seen = votes.visibility
     if seen is None:
         return None
@@ -107,8 +105,8 @@ def _add(
 
 
 def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return the cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before`
-    (...), %; NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift."""
+    """Return cover and its standard error (...), %, from the sums (..., V, 3) of views and from an earlier map `before`
+    (...), %; NaN where neither exists. Computed on ln(-ln(1 - cover)), in which k is a shift."""
     frames = woody[..., 0].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)

@@ -21,7 +21,7 @@ _LEAST_FACING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class CellVisibility:
-    """(N,) float32 each.
+    """Visibility of cells, (N,) float32 each.
 
     `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
     `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
@@ -44,9 +44,8 @@ class CellVisibility:
         return self.cos_incidence, self.footprint, self.sigma_along, self.sigma_across, self.bearing
 
     def placement(self, cell: float) -> Float64Array:
-        """In (0, 1]: how much a cell of `cell` metres is worth as seen here; 1 for a frame that resolves it and looks
-        at it squarely. It is the share of the cell in the area over which one pixel's vote may really lie.
-        """
+        """Return the weight in (0, 1] of a cell of `cell` metres; 1 for a frame that resolves it and views it
+        perpendicularly. It is the share of the cell in the area over which one pixel's vote may lie."""
         along = np.hypot(self.footprint, self.sigma_along).astype(np.float64)
         return np.asarray(cell / np.hypot(cell, along) * (cell / np.hypot(cell, self.sigma_across)), np.float64)
 

@@ -18,7 +18,7 @@ so a thousand of them add little to a few."""
 
 
 class DecayYears(StrictModel):
-    """Time constants after which evidence of a life form has shrunk to 1/e: how long what a camera saw stays true."""
+    """Time constants in years after which evidence of a life form has decreased to 1/e."""
 
     grass: float = Field(2.0, gt=0)
     shrub: float = Field(6.0, gt=0)
@@ -107,7 +107,7 @@ def supported_changes(
     rules: FusionRules,
     leaning: UInt8Array | None = None,
 ) -> BoolArray:
-    """Return (H, W): the cells of `wanted` whose change is to be reported.
+    """Return (H, W) the cells of `wanted` whose change is reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region, and plants change by
     regions. So a cell that looks changed counts where sure cells of the same change about it have log odds of
@@ -150,7 +150,7 @@ def _filled(region: BoolArray, leaning: BoolArray, rules: FusionRules) -> BoolAr
 
 
 def reach_of(rules: FusionRules) -> int:
-    """Return the cells out to which others have a say in whether the change of a cell is reported."""
+    """Return the distance in cells within which others influence whether a change is reported."""
     support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
     return max(support, rules.min_cells - 1) + rules.fill_rounds
 

@@ -23,7 +23,7 @@ UNSEEN = 255
 
 
 class MajorityFuelMap:
-    """Sums votes and names each cell's winner.
+    """Sum votes and give each cell the class with most of them.
 
     Ties go to the class that stands first in the label set, so the map depends on the votes alone and not on their
     order. Cells partition the plane (`GridGeometry.cell_of`): the paper's "centred at" neighbourhoods, read
@@ -52,12 +52,12 @@ class MajorityFuelMap:
         return row, col, int(votes.rows.max()) - row + 1, int(votes.cols.max()) - col + 1
 
     def classes(self) -> UInt8Array:
-        """Return the winning class of every cell, (H, W) uint8; UNSEEN where none has voted."""
+        """Return the winning class of every cell, (H, W) uint8; UNSEEN without votes."""
         winner = self.totals.argmax(axis=2).astype(np.uint8)
         return np.where(self.totals.any(axis=2), winner, np.uint8(UNSEEN))
 
     def share(self) -> Float32Array:
-        """Return the winner's share of all votes in its cell, (H, W) in [0, 1]; NaN where none has voted."""
+        """Return the winner's share of all votes in its cell, (H, W) in [0, 1]; NaN without votes."""
         total = self.totals.sum(axis=2).astype(np.float64)
         with np.errstate(invalid="ignore"):
             return np.asarray(self.totals.max(axis=2) / total, np.float32)
@@ -65,16 +65,15 @@ class MajorityFuelMap:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """By one camera, (H, W) each. `frames`: how many saw the cell. `footprint`: metres of ground away from the camera
-    that a pixel covered at best, NaN where none is known.
-    """
+    """Coverage by one camera, (H, W) each. `frames`: number that saw the cell. `footprint`: smallest extent of a pixel
+    on the ground, away from the camera, in metres, NaN if unknown."""
 
     frames: Int32Array
     footprint: Float32Array
 
 
 class CoverageMap:
-    """Counts the votes of frames by camera, on one fuel grid."""
+    """Count the votes of frames by camera, on one fuel grid."""
 
     def __init__(self, geometry: GridGeometry) -> None:
         self.geometry = geometry

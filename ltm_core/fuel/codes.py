@@ -50,7 +50,7 @@ def partners(code: int) -> range:
 
 
 def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
-    """Return where two maps of the same ground agree on the fuel type that carries the fire.
+    """Return whether two maps of the same ground agree on the fuel type that carries the fire.
 
     What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
     analyst's own model, a code that no system has.
@@ -67,15 +67,14 @@ def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
 
 
 def is_custom(codes: Int16Array) -> BoolArray:
-    """Return where a code is an analyst's own fuel model: no table knows it, and no label changes it."""
+    """Return whether a code is a custom fuel model: it has no table entry, and no label changes it."""
     return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)
 
 
 @dataclass(frozen=True, eq=False)
 class Crosswalk:
-    """FBFM40 -> FBFM13. `open_ground`: (256,) int16 partner of each code, NODATA none. `under_trees`: the same where
-    tree cover is `least_cover` (256,) % or more.
-    """
+    """Map from FBFM40 to FBFM13. `open_ground`: (256,) int16 partner of each code, NODATA none. `under_trees`: the same
+    where tree cover is at least `least_cover` (256,) %."""
 
     open_ground: Int16Array
     under_trees: Int16Array
@@ -83,7 +82,8 @@ class Crosswalk:
 
     @classmethod
     def of(cls, table: Mapping[int, int], under_trees: Mapping[int, tuple[int, int]]) -> Crosswalk:
-        """`under_trees`: code -> (least cover in %, partner). Non-burnable and custom codes stay what they are."""
+        """Return the crosswalk of a table; `under_trees`: code -> (minimum cover in %, partner). Non-burnable and
+        custom codes do not change."""
         plain = _lookup(table)
         shaded, least = plain.copy(), np.full(256, 101, np.int16)
         for code, (cover, partner) in under_trees.items():
@@ -91,14 +91,13 @@ class Crosswalk:
         return cls(plain, shaded, least)
 
     def to_fbfm13(self, codes: Int16Array, cover: Int16Array | None = None) -> Int16Array:
-        """Return (H, W) of FBFM40 codes; codes that are none become NODATA. `cover`: of trees, %, NODATA where
-        unknown."""
+        """Convert (H, W) FBFM40 codes; invalid codes become NODATA. `cover`: of trees, %, NODATA if unknown."""
         index = _index(codes)
         shaded = np.zeros(codes.shape, np.bool_) if cover is None else cover >= self.least_cover[index]
         return np.where(shaded, self.under_trees[index], self.open_ground[index])
 
     def learned(self, fbfm40: Int16Array, fbfm13: Int16Array, cover: Int16Array | None = None) -> Crosswalk:
-        """With the commonest partners, of the same fuel type, that a map of both systems has itself."""
+        """Return a copy with the most common partners, of the same fuel type, in a map of both systems."""
         shaded = np.zeros(fbfm40.shape, np.bool_) if cover is None else cover >= self.least_cover[_index(fbfm40)]
         tables = self.open_ground.copy(), self.under_trees.copy()
         for code in np.unique(fbfm40).tolist():
@@ -126,7 +125,8 @@ def _index(codes: Int16Array) -> Int16Array:
 
 
 def to_fbfm40(table: Mapping[int, int], codes: Int16Array) -> Int16Array:
-    """FBFM13 codes as FBFM40 by a table; non-burnable and custom codes stay, unknown ones become NODATA."""
+    """Convert FBFM13 codes to FBFM40 by a table; non-burnable and custom codes do not change, unknown ones become
+    NODATA."""
     return np.asarray(_lookup(table)[_index(codes)], np.int16)
 
 
@@ -169,7 +169,7 @@ class FuelModels(StrictModel):
     nonburnable: dict[int, NonburnableModel]
 
     def name(self, code: int) -> str:
-        """Such as GR2, FM4 or NB9; the number itself for a code that is none."""
+        """Return a name such as GR2, FM4 or NB9; the number itself for an invalid code."""
         for table in (self.fbfm40, self.fbfm13, self.nonburnable):
             if code in table:
                 return str(table[code].name)
@@ -184,20 +184,20 @@ class FuelModels(StrictModel):
 
 @lru_cache(maxsize=1)
 def fuel_models() -> FuelModels:
-    """Return the tables that ship with the project. Raises ConfigError where their file has been damaged."""
+    """Return the tables that ship with the project. Raises ConfigError if their file is damaged."""
     return load_yaml(config_path("fuel/fuel_models.yaml"), FuelModels)
 
 
 def system_of_codes(codes: Int16Array) -> FuelSystem:
-    """Return the system of a map (H, W) that does not name it: FBFM13 where all standard models in it that burn are
-    its."""
+    """Return the system of a map (H, W) that does not state it: FBFM13 if all its burnable standard models belong to
+    it."""
     models = fuel_models()
     burnable = codes[np.isin(codes, [*models.fbfm13, *models.fbfm40])]
     return FuelSystem.FBFM13 if len(burnable) and (burnable <= max(models.fbfm13)).all() else FuelSystem.FBFM40
 
 
 class ChangedCodes(StrictModel):
-    """The code that a cell gets when its life form is no longer the prior's, and where there is no prior."""
+    """Code of a cell whose life form differs from the prior's, or without a prior."""
 
     grass: int
     grass_shrub: int
@@ -216,14 +216,14 @@ class ChangedCodes(StrictModel):
 
     def of(self, form: Int64Array, over_shrubs: BoolArray) -> Int16Array:
         """Return (...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has
-        them."""
+        shrubs."""
         table = [self.grass, self.shrub, self.to_tree, self.bare, self.water, self.built, self.burned]
         trees = (form == LifeForm.TREE - 1) & over_shrubs
         return np.where(trees, self.shrubs_to_tree, np.array(table)[form]).astype(np.int16)
 
 
 class TreeCanopy(StrictModel):
-    """Of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
+    """Canopy of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
 
     cover: float = Field(ge=0, le=100)
     height: float = Field(ge=0)
@@ -237,7 +237,7 @@ class ChangedBySystem(StrictModel):
 
 
 class FuelClimate(StrictModel):
-    """What fuel codes mean in a climate: see `config/fuel/climates`."""
+    """Meaning of fuel codes in a climate: see `config/fuel/climates`."""
 
     description: str
     changed: ChangedBySystem
@@ -284,7 +284,7 @@ class FuelClimate(StrictModel):
 
     @classmethod
     def named(cls, name: str) -> FuelClimate:
-        """Return a climate that ships with the project. Raises ConfigError naming those there are."""
+        """Return a climate that ships with the project. Raises ConfigError with the list of names."""
         folder = config_path("fuel/climates")
         path = folder / f"{name}.yaml"
         if not is_file(path):
@@ -293,12 +293,12 @@ class FuelClimate(StrictModel):
         return load_yaml(path, cls)
 
     def as_crosswalk(self) -> Crosswalk:
-        """FBFM40 -> FBFM13 where a map does not give both itself."""
+        """Return the map from FBFM40 to FBFM13 for maps that do not have both."""
         return Crosswalk.of(self.crosswalk, self.under_trees)
 
     def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
-        """Return (...) codes of changed cells as the other system has them: what `changed` says of the same cover;
-        NODATA for codes that `changed` does not name."""
+        """Return (...) codes of changed cells in the other system: those of `changed` for the same cover; NODATA for
+        codes that `changed` does not list."""
         own, other = getattr(self.changed, system).model_dump(), getattr(self.changed, to).model_dump()
         found = np.full(codes.shape, NODATA, np.int16)
         # Covers that share a code in one system do not in the other: what is named first is the commoner.

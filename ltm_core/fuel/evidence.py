@@ -49,7 +49,7 @@ _LATEST_NS = (2**32 - 1) * 10**9
 
 
 def camera_hash(source: str) -> int:
-    """Return the number by which cells remember a camera: CRC-32 of its name, never 0."""
+    """Return the identifier of a camera in cells: CRC-32 of its name, never 0."""
     return zlib.crc32(source.encode()) or 1
 
 
@@ -67,7 +67,7 @@ def _directions(bearing: Float64Array) -> Int64Array:
 
 
 class EvidenceMap:
-    """Counts the votes of frames, and tells the fuel map that they make of the prior.
+    """Accumulate the votes of frames and derive the fuel map from them and the prior.
 
     Args:
         geometry: the fuel grid; votes must be on it.
@@ -118,7 +118,7 @@ class EvidenceMap:
         return -(-self.geometry.height // TILE), -(-self.geometry.width // TILE)
 
     def add(self, votes: CellVotes) -> Window | None:
-        """Count a frame; the part of the grid that it touches, or None where it says nothing.
+        """Count a frame; return the part of the grid that it touches, or None if it has no votes.
 
         The frame must not have been counted before. Raises ImageError for votes on another grid, over other classes,
         or of a time that is not in 1970 to 2106.
@@ -151,8 +151,7 @@ class EvidenceMap:
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
 
     def burn(self, cells: BoolArray, stamp_ns: int) -> None:
-        """Return the cells (H, W) burned at that time: what was known of them before is void, also where it comes
-        later.
+        """Mark the cells (H, W) as burned at that time; earlier evidence is void, even if it arrives later.
 
         Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
         """
@@ -167,7 +166,7 @@ class EvidenceMap:
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
     def reached_from(self, window: Window) -> Window:
-        """Return the part of the grid whose layers the evidence in a window has a say in."""
+        """Return the part of the grid whose layers depend on evidence in a window."""
         row, col, height, width = window
         reach = self._decider.reach
         top, left = max(row - reach, 0), max(col - reach, 0)
@@ -177,7 +176,7 @@ class EvidenceMap:
         return top, left, bottom - top, right - left
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """Return the map, or a part of it, as of a time; by default that of the latest frame."""
+        """Return the map, or a part of it, at a time; by default that of the latest frame."""
         wanted = window or (0, 0, *self.geometry.shape)
         self._slices(wanted)
         around = self.reached_from(wanted)
@@ -185,13 +184,13 @@ class EvidenceMap:
         return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
 
     def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        """Return (h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none
-        has."""
+        """Return (h, w) life forms of cells that changed for reasons other than evidence, 0 none; None: no such
+        cell."""
         return None
 
     def alpha(self, at_ns: int | None = None) -> Float64Array:
-        """Return (H, W, FORMS): what prior and evidence together know of each cell's life forms, as the parameters of a
-        Dirichlet distribution, as of a time; by default that of the latest frame."""
+        """Return (H, W, FORMS) Dirichlet parameters of each cell's life forms, from prior and evidence, at a time; by
+        default that of the latest frame."""
         codes, touched, cells, now, _ = self._known((0, 0, *self.geometry.shape), at_ns)
         return self._decider.alpha(codes, touched, cells, now)
 
@@ -235,17 +234,17 @@ class EvidenceMap:
         return layers
 
     def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return (H, W) each, %: tree cover by the labels of what has been seen, and its standard error; NaN where
-        nobody has looked. `before` (H, W): what is known of it otherwise."""
+        """Return (H, W) tree cover by labels and its standard error in %; NaN where unseen. `before` (H, W): cover from
+        other sources."""
         return label_cover(self._state["woody"], before)
 
     @property
     def stand_correlation(self) -> float:
-        """Of the evidence of two cells of one stand."""
+        """Return the correlation of the evidence of two cells of one stand."""
         return self._errors.correlation.between_cells
 
     def seen_by(self, source: str) -> BoolArray:
-        """Return (H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
+        """Return (H, W) cells that a camera sees, as far as they are recorded (`CAMERAS_KEPT`)."""
         return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
 
     def tiles_of(self, window: Window) -> list[Key]:

@@ -39,9 +39,9 @@ def _gaussian(weight: float, sigma: float) -> Any:
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return `values` (N, F) of each cell plus those of the cells of its stand (N,) about it, which weigh `weight`
-    times a Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Of stand 0 nothing is
-    known, and it may end anywhere: there the Gaussian is of one cell."""
+    """Return `values` (N, F) of each cell plus those of the neighbouring cells of its stand (N,), weighted by `weight`
+    times a Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Stand 0 is unknown and
+    may end anywhere: there the Gaussian covers one cell."""
     n, width = values.shape
     out, cells = values.copy(), np.ones(n)
     if n == 0 or weight == 0:
@@ -74,7 +74,7 @@ def spread(
     sigma_across: Any,
     bearing: Any,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the shares (N, F) averaged over where each cell's pixels may really lie, and the part of that which the
+    """Return shares (N, F) averaged over the possible places of each cell's pixels, and the part of these that the
     frame sees.
 
     The cell that is traced to (row, col) is another one with the probability that a Gaussian of `sigma_along` and
@@ -239,8 +239,8 @@ def pooled(
     full: float,
     least: float,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return (N, F) evidence that the looks of all views are worth together, as of a time, and (N, F) the log
-    likelihood of each form, up to a constant, that they have together: nested design effects.
+    """Return (N, F) effective evidence of the observations of all views together at a time, and (N, F) the joint log
+    likelihood of each form, up to a constant: nested design effects.
 
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
     frame adds to it, and its first and last second. `full`: that most of a frame that sees a cell perfectly. What a

@@ -76,7 +76,7 @@ def merge_cells(
     more_woody: Any,
     more_woody_epoch: Any,
 ) -> None:
-    """Into the state of a tile that of other frames: (tile, tile, *shape) each, see `evidence_state`."""
+    """Merge the state of other frames into a tile: (tile, tile, *shape) each, see `evidence_state`."""
     for r in range(last_seen.shape[0]):
         for c in range(last_seen.shape[1]):
             last_seen[r, c] = max(last_seen[r, c], more_last_seen[r, c])
@@ -114,18 +114,18 @@ _MERGED: Final = tuple(name for name in EVIDENCE_FIELDS if name != "burned_at")
 
 @dataclass(frozen=True, eq=False)
 class PartialEvidence:
-    """What some frames say: `stamps`, by camera, rising, of those counted, and the tiles that they touch."""
+    """Evidence of some frames: `stamps` counted, by camera, increasing, and the tiles that they touch."""
 
     stamps: Mapping[str, Int64Array] = field(default_factory=dict)
     tiles: Mapping[Key, Tile] = field(default_factory=dict)
 
     def merged(self, other: PartialEvidence) -> PartialEvidence:
-        """Raise ArchiveError where both hold a frame, or know of different burns."""
+        """Return the merged evidence. Raises ArchiveError if both contain a frame, or have different burns."""
         return merged_parts([self, other])
 
     def after(self, evidence: EvidenceMap) -> PartialEvidence:
-        """Return the same, knowing of the burns that the map knows of, all of which must have been before its frames,
-        or told to it before them."""
+        """Return a copy with the burns of the map, all of which must be earlier than its frames, or were added before
+        them."""
         told = {key: evidence.tile_state(key)["burned_at"] for key in self.tiles}
         return PartialEvidence(
             self.stamps,
@@ -133,7 +133,7 @@ class PartialEvidence:
         )
 
     def merge_into(self, evidence: EvidenceMap) -> None:
-        """Into what a map holds, which must be of other frames. Raises ArchiveError where they know of other burns."""
+        """Merge into a map, which must contain other frames. Raises ArchiveError if their burns differ."""
         for key, tile in self.tiles.items():
             state = evidence.tile_state(key)
             _merge_into_tile(state, tile)
@@ -141,7 +141,7 @@ class PartialEvidence:
 
 
 def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
-    """Return what all of them say together; none of them is changed.
+    """Return all parts merged; the parts do not change.
 
     Raises ArchiveError where two hold a frame, or know of different burns.
     """

@@ -25,7 +25,7 @@ from ltm_core.fuel.votes import CellVotes
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def tell_by_look(
+def form_by_appearance(
     rows: Any,
     cols: Any,
     shares: Any,
@@ -125,7 +125,7 @@ def log_normalised(values: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def normalised(logs: Any, divisors: Any) -> Float64Array:
-    """Return (N, F) the exponentials of logarithms over `divisors` (N,), as shares of their sum in each row."""
+    """Return (N, F) exponentials of the logarithms over `divisors` (N,), as shares of their sum in each row."""
     n, width = logs.shape
     out = np.empty((n, width))
     for i in range(n):
@@ -143,8 +143,8 @@ def normalised(logs: Any, divisors: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
-    """Return (N,) index of the form that has most of `amounts` (N, F), -1 where that is less than `least` or than half
-    of the cell's `most` (N,)."""
+    """Return (N,) index of the form that has most of `amounts` (N, F), -1 if that is less than `least` or than half of
+    the cell's `most` (N,)."""
     n, width = amounts.shape
     out = np.empty(n, np.int64)
     for i in range(n):
@@ -162,10 +162,9 @@ _SUPPORTS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """`rows`, `cols`: (N,) int64 cells of the fuel grid. `amounts`: (N, FORMS) evidence for each life form, at most
-    the frame cap a cell. `supported`: (N,) int64 index of the form that the frame shows there, -1 where it is not sure.
-    `bearing`: (N,) radians clockwise from grid north in which the frame looks at the cell; None: not known.
-    """
+    """Evidence of one frame. `rows`, `cols`: (N,) int64 cells of the fuel grid. `amounts`: (N, FORMS) evidence for each
+    life form, at most the frame cap per cell. `supported`: (N,) int64 index of the form that the frame shows there, -1
+    if uncertain. `bearing`: (N,) radians clockwise from grid north from the camera to the cell; None: unknown."""
 
     rows: Int64Array
     cols: Int64Array
@@ -259,7 +258,7 @@ def _probability(
     if errors.appearance is not None and votes.visibility is not None:
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
         look = errors.appearance
-        tell_by_look(
+        form_by_appearance(
             rows,
             cols,
             shares,

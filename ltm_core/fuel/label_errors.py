@@ -32,7 +32,8 @@ _NAMES = tuple(form.name.lower() for form in LifeForm)
 
 
 class LabelCorrelation(StrictModel):
-    """Intraclass correlations of a network's label errors: how much two pixels of one cell err alike beyond chance.
+    """Intraclass correlations of a network's label errors: how far errors of two pixels of one cell agree beyond
+    chance.
 
     0: each errs for itself; 1: always both. Measured against truth by `ltm-lab eval fuel BAG` (`label_correlation`).
     """
@@ -88,11 +89,10 @@ class _ErrorsFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
-    """`shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a form that the network was
-    never tried on, which its labels then are no evidence of. `source`: where the figures are from. `appearance`: what
-    whole cells look like, where that was learnt; it stands in place of the shares, and the correlations are of what it
-    cannot tell.
-    """
+    """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
+    form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
+    `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
+    residual errors."""
 
     shares: Float64Array
     correlation: LabelCorrelation
@@ -107,9 +107,8 @@ class LabelErrors:
 
     @classmethod
     def load(cls, path: Path) -> LabelErrors:
-        """From YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; what is left
-        out is that of the assumed network. Raises ConfigError on wrong names and values.
-        """
+        """Load from YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; missing
+        values are those of the assumed network. Raises ConfigError on invalid names and values."""
         content = load_yaml(path, _ErrorsFile)
         appearance = None if content.appearance is None else CellAppearanceModel.of_file(content.appearance)
         if content.shares is not None and content.correlation is not None:
@@ -120,7 +119,7 @@ class LabelErrors:
 
     @classmethod
     def assumed(cls) -> LabelErrors:
-        """Return the errors that are assumed of a network that nobody has measured."""
+        """Return the assumed errors of a network without measurements."""
         path = _file_of(ASSUMED)
         content = load_yaml(path, _ErrorsFile)
         if content.shares is None or content.correlation is None:
@@ -129,7 +128,7 @@ class LabelErrors:
 
     @classmethod
     def of_model(cls, model: str) -> LabelErrors:
-        """Of a network by its manifest's name or path.
+        """Return the errors of a network by its manifest's name or path.
 
         Shares are those of the calibration beside its manifest, correlations those of its file in
         `config/fuel/label_errors/`; what neither says is that of the assumed network. Raises ConfigError.
@@ -149,8 +148,8 @@ class LabelErrors:
 
     @classmethod
     def of_label_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
-        """Of a network with a label head, by the calibration in the label head's file: its errors on photos that did
-        not teach it.
+        """Return the errors of a network with a label head, by the calibration in the head's file: its errors on photos
+        that did not train it.
 
         How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
         these. Raises ConfigError, ModelError as `find_label_head` and `read_label_head`.
@@ -174,7 +173,8 @@ class LabelErrors:
         return replace(self.scaled(PHOTO_STEP), source=about)
 
     def scaled(self, level: float) -> LabelErrors:
-        """Return a network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
+        """Return the errors of a network with `level` times the share of wrong labels, at most all but a tenth of a
+        form's."""
         wrong = self.shares * (1 - np.eye(FORMS))
         total = wrong.sum(axis=1, keepdims=True)
         factor = np.minimum(level, 0.9 / np.maximum(total, 1e-9))
@@ -182,14 +182,14 @@ class LabelErrors:
         return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
 
     def log_likelihood(self) -> Float64Array:
-        """Return (FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
+        """Return (FORMS, FORMS) log share by [life form, label]; -inf rows for unknown forms."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
 
     def open_odds(self) -> Float32Array:
-        """Return (256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and
-        not as likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are
-        none of these, and of a network that was not tried on all of them."""
+        """Return (256,) by label id: log odds that a patch of that label is open (grass or bare ground equally likely)
+        rather than woody (shrubs or trees equally likely), for two cells with correlated errors as in one stand. 0 for
+        other labels, and for a network that was not tested on all of them."""
         odds = np.zeros(256, np.float32)
         kept = [form - 1 for form in (*_OPEN, *_STANDING)]
         shares = np.maximum(self.shares[kept][:, kept], FLOOR)

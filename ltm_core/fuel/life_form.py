@@ -23,7 +23,7 @@ from ltm_core.vision.labels import LabelSet
 
 
 class LifeForm(IntEnum):
-    """The cover that a cell is mostly of. Ids up to BUILT are those of the labels of the same names."""
+    """Dominant cover of a cell. Ids up to BUILT are those of the labels of the same names."""
 
     GRASS = 1
     SHRUB = 2
@@ -73,14 +73,14 @@ FORMS_OF_CODE: Final = _table()
 
 
 def forms_of(codes: Int16Array) -> BoolArray:
-    """Return (..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
+    """Return (..., FORMS) the life forms that agree with each fuel code; none for unknown codes and nodata."""
     known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
     return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
 
 
 def held(codes: Int16Array, mask: Sequence[int]) -> BoolArray:
-    """Return (...) where nothing that is seen changes a cell of these prior codes: codes of `mask`
-    (`FusionRules.mask`), and those of no known form, an analyst's own models or what the prior was told to keep."""
+    """Return (...) whether a cell with this prior code never changes by labels: codes of `mask` (`FusionRules.mask`),
+    and codes of no known form (custom models, or codes the prior keeps)."""
     unknown = ~forms_of(codes).any(axis=-1) & (codes != NODATA)
     return np.asarray(np.isin(codes, mask) | unknown, np.bool_)
 
@@ -118,7 +118,7 @@ _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, 
 
 
 class GrowthLimits(StrictModel):
-    """Labels of plants beyond these limits do not vote; None: no limit."""
+    """Limits beyond which labels of plants do not vote; None: no limit."""
 
     steepest_deg: float | None = Field(50.0, gt=0, lt=90)
     """Slope in degrees over the width of a fuel cell above which labels of grass, shrub and tree are ignored. Of
@@ -134,8 +134,8 @@ class GrowthLimits(StrictModel):
 
 
 class GroundLimits:
-    """Which parts of the fuel grid's cells are beyond the limits. Each cell is asked of the terrain once, when a frame
-    first sees it.
+    """Parts of the fuel grid's cells that are beyond the limits. The terrain is read once per cell, when a frame first
+    sees it.
 
     `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
     each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
@@ -154,8 +154,8 @@ class GroundLimits:
         self.kinds[np.flatnonzero(forms == LifeForm.TREE - 1)] = 2
 
     def learn(self, cells: Int64Array) -> bool:
-        """Ask the terrain about those of the cells, (N,) row * width + col, that were not asked about before; whether
-        any of these has a part that is beyond a limit."""
+        """Read the terrain of those of the cells, (N,) row * width + col, that are new; return whether any of these has
+        a part beyond a limit."""
         new = cells[~self._known.ravel()[cells]]
         masks = self._asked(new)
         self.masks.reshape(2, -1)[:, new] = masks

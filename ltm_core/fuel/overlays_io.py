@@ -27,8 +27,8 @@ _FINE: Final = 8
 
 
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
-    """Return (H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be
-    read, a layer that it lacks, or one without CRS."""
+    """Return (H, W) NB1 and NB8 where the layers have barriers, NODATA elsewhere. Raises RasterError for an unreadable
+    file, a missing layer or one without CRS."""
     codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
         codes[_cells(barrier, geometry)] = barrier.code
@@ -36,7 +36,7 @@ def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> 
 
 
 def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
-    """Return (H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
+    """Return (H, W) fuel codes replaced by those of `barrier_codes` where a code is known."""
     return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
 
 
@@ -54,7 +54,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
 
 
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
-    """Return (H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
+    """Return (H, W) the share of each cell that areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
     from rasterio.features import rasterize
     from rasterio.transform import from_origin
 
@@ -89,7 +89,7 @@ def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], 
 
 
 def near(rings: Any, geometry: GridGeometry) -> bool:
-    """Return whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
+    """Return whether a shape's box meets the grid and can be converted to the grid's CRS."""
     points = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
     if not np.isfinite(points).all():
         return False
@@ -109,21 +109,21 @@ _LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
 
 @dataclass(frozen=True, eq=False)
 class Burn:
-    """`cells`: (N,) numbers of the burned cells of a fuel grid, row by row, rising."""
+    """Burned cells of one time. `cells`: (N,) numbers of cells of a fuel grid, row by row, increasing."""
 
     stamp_ns: int
     cells: Int64Array
 
     def mask(self, shape: tuple[int, int]) -> BoolArray:
-        """Return (H, W), true where it burned."""
+        """Return (H, W), True for burned cells."""
         found = np.zeros(shape, np.bool_)
         found.flat[self.cells] = True
         return found
 
 
 def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
-    """Return the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
-    site's CRS, by their times; areas of one time are one burn, those beside the grid none.
+    """Read the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
+    site's CRS, by time; areas of one time are one burn, areas outside the grid are ignored.
 
     Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
     """

@@ -17,7 +17,7 @@ from ltm_core.geometry.grid import GridGeometry
 
 
 class BarrierConfig(StrictModel):
-    """A layer of a GeoPackage that says where nothing burns."""
+    """Layer of a GeoPackage with areas or lines that do not burn."""
 
     path: Path
     layer: str | None = None
@@ -34,8 +34,8 @@ class BarrierConfig(StrictModel):
 
 
 class PriorConfig(StrictModel):
-    """`path`, or single-band files by what they hold, or both where `path` is a folder: then a file that is named goes
-    before what the folder holds. A bare string stands for `path`.
+    """Prior fuel map: `path`, or single-band files by content, or both if `path` is a folder (a named file has
+    precedence). A bare string is `path`.
 
     Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
     """
@@ -80,18 +80,18 @@ class PriorConfig(StrictModel):
         return self
 
     def files(self) -> dict[str, Path]:
-        """Return the single-band files that are given, by what they hold."""
+        """Return the single-band files that are given, by content."""
         names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def described(self) -> str:
-        """Return the names of what it is read from, without the folders that they lie in."""
+        """Return the names of the source files, without their folders."""
         files = list(self.files().items())
         named = [f"{name} {path.name}" for name, path in files]
         return ", ".join(([] if self.path is None else [self.path.name]) + named)
 
     def below(self, folder: Path) -> PriorConfig:
-        """Return the same with relative paths taken from `folder`."""
+        """Return a copy with relative paths resolved against `folder`."""
         paths = self.files() | ({} if self.path is None else {"path": self.path})
         barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
         return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})
@@ -133,5 +133,5 @@ class FuelPrior:
 
 
 def system_of(prior: FuelPrior | None) -> FuelSystem:
-    """Of a map's codes: its prior's, FBFM40 without one."""
+    """Return the system of a map's codes: that of its prior, or FBFM40 without one."""
     return FuelSystem.FBFM40 if prior is None else prior.system

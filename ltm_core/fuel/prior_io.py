@@ -55,7 +55,7 @@ class _Band:
 
 
 def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
-    """Return the prior on the fuel grid (in the site's CRS), by nearest cell, since codes cannot be averaged.
+    """Load the prior on the fuel grid (in the site's CRS) by nearest cell, since codes cannot be averaged.
 
     Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
     that no system has, nothing on the grid.
@@ -86,8 +86,7 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
 
 
 def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array | None:
-    """Return the elevations that came with the prior, (H, W) metres as it states them, NaN where none; None: it has
-    none.
+    """Return the elevations of the prior, (H, W) metres as stated, NaN for none; None: it has no elevations.
 
     They are for plausibility alone: a DEM in feet stands 3.28 times as high. Raises RasterError as `load_prior` does.
     """

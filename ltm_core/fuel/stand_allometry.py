@@ -57,14 +57,15 @@ _BASE: Final = {
 
 @dataclass(frozen=True, eq=False)
 class CrownFuel:
-    """(...) `base`: height of the crowns' base, m; `density`: canopy bulk density, kg/m3; 0 where nothing stands."""
+    """Crown fuel (...). `base`: height of the crowns' base, m; `density`: canopy bulk density, kg/m3; 0 without
+    trees."""
 
     base: Float64Array
     density: Float64Array
 
 
 def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) -> CrownFuel:
-    """Of stands with `cover` (...) in % and `height` (...) in metres."""
+    """Return the crown fuel of stands with `cover` (...) in % and `height` (...) in metres."""
     share, tall = np.clip(cover / 100, 0.0, _MOST_COVER), np.maximum(height, 0.0)
     stands = (share > 0) & (tall > 0)
     tall = np.where(stands, tall, 1.0)
@@ -78,5 +79,5 @@ def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) ->
 
 
 def broadleaved(codes: Int16Array) -> BoolArray:
-    """Return (...) where a code's trees have no crown fuel to speak of."""
+    """Return (...) whether the trees of a code have negligible crown fuel."""
     return np.isin(codes, BROADLEAVED)

@@ -43,7 +43,7 @@ _KINDS: Final = {
 
 
 class LivingFuelMap(EvidenceMap):
-    """An evidence map whose prior gives way where the surface has changed. Arguments as of `EvidenceMap`."""
+    """Evidence map whose prior is replaced where the surface has changed. Arguments as for `EvidenceMap`."""
 
     def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
         super().__init__(geometry, prior, *arguments, **named)
@@ -58,7 +58,7 @@ class LivingFuelMap(EvidenceMap):
 
     @property
     def already_shown(self) -> BoolArray:
-        """Return (H, W): where a recorded change was in the cell's evidence already, so that its prior stayed."""
+        """Return (H, W) whether a recorded change was in the cell's evidence already, so that its prior was kept."""
         return np.asarray((self.surface_changes > 0) & (self.surface_changes % _CODES == 0), np.bool_)
 
     def recall(self, recorded: NDArray[np.integer]) -> None:
@@ -80,7 +80,8 @@ class LivingFuelMap(EvidenceMap):
         return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """As of `EvidenceMap`; `prior` is the map that the site started from, and `changed` means: not its code."""
+        """Return the layers as `EvidenceMap`; `prior` is the site's initial map, and `changed` means that the code
+        differs from it."""
         found = super().layers(window, at_ns)
         row, col, height, width = window or (0, 0, *self.geometry.shape)
         part = slice(row, row + height), slice(col, col + width)
@@ -93,8 +94,8 @@ class LivingFuelMap(EvidenceMap):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceNews:
-    """Fuel cells whose change is not the recorded one, (N,) each: row, col, `kind` (ChangeKind, NONE: taken
-    back), and the median `shift` of the changed part in metres, NaN where it is not known."""
+    """Fuel cells whose change differs from the recorded one, (N,) each: row, col, `kind` (ChangeKind, NONE: reverted),
+    and the median `shift` of the changed part in metres, NaN if unknown."""
 
     rows: Int64Array
     cols: Int64Array
@@ -112,7 +113,7 @@ def news_of(
     fuel: GridGeometry,
     recorded: UInt8Array,
 ) -> SurfaceNews:
-    """Return what a part of the terrain's grid says that the fuel cells do not know yet.
+    """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 
     Args:
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
@@ -143,8 +144,8 @@ def news_of(
 
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
-    """Return what is to be recorded of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the
-    state of their tiles then; `evidence` itself stays as it is.
+    """Return the record of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the resulting state
+    of their tiles; `evidence` does not change.
 
     A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
     change. A change that is taken back gives a cell its prior back.
@@ -187,7 +188,8 @@ def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
 
 
 def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:
-    """Return the life form of a cell of `form` whose surface has moved by `shift` metres, NaN unknown; None: it stays.
+    """Return the life form of a cell of `form` whose surface has moved by `shift` metres (NaN unknown); None:
+    unchanged.
 
     `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
     is grass: a felled stand burns.

@@ -52,13 +52,13 @@ def fitting(votes: CellVotes, turn: int) -> CellVotes:
 
 
 def turn_of(stamp_ns: int) -> int:
-    """Return a number that the stamp alone decides, for `fitting`: a frame has the same votes live and worked again
-    alone."""
+    """Return a number that depends on the stamp only, for `fitting`, so that a frame has the same votes live and
+    reprocessed."""
     return zlib.crc32(stamp_ns.to_bytes(8, "little", signed=True))
 
 
 def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
-    """Return the votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
+    """Return votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
 
     Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
     when the names are not K distinct identifiers.
@@ -87,14 +87,14 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
 
 
 def no_columns() -> Columns:
-    """Return those of a frame that votes for no cell."""
+    """Return the columns of a frame without votes."""
     return {axis: np.zeros(0, np.float32) for axis in _AXES}
 
 
 def columns_to_votes(
     columns: Columns, geometry: GridGeometry, class_names: Sequence[str], stamp_ns: int, source: str
 ) -> CellVotes:
-    """Return the votes over the fuel grid `geometry`; `source`: the camera.
+    """Return votes over the fuel grid `geometry`; `source`: the camera.
 
     Raises MessageError when columns are missing, foreign or of another type, a point lies outside the grid or not on
     the centre of a cell (then it was counted on another grid), or cells come twice or out of row-major order.
@@ -116,12 +116,12 @@ def columns_to_votes(
 
 
 def most_bytes(cells: int, class_names: Sequence[str]) -> int:
-    """Return what the columns of so many cells take at most."""
+    """Return the maximum bytes of the columns of `cells` cells."""
     return cells * (4 * len(_AXES) + 2 * len(class_names) + 2 * len(_RESERVED))
 
 
 def checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
-    """Raise MessageError unless they are distinct identifiers that no other column has."""
+    """Return the names. Raises MessageError unless they are distinct identifiers that no other column has."""
     return _checked(tuple(class_names))
 
 

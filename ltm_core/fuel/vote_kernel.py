@@ -19,7 +19,7 @@ _NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class VoteSums(NamedTuple):
-    """Over the pixels of each seen cell, in row-major order of the cells.
+    """Sums over the pixels of each seen cell, in row-major order of the cells.
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
     mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
@@ -47,7 +47,7 @@ def sum_pixels(
     max_range: float,
     limits: GroundLimits | None = None,
 ) -> VoteSums:
-    """Return the sums over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
+    """Sum over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
     to float32, as `RangeImage.points` gives it. `limits`: pixels of plants beyond them are withdrawn, and cells of

@@ -66,8 +66,8 @@ class CellVotes:
         return len(self.rows)
 
     def strongest(self, limit: int) -> CellVotes:
-        """Return the votes of at most `limit` cells, those that are worth most as evidence: the best placed, with a
-        pixel or more of their own; still in row-major order."""
+        """Return the votes of at most `limit` cells with the highest weight as evidence: the best located ones with at
+        least one pixel; in row-major order."""
         if len(self) <= limit:
             return self
         pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
@@ -93,7 +93,7 @@ class CellVotes:
 
 
 class VoteCaster:
-    """Forms the votes of frames over one fuel grid.
+    """Compute the votes of frames over one fuel grid.
 
     Args:
         geometry: the fuel grid, in the map frame.

@@ -35,7 +35,7 @@ def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: flo
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: Float64Array, fold: float) -> None:
-    """Newton's method on the two distortion equations; a pixel that does not converge inside the fold is NaN.
+    """Invert the two distortion equations by Newton's method; a pixel that does not converge inside the fold is NaN.
 
     It starts at the distorted point. Where the model all but folds, steps from there may never settle; then a second
     start, at the radius that the radial part alone gives, lies next to the solution.

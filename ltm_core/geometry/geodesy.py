@@ -120,7 +120,8 @@ _J2000_S = 946_728_000
 
 
 def sun_elevation(latitude: float, longitude: float, stamps_ns: ArrayLike) -> Float64Array:
-    """Of the sun's centre above the horizon, radians, without refraction; right to 0.01 degrees from 1950 to 2050.
+    """Return the elevation of the sun's centre above the horizon, radians, without refraction; accurate to 0.01 degrees
+    from 1950 to 2050.
 
     `latitude`, `longitude`: radians, north and east. `stamps_ns`: any shape. Source: J. J. Michalsky, "The Astronomical
     Almanac's algorithm for approximate solar position (1950-2050)", Solar Energy 40 (1988).

@@ -45,7 +45,8 @@ class RangeImage:
         bend: float = 0.0,
         geometry: GridGeometry | None = None,
     ) -> RangeImage:
-        """From depths along the optical axis (REP-118), (H, W) metres; the inverse of `depth()`."""
+        """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
+        `depth()`."""
         if depth.shape != (camera.height, camera.width):
             raise ImageError(
                 f"depth image of shape {depth.shape} does not fit a camera of {camera.height} x {camera.width}"
@@ -92,7 +93,7 @@ class RangeImage:
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depths of one image as they are sent from node to node: all that fusion needs of a `RangeImage`.
+    """Depths of one image as sent between nodes: the part of a `RangeImage` that fusion needs.
 
     `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
     """
@@ -109,5 +110,5 @@ class DepthImage:
             )
 
     def depth(self) -> Float32Array:
-        """As `RangeImage.depth`: row after row, without a copy where they lie so."""
+        """Return the depth as `RangeImage.depth`, row by row, without a copy if already in this order."""
         return np.ascontiguousarray(self.along)

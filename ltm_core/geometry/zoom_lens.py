@@ -27,7 +27,7 @@ for its PTZ cameras. Use it for such a camera if nothing better is known, and ca
 
 
 class ZoomPoint(StrictModel):
-    """The lens at one zoom."""
+    """Lens at one zoom."""
 
     zoom: float
     """Zoom in the camera's own unit."""
@@ -42,7 +42,7 @@ class ZoomPoint(StrictModel):
 
 
 class LensConfig(StrictModel):
-    """A lens that zooms, in pixels of the upright image."""
+    """Zoom lens, in pixels of the upright image."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -98,7 +98,7 @@ class ZoomLens:
         return cls(camera.width, camera.height, camera.cx, camera.cy, (row,), camera.fy / camera.fx)
 
     def camera(self, zoom: float) -> Camera:
-        """Raise CameraError for a zoom that the table does not reach."""
+        """Return the camera at a zoom. Raises CameraError outside the table."""
         first, last = self.table[0][0], self.table[-1][0]
         slack = _BESIDE * (last - first)
         if len(self.table) > 1 and not first - slack <= zoom <= last + slack:
@@ -109,8 +109,8 @@ class ZoomLens:
         return _camera(self, min(max(zoom, first), last))
 
     def scaled(self, factors: Mapping[float, float]) -> ZoomLens:
-        """With focal lengths times the factors that were found at some zooms; interpolated between these, and held
-        beyond. The zooms of `factors` become rows of the table."""
+        """Return the lens with focal lengths multiplied by factors at some zooms, interpolated between these and
+        constant beyond. The zooms of `factors` become rows of the table."""
         if not factors:
             return self
         known = sorted(factors)

@@ -25,7 +25,7 @@ others."""
 
 
 class HeadFitConfig(StrictModel):
-    """How a head is drawn to the network that it corrects, and what counts.
+    """Regularisation of a label head towards its network, and weights of the samples.
 
     `ridge`: penalty on the squares of the weights of coarse maps, of features brought to unit spread (of the last one,
     0.02). They hold more of the place than of the plant, and lead astray elsewhere: few places need 1, dozens bear
@@ -40,7 +40,7 @@ class HeadFitConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class FittedHead:
-    """`weights`: (F, K) of features as they are in `PhotoSamples`; `bias`: (K,)."""
+    """Fitted label head. `weights`: (F, K) of features as in `PhotoSamples`; `bias`: (K,)."""
 
     weights: Float64Array
     bias: Float64Array
@@ -52,7 +52,7 @@ def fit_head(
     config: HeadFitConfig | None = None,
     one_view: bool = False,
 ) -> FittedHead:
-    """Return the mean of heads that are taught by two thirds of the photos each: what one photo alone says weighs less.
+    """Return the mean of label heads trained on two thirds of the photos each, so that a single photo has less weight.
 
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample.
@@ -101,7 +101,7 @@ def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], con
 
 
 def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
-    """Return (N,) of the samples of a photo: those of a class sum to its share's power."""
+    """Return (N,) weights of the samples of a photo; those of a class sum to a power of its share."""
     counts = np.bincount(samples.labels, minlength=len(samples.shares))
     each = samples.shares**rarity / np.maximum(counts, 1)
     return np.asarray(each[samples.labels], np.float64)
@@ -134,8 +134,8 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
 
 
 def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
-    """Return the exponent that makes how sure labels are (N,), 0 to 1, explain best which are right (N,), in photos
-    that count alike, whatever their number of pixels; 1 where no photo has any."""
+    """Return the exponent with which the confidence (N,) of labels, 0 to 1, best predicts which are right (N,), in
+    photos of equal weight; 1 without photos."""
     known = [(np.log(np.clip(sure, 1e-3, 1 - 1e-3)), right) for sure, right in photos if len(sure)]
     if not known:
         return 1.0
@@ -151,7 +151,7 @@ def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
 
 
 def balanced(confusions: Sequence[Int64Array]) -> Float64Array:
-    """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
+    """Return P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
 
     Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
     less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a

@@ -31,7 +31,7 @@ _MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
 @dataclass(frozen=True, eq=False)
 class PhotoSamples:
     """Pixels of one photo. `labels` (N,) uint8; `scores` (N, K) float64 of the network; `features` (N, F) float64, its
-    maps' values side by side; `shares` (K,) of the photo's area that each class was named on."""
+    maps' values side by side; `shares` (K,) of the photo's area labelled with each class."""
 
     site: str
     labels: UInt8Array
@@ -43,7 +43,7 @@ class PhotoSamples:
 def photo_samples(
     segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator, most: int = _MOST
 ) -> PhotoSamples:
-    """At most so many random pixels of each class, at the places of the network's own grid."""
+    """Return at most `most` random pixels of each class, at the places of the network's own grid."""
     scores, maps = segmenter.scores_and_maps(frame.image)
     count, rows, cols = scores.shape
     truth = _at_grid(frame.labels, rows, cols).reshape(-1)
@@ -61,8 +61,7 @@ def photo_samples(
 
 
 def sites_of(frames: list[Frame]) -> list[str]:
-    """Return the site of each photo: what `sites.csv` (columns image, site) beside it says, else its name up to the
-    first `_`.
+    """Return the site of each photo: by `sites.csv` (columns image, site) beside it, else its name up to the first `_`.
 
     Raises RecordingError for such a file without these columns.
     """
@@ -100,7 +99,7 @@ def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
 
 
 def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], list[str]]:
-    """Return each photo once for each fold that has areas of it, with the labels of these alone, and the folds' names.
+    """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names.
 
     An area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class
     go to the folds in turn, the largest first, so that a class of two areas is in two folds.

@@ -29,8 +29,8 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class HeadScore:
-    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration`
-    leaves out the pixels that are sky in truth, which are many and easy."""
+    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration` ignores true sky pixels,
+    which are many and easy."""
 
     labels: SegmentationScore
     calibration: CalibrationScore
@@ -59,9 +59,9 @@ class HeadScore:
 
 @dataclass(frozen=True, eq=False)
 class HeadTrial:
-    """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
-    sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
-    """
+    """Trained label head and its scores. `before`, `after`: of the photos, by the network and by label heads trained on
+    photos of other sites (`folds`: the way photos were separated); their macro F1 is of the classes that two sites
+    show."""
 
     file: LabelHeadFile
     sites: tuple[str, ...]
@@ -86,7 +86,7 @@ def teach_head(
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
     fit: HeadFitConfig | None = None,
 ) -> HeadTrial:
-    """Teach a head to labelled photos.
+    """Train a label head on labelled photos.
 
     Each site's photos are labelled by a head that the other sites taught; from these answers come scores, agreement
     and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
@@ -165,8 +165,7 @@ def score_photos(
     macro: tuple[int, ...] = LAND_AND_SKY,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadScore:
-    """Return the label each frame with the segmenter at its place and compare with the truth; `look` gets each
-    answer."""
+    """Label each frame with the segmenter at its place and compare with the truth; `look` receives each result."""
     classes = len(segmenters[0].labels)
     labels = SegmentationScore.empty(classes)
     calibration = land_calibration = CalibrationScore.empty()
@@ -215,8 +214,8 @@ def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
 
 
 def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
-    """Return a fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the
-    exponent of agreement, says how sure a label is; a second one follows their chances."""
+    """Return a fitted label head in its usable form, before it has a file. Its temperature is 1: on few sites, the
+    exponent of agreement alone calibrates confidence; a second constant would fit noise."""
     weights, start = {}, 0
     for key, count in channels.items():
         weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)

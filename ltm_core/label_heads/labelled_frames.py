@@ -46,7 +46,7 @@ class Frame:
 
 
 def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame]:
-    """Return the frames of a folder that have their labels, in order of name.
+    """Read the labelled frames of a folder, in order of name.
 
     With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
     enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError

@@ -29,7 +29,7 @@ _NARROWEST_DEG = 2.0
 
 @dataclass(frozen=True)
 class PlaceView:
-    """A place as one camera has it.
+    """View of a place by one camera.
 
     `pixel`: u, v, where it lies in the image, hidden or not; None behind the camera or outside. `state`: seen,
     hidden, outside or unknown. `lift`: metres above the place from which the camera sees it; 0 where it is seen, NaN
@@ -110,7 +110,7 @@ SHARES = (0.5, 0.95)
 
 @dataclass(frozen=True)
 class PlaceName:
-    """A place as people say it. `x`, `y`: in `crs`. `mgrs`: to the metre, WGS 84."""
+    """Names of a place. `x`, `y`: in `crs`. `mgrs`: to the metre, WGS 84."""
 
     crs: str
     x: float
@@ -130,7 +130,7 @@ class Fuel:
 
 @dataclass(frozen=True, eq=False)
 class LocateResult:
-    """`ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
+    """Result of locating. `ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
 
     location: Location
     name: PlaceName
@@ -149,7 +149,7 @@ def answer(
     prior: FuelPrior | None,
     smoke: bool,
 ) -> LocateResult:
-    """Return everything that is said of a location. `prior`: its geometry in the map frame."""
+    """Return the complete result of a location. `prior`: its geometry in the map frame."""
     posterior = location.posterior
     x, y = posterior.mean
     heights = sight.dem.elevation_at(posterior.places[:, 0], posterior.places[:, 1])
@@ -171,7 +171,7 @@ def answer(
 
 
 def place_name(frame: SiteFrame, x: float, y: float, elevation: float) -> PlaceName:
-    """Of a place in the map frame; `elevation` NaN where it is not known."""
+    """Return the names of a place in the map frame; `elevation` is NaN if unknown."""
     lon, lat = (float(v) for v in frame.to_lonlat(x, y))
     height = None if math.isnan(elevation) else elevation
     return PlaceName(frame.crs, x + frame.x_origin, y + frame.y_origin, lon, lat, _mgrs(lon, lat), height)
@@ -188,7 +188,7 @@ def _mgrs(lon: float, lat: float) -> str | None:
 
 
 def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
-    """Return the prior's fuel model at a place of the map; None where it knows none."""
+    """Return the prior's fuel model at a place of the map; None if unknown."""
     if prior is None:
         return None
     row, col = (int(v) for v in prior.geometry.cell_of(x, y))
@@ -199,7 +199,7 @@ def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
 
 
 def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
-    """For JSON: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
+    """Return JSON-ready data: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
     posterior = said.location.posterior
     return {
         "place": asdict(said.name),
@@ -278,8 +278,8 @@ def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
 
 
 def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
-    ellipses, and the modes where there are several."""
+    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all properties, the ellipses,
+    and the modes if there are several."""
 
     def lonlat(points: Float64Array) -> list[list[float]]:
         lon, lat = frame.to_lonlat(points[:, 0], points[:, 1])

@@ -55,7 +55,8 @@ KNOTS = np.geomspace(5.0, 80_000.0, 15)
 
 @dataclass(frozen=True, eq=False)
 class MarkedDirections:
-    """`azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges KNOTS."""
+    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges
+    KNOTS."""
 
     azimuth: Float64Array
     slope: Float64Array
@@ -64,14 +65,15 @@ class MarkedDirections:
 
     @property
     def azimuth_sigma(self) -> float:
-        """Return the largest there is beyond 150 m."""
+        """Return the largest standard deviation of the azimuth beyond 150 m."""
         return float(np.sqrt(self.covariance[:, KNOTS > 150.0, 0, 0].max()))
 
 
 def marked_directions(
     mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
-    """Raise RegionError for pixels without a ray, and for those that look straight down or up."""
+    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for those that point steeply
+    down or up."""
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
@@ -144,8 +146,7 @@ frequent than large ones, and the distribution of their size is unknown."""
 @dataclass(frozen=True, eq=False)
 class DirectionTable:
     """Marked directions by DRIFTS, azimuth of the fan and knot of range: `density` (D, A, J) of the azimuth; `slope`,
-    `variance` (A, J) of the slope there, without drift.
-    """
+    `variance` (A, J) of the slope there, without drift."""
 
     density: Float64Array
     slope: Float64Array
@@ -153,8 +154,8 @@ class DirectionTable:
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
-    """Return each marked place is a normal distribution of azimuth and slope; over the places, the slope's distribution
-    at an azimuth is taken by its mean and variance."""
+    """Tabulate marked places, each a normal distribution of azimuth and slope; at each azimuth, the slope is summarised
+    by its mean and variance."""
     c = directions.covariance
     off = azimuths[:, None, None] - directions.azimuth[None, :, None]
     drifts = DRIFTS if drifting else DRIFTS[:1]
@@ -176,7 +177,7 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
 
 
 def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
-    """Of a camera that is turned by nobody knows how much: the marked slope, and its azimuth as good as that."""
+    """Return the table of a camera turned by an unknown angle: the marked slope, and an equally uncertain azimuth."""
     middle = float(directions.azimuth @ directions.weights)
     turned = turn_density(directions, azimuths - middle)
     shape = (len(azimuths), len(KNOTS))
@@ -186,14 +187,14 @@ def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> Direct
 
 
 def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
-    """Of azimuths that are off the marked one by an angle, of a camera that is turned by nobody knows how much."""
+    """Return the density of azimuths at an angle from the marked one, for a camera turned by an unknown angle."""
     middle = float(directions.azimuth @ directions.weights)
     spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
     return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
 
 
 def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
-    """Return the density of the angle by which a camera is turned, where one is."""
+    """Return the density of the angle by which a turned camera is turned."""
     return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
@@ -215,17 +216,17 @@ OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
 
 
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
-    """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
+    """Return, by raster of the terrain (L,), the variance of heights and the distance in metres beyond which their
+    errors are independent."""
     resolutions = np.array([level.geometry.resolution for level in dem.levels])
     return np.maximum(config.dem_sigma, LEVEL_SHARE * resolutions) ** 2, APART_CELLS * resolutions
 
 
 @dataclass(frozen=True, eq=False)
 class SightLikelihood:
-    """Of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the greatest that the
-    sample could have, were the mark where it is best for it: 1 where all agrees. `lifts`: metres above the ground from
-    which something is seen.
-    """
+    """Likelihood of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the
+    sample's maximum for the best mark, 1 for full agreement. `lifts`: metres above the ground from which something is
+    visible."""
 
     density: Float64Array
     fit: Float32Array
@@ -243,7 +244,7 @@ def sight_likelihood(
     lean: float = 0.0,
     turned: bool = False,
 ) -> SightLikelihood:
-    """Return what the mark says of each sample.
+    """Return the likelihood of each sample given the mark.
 
     Args:
         height: of the camera, metres.

@@ -50,11 +50,10 @@ _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
 
 @dataclass(frozen=True)
 class CameraAgreement:
-    """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
-    where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
-    one, where they disagree; else empty. `wrong`: the one that is named, `verdict` being sure of it. `turns`: what the
-    marks say of each camera's turn, to be taken together with other fires' (`wrong_camera`); `verdict`: of these alone.
-    """
+    """Agreement of the cameras. `statistic`: log likelihood ratio of one wrong camera to none; +inf if no place fits
+    all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong one if they disagree; else empty.
+    `wrong`: the reported camera, if `verdict` is certain. `turns`: evidence of each camera's turn, to be combined with
+    that of other fires."""
 
     statistic: float
     limit: float
@@ -70,10 +69,9 @@ class CameraAgreement:
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """`posterior`: in the map frame; where cameras disagree, without each by its probability to be wrong. `misfit`: T
-    at the best place, of one camera's sightings too. `agreement`: None where one camera has seen it. `lift`: metres
-    above the ground from which the camera that sees least of it sees smoke, mean over the posterior.
-    """
+    """Result of `locate`. `posterior`: in the map frame; if cameras disagree, a mixture over the wrong camera.
+    `misfit`: T at the best place, also of one camera's sightings. `agreement`: None with one camera. `lift`: metres
+    above the ground from which the camera with the worst view sees smoke, mean over the posterior."""
 
     posterior: Posterior
     misfit: float
@@ -82,7 +80,7 @@ class Location:
 
 
 class Locator:
-    """Locates over one terrain.
+    """Locator of marks on one terrain.
 
     Args:
         dem: what cameras see of the terrain (`Site.open_surface`), in the frame of the poses; a stack too.
@@ -96,7 +94,7 @@ class Locator:
         self.config = config
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
-        """Return where the marked thing stands.
+        """Locate the marked object.
 
         Args:
             sightings: one or several, of one or several cameras, of the same thing.
@@ -138,7 +136,7 @@ class Locator:
 
     @property
     def limit(self) -> float:
-        """Of the misfit of one camera's sightings of one thing."""
+        """Return the maximum misfit of one camera's sightings of one object."""
         return float(chdtri(2, self.config.false_alarm))
 
 

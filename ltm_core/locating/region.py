@@ -15,7 +15,7 @@ from ltm_core.geometry.camera import Camera
 
 
 class LocatingConfig(StrictModel):
-    """Lengths in metres. Which were chosen how, and on what, stands in docs/locating.md."""
+    """Settings of locating. Lengths in metres. docs/locating.md describes how the values were chosen."""
 
     dem_sigma: float = Field(1.0, ge=0)
     """Standard deviation of terrain heights in metres. A raster with cells larger than ten times this value has a tenth
@@ -62,7 +62,7 @@ a leaning plume rises from its base."""
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Where in an image something may meet the ground.
+    """Places in an image where an object may meet the ground.
 
     `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
     """
@@ -73,7 +73,7 @@ class ImageMark:
 
 
 def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> ImageMark:
-    """Return one place (u, v). Raises RegionError: not in the image, or masked."""
+    """Return the mark of one place (u, v). Raises RegionError if it is outside the image or masked."""
     place = np.asarray(pixel, np.float64)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
@@ -91,7 +91,7 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
 def marked_box(
     camera: Camera, box: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """Return a box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
+    """Return the mark of a box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
     corners = np.asarray(box, np.float64)
     if corners.shape != (4,) or not np.isfinite(corners).all():
         raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
@@ -107,7 +107,7 @@ def marked_box(
 def marked_polygon(
     camera: Camera, outline: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """Return the lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
+    """Return the mark of the lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
 
     Args:
         sigma: of a place in the image, pixels.

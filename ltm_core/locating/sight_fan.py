@@ -28,10 +28,9 @@ NO_LEVEL = np.uint8(255)
 
 @dataclass(frozen=True, eq=False)
 class SightFan:
-    """`azimuths`: (A,) radians, ascending. `ranges`: (R,) horizontal metres, ascending; `steps`: (R,) metres from
-    the one before. `heights`: (A, R) float32 metres, NaN where not known. `levels`: (A, R) uint8, the raster of a stack
-    that a height is from, NO_LEVEL where none is.
-    """
+    """Terrain samples of a sector. `azimuths`: (A,) radians, increasing. `ranges`: (R,) horizontal metres, increasing;
+    `steps`: (R,) metres from the previous one. `heights`: (A, R) float32 metres, NaN if unknown. `levels`: (A, R)
+    uint8, the raster of a stack that a height is from, NO_LEVEL for none."""
 
     azimuths: Float64Array
     ranges: Float64Array
@@ -41,12 +40,12 @@ class SightFan:
 
     @property
     def spacing(self) -> float:
-        """Return the radians between azimuths, the greatest."""
+        """Return the largest spacing of azimuths in radians."""
         return float(np.diff(self.azimuths).max())
 
     @property
     def widths(self) -> Float64Array:
-        """Return (A,) radians for which each azimuth stands."""
+        """Return (A,) the angle in radians that each azimuth covers."""
         return np.asarray(np.gradient(self.azimuths), np.float64)
 
 
@@ -76,8 +75,8 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that
-    is asked for."""
+    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, at least half a metre, finer on
+    request."""
     turn = _LEAST_STEP / _STEP
     near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
     far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))
@@ -127,9 +126,8 @@ def _sample(
 
 
 class RayTerrain(NamedTuple):
-    """`heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of each range. `z0`:
-    height of the camera, metres. `bend`: curvature coefficient of rays.
-    """
+    """Terrain along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of
+    each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays."""
 
     heights: Float32Array
     levels: UInt8Array
@@ -140,7 +138,7 @@ class RayTerrain(NamedTuple):
 
 
 class RayMark(NamedTuple):
-    """(A, J) each: density of the marked azimuth, mean and variance of the slope that is marked there."""
+    """Mark along rays, (A, J) each: density of the marked azimuth, mean and variance of the marked slope."""
 
     azimuth_density: Float64Array
     slope_mean: Float64Array
@@ -148,17 +146,17 @@ class RayMark(NamedTuple):
 
 
 class HeightErrors(NamedTuple):
-    """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
+    """Height errors by raster of the terrain, (L,): variance of heights, and distance in metres beyond which their
+    errors are independent."""
 
     variance: Float64Array
     apart: Float64Array
 
 
 class SmokeDensities(NamedTuple):
-    """(A, R) each, filled by the loops: densities with the foot `seen` and `hidden`, and these over the greatest that
-    the sample could have; `unseen`: the chance that the terrain hides the foot; `lifts`: metres above the ground from
-    which something is seen.
-    """
+    """Densities of smoke, (A, R) each, filled by the loops: densities with the base `seen` and `hidden`, and these over
+    the sample's maximum; `unseen`: the probability that the terrain hides the base; `lifts`: metres above the ground
+    from which something is visible."""
 
     seen: Float64Array
     hidden: Float64Array
@@ -169,9 +167,8 @@ class SmokeDensities(NamedTuple):
 
 
 class Drifts(NamedTuple):
-    """Of plumes that drift. `widths`: (A,) of the fan. `density`: (D, A, J), and its greatest (D, J), of the marked
-    azimuth by drift. `lean`: sigma of the drift a metre of rise. `next_drift`: (D - 1,) from which the next one counts.
-    """
+    """Drifts of plumes. `widths`: (A,) of the fan. `density`: (D, A, J), and its maximum (D, J), of the marked azimuth
+    by drift. `lean`: sigma of the drift per metre of rise. `next_drift`: (D - 1,) start of the next drift."""
 
     widths: Float64Array
     density: Float64Array
@@ -181,7 +178,7 @@ class Drifts(NamedTuple):
 
 
 class FanSamples(NamedTuple):
-    """Of a `SightFan`: `ranges`, `steps`: (R,); `widths`, `sines`, `cosines`: (A,) of its azimuths."""
+    """Samples of a `SightFan`: `ranges`, `steps`: (R,); `widths`, `sines`, `cosines`: (A,) of its azimuths."""
 
     ranges: Float64Array
     steps: Float64Array
@@ -191,7 +188,7 @@ class FanSamples(NamedTuple):
 
 
 class SplatSums(NamedTuple):
-    """(H, W) each, filled: density times area, area, lift times both, and the best fit."""
+    """Sums of a splat, (H, W) each, filled: density times area, area, lift times both, and the best fit."""
 
     total: Float64Array
     area: Float64Array

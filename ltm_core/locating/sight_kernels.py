@@ -42,7 +42,8 @@ def ground_along(
     fit: Float32Array,
     lifts: Float32Array,
 ) -> None:
-    """Of something on the ground: where the terrain model hides it by a little, with the chance that it errs."""
+    """Compute densities of an object on the ground: where the terrain model hides it slightly, with the probability
+    that the model errs."""
     heights, levels, ranges, knots, z0, bend = terrain
     azimuth_density, slope_mean, slope_variance = mark
     for a in range(heights.shape[0]):
@@ -74,9 +75,9 @@ def ground_along(
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: float, found: SmokeDensities) -> None:
-    """Return the densities of the marked slope with the foot `seen` and `hidden`, without drift; `unseen`: the chance
-    that the terrain hides the foot. (A, R) each; the densities only where the azimuth is possible, `unseen` only where
-    the mark is higher above the foot than `rise`, a slope."""
+    """Compute densities of the marked slope with the base `seen` and `hidden`, without drift; `unseen`: the probability
+    that the terrain hides the base. (A, R) each; the densities only at possible azimuths, `unseen` only where the mark
+    is higher above the base than `rise`, a slope."""
     heights, levels, ranges, knots, z0, bend = terrain
     azimuth_density, slope_mean, slope_variance = mark
     height_variance, apart = errors
@@ -237,7 +238,7 @@ def _all_lower(slope: float, variance: float, mu: Float64Array, var: Float64Arra
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def higher(a: float, a_var: float, b: float, b_var: float) -> float:
-    """Return the chance that one normal variable is greater than another."""
+    """Return the probability that one normal variable is greater than another."""
     off, variance = a - b, a_var + b_var + 1e-14
     if off * off > _SURE * _SURE * variance:
         return 1.0 if off > 0 else 0.0
@@ -261,8 +262,8 @@ _NEIGHBOURS = 9
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: SmokeDensities) -> None:
-    """Make densities of the marked direction out of those of its slope, in place. Smoke of a hidden foot comes up at
-    the marked azimuths, wherever the foot is: over these its slope's density is averaged, range by range."""
+    """Convert densities of the slope to densities of the direction, in place. Smoke with a hidden base appears at the
+    marked azimuths, wherever the base is: over these its slope's density is averaged, range by range."""
     heights, levels, ranges, knots, z0, bend = terrain
     widths, azimuth_density, azimuth_peak, lean, next_drift = drifting
     slope_mean = mark.slope_mean
@@ -302,8 +303,8 @@ def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: Smo
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def add_smeared(terrain: RayTerrain, mark: RayMark, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
-    """Add to the slope's density at a seen foot that at a hidden one, averaged over the azimuths to which a plume may
-    have drifted; evenly spaced azimuths."""
+    """Add to the slope's density at a visible base that at a hidden one, averaged over the azimuths to which a plume
+    may have drifted; evenly spaced azimuths."""
     heights, levels, ranges, knots, z0, bend = terrain
     slope_mean = mark.slope_mean
     density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit

@@ -45,7 +45,7 @@ _PER_CELL = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One mark in one image. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
+    """Mark in one image. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
 
     name: str
     """Name of the camera; sightings with the same name share its pose error."""
@@ -57,7 +57,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A sighting with its fan. `cell`: metres, the least size of cells of which each has a sample of the fan."""
+    """Sighting with its fan. `cell`: metres, the smallest cells that all have a sample of the fan."""
 
     sighting: Sighting
     directions: MarkedDirections
@@ -76,7 +76,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class LocatingTerrain:
-    """What sightings are looked at over. `dem`: what cameras see of it. `bend`: curvature coefficient of rays."""
+    """Terrain for locating. `dem`: the surface that cameras see. `bend`: curvature coefficient of rays."""
 
     dem: Dem
     bend: float
@@ -84,7 +84,7 @@ class LocatingTerrain:
     smoke: bool
 
     def look(self, sighting: Sighting) -> Sight:
-        """Return all that a sighting may show.
+        """Return the likelihood of all places that a sighting may show.
 
         Raises PoseError for a camera under the ground or a covariance that is none, RegionError for a mark that has no
         direction, or that nothing on the ground explains.
@@ -109,8 +109,7 @@ class LocatingTerrain:
         return sight
 
     def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """Return the same sighting over a part of the map, sampled for cells of a resolution, as far as that is
-        feasible."""
+        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible."""
         azimuths = sight.fan.azimuths
         low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
         low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
@@ -130,7 +129,7 @@ class LocatingTerrain:
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
 
     def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """As `look_closer`, of a camera that is turned by nobody knows how much."""
+        """Return the sighting as in `look_closer` for a camera turned by an unknown angle."""
         around = float(sight.directions.azimuth @ sight.directions.weights)
         low, high = _azimuths_of(sight.position, bounds, around)
         low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
@@ -146,14 +145,13 @@ class LocatingTerrain:
         return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
-        """That a plume is higher."""
+        """Return the probability that a plume is higher."""
         if not self.smoke:
             return np.ones(lift.shape)
         return np.exp(-np.asarray(lift, np.float64) / self.config.plume_height)
 
     def support(self, sight: Sight) -> tuple[Bounds, float]:
-        """Return the bounds of the places that a sighting allows, and the size of cells there of which each has a
-        sample."""
+        """Return the bounds of the places that a sighting allows, and the size of cells that all have a sample."""
         weight = sight.likelihood.density * self.chance(sight.likelihood.lifts)
         a, k = np.nonzero(weight > weight.max() * IMPOSSIBLE)
         r, azimuth, fan = sight.fan.ranges[k], sight.fan.azimuths[a], sight.fan
@@ -209,7 +207,7 @@ class LocatingTerrain:
 
 
 def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
-    """Return the least and greatest horizontal distance to a rectangle."""
+    """Return the minimum and maximum horizontal distance to a rectangle."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     near = math.hypot(max(x_min - x, x - x_max, 0.0), max(y_min - y, y - y_max, 0.0))

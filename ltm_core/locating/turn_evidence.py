@@ -32,9 +32,8 @@ _FAR = 1_000.0
 
 @dataclass(frozen=True, eq=False)
 class TurnProfile:
-    """Of one fire and one camera. `density`: (T,) logarithm of the density of all marks by the camera's turn. `apart`:
-    the same of the other cameras' marks alone.
-    """
+    """Turn profile of one fire and one camera. `density`: (T,) logarithm of the density of all marks by the camera's
+    turn. `apart`: the same of the other cameras' marks only."""
 
     density: Float64Array
     apart: float
@@ -42,10 +41,9 @@ class TurnProfile:
 
 @dataclass(frozen=True, eq=False)
 class TurnEvidence:
-    """Of one fire. `ratios`: by camera, (T,) logarithm of how much likelier its marks are where the camera is turned
-    than where none is. `sigmas`: of the azimuth of the camera's pose, radians, as its covariance has it. `azimuths`:
-    that it has marked, radians.
-    """
+    """Turn evidence of one fire. `ratios`: by camera, (T,) log likelihood ratio of its marks with the camera turned to
+    none turned. `sigmas`: of the azimuth of the camera's pose, radians, by its covariance. `azimuths`: marked by it,
+    radians."""
 
     ratios: Mapping[str, Float64Array]
     sigmas: Mapping[str, float]
@@ -60,7 +58,7 @@ def turn_profile(
     turned: Sequence[Sight],
     resolution: float,
 ) -> TurnProfile:
-    """From the cells of a raster that are possible.
+    """Compute the profile from the possible cells of a raster.
 
     Args:
         evidence: (N,) logarithm of the density of all marks by cell, with `turned` sightings of one camera that may be
@@ -99,7 +97,7 @@ def turn_evidence(
     elsewhere: float,
     marked: Mapping[str, Sequence[Sight]],
 ) -> TurnEvidence:
-    """Of one fire, by camera that may be turned.
+    """Compute the evidence of one fire, by camera that may be turned.
 
     Args:
         profiles: None where no place is possible with that camera turned.

@@ -123,7 +123,7 @@ def judged(
 
 @dataclass
 class FireMemory:
-    """The evidence of a site's recent fires, newest last, and the cameras that are lost.
+    """Evidence of a site's recent fires, newest last, and the lost cameras.
 
     An error of the terrain model makes the same camera suspect again and again at one place, so fires at one place
     count as one: a chimney that is marked all day long is one fire.

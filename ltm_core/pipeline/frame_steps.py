@@ -91,24 +91,24 @@ class _Tracers:
 
 @dataclass(frozen=True, eq=False)
 class TracedFrame:
-    """`ranges`: to what the camera sees of the terrain. `over`: what it was traced with."""
+    """Traced frame. `ranges`: to the visible terrain. `over`: the terrain it was traced on."""
 
     ranges: RangeImage
     over: _Tracers
 
     @property
     def version(self) -> str:
-        """Of the confirmed surface; AS_GIVEN where it was the site's rasters."""
+        """Return the version of the confirmed surface; AS_GIVEN for the site's rasters."""
         return self.over.version
 
     def bare_earth(self) -> RangeImage:
-        """Return the ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        """Return the ranges to bare earth of the same version; the same ranges if nothing is known to stand on it."""
         over, seen_from = self.over, self.ranges
         return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
 
 
 class TracingStep:
-    """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
+    """Trace every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
 
     def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
@@ -117,12 +117,13 @@ class TracingStep:
         self.trace_to(given_terrain(site))
 
     def trace_to(self, terrain: ConfirmedTerrain) -> None:
-        """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
+        """Use this terrain from now on. It is built completely before it replaces the previous one. Raises
+        RasterError."""
         self._over = self._tracers(terrain)
 
     def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
-        """Raise PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
-        below a confirmed surface is traced to the terrain as given."""
+        """Trace a frame. Raises PoseError as the tracer does; but a frame from below a confirmed surface (growth around
+        a mast) is traced to the terrain as given."""
         over = self._over
         try:
             return TracedFrame(over.tracer.trace(camera, pose), over)
@@ -135,17 +136,16 @@ class TracingStep:
 
     @property
     def statistics(self) -> TracerStatistics:
-        """Of the tracer in use."""
+        """Return the statistics of the tracer in use."""
         return self._over.tracer.statistics
 
     @property
     def version(self) -> str:
-        """Of the confirmed surface in use."""
+        """Return the version of the confirmed surface in use."""
         return self._over.version
 
     def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
-        """Return (H, W) bool, where the mask of what the camera looks at has it that something else is seen; None:
-        nowhere."""
+        """Return (H, W) bool, True where the mask of this direction hides the landscape; None: nowhere."""
         return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
 
     def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
@@ -157,7 +157,7 @@ class TracingStep:
 
 
 def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
-    """Return the depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
+    """Return depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) is True."""
     if hidden is None:
         return values
     result = values.copy()
@@ -166,7 +166,7 @@ def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
 
 
 class LabellingStep:
-    """Labels every pixel of a camera's images. Raises ConfigError, ModelError for a network that cannot be taken."""
+    """Label every pixel of a camera's images. Raises ConfigError, ModelError for an invalid network."""
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
@@ -180,12 +180,12 @@ class LabellingStep:
 
     @property
     def described(self) -> str:
-        """Return what labels, with its checksum."""
+        """Return the name and checksum of the label network."""
         return self._segmenter.described
 
     @property
     def manifest(self) -> NetworkManifest:
-        """Of the network."""
+        """Return the network's manifest."""
         return self._segmenter.manifest
 
     @property
@@ -195,7 +195,7 @@ class LabellingStep:
 
     @property
     def by_view(self) -> bool:
-        """Return whether the camera has masks of single views, so that an image's labels hang on where it looks."""
+        """Return whether the camera has masks of single views, so that labels depend on the viewing direction."""
         return self._scene.by_view
 
     def label(
@@ -205,7 +205,7 @@ class LabellingStep:
         stamp_ns: int | None = None,
         in_order: bool = True,
     ) -> tuple[Segmentation, SceneView]:
-        """Of an image (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
+        """Label an image (H, W, 3) RGB. Return its labels and the scene view.
 
         `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
         nobody knows. `in_order`: images come as they were taken, so that smoke is detected by comparison with
@@ -229,7 +229,7 @@ class LabellingStep:
 
 
 class VotingStep:
-    """Turns a camera's depth and labels into votes for the fuel cells that it sees."""
+    """Convert a camera's depth and labels to votes for the fuel cells that it sees."""
 
     def __init__(self, site: Site, camera: str) -> None:
         self._camera = camera
@@ -260,5 +260,5 @@ class VotingStep:
         )
 
     def carried(self, votes: CellVotes) -> CellVotes:
-        """Return those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
+        """Return the votes that are counted: those that fit into a message (`vote_columns.fitting`)."""
         return fitting(votes, turn_of(votes.stamp_ns))

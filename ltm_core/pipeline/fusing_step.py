@@ -48,8 +48,8 @@ class FusingConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class FusedFrame:
-    """`view`: what of the photo was taken to show the landscape. `trouble`: why the network gave nothing, where it
-    failed; the terrain's depth is worth having without one."""
+    """Fused frame. `view`: scene view of the photo. `trouble`: the error of the network, if it failed; the terrain's
+    depth is then used alone."""
 
     fused: FusedDepth
     view: SceneView
@@ -57,7 +57,7 @@ class FusedFrame:
 
 
 class FusingStep:
-    """Fuses a camera's frames. Raises ConfigError without a depth network, ModelError for one that cannot be taken."""
+    """Fuse a camera's frames. Raises ConfigError without a depth network, ModelError for an invalid one."""
 
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
         self._config, self._site = config, site
@@ -70,7 +70,8 @@ class FusingStep:
         self.trace_to(None if site.surface is None else site.open_dem())
 
     def trace_to(self, ground: Dem | None) -> None:
-        """`ground`: bare earth where depth is traced to what stands on it, which is then traced here besides."""
+        """Use this terrain from now on. `ground`: bare earth if depth is traced to objects on it; it is then traced as
+        well."""
         rays = self._site.curvature, self._site.refraction, self._site.possible_ground
         self._ground = None if ground is None else TerrainTracer(ground, *rays)
 
@@ -82,8 +83,8 @@ class FusingStep:
         covariance: Float64Array | None,
         view: SceneView | None = None,
     ) -> FusedFrame:
-        """`depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: they did not come.
-        `covariance`: (6, 6) of the pose as it is known; None: it is not. `view`: what was found of the photo already.
+        """Fuse a frame. `depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: missing.
+        `covariance`: (6, 6) of the pose; None: unknown. `view`: scene view of the photo, if already known.
 
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
@@ -100,8 +101,8 @@ class FusingStep:
         covariance: Float64Array | None,
         view: SceneView | None = None,
     ) -> tuple[NetworkMeasurement, str]:
-        """Return what the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing,
-        where it failed; arguments and errors as there."""
+        """Return the network's measurement of a frame that `fuse` would fuse, in less time, and the error of the
+        network, if it failed; arguments and errors as there."""
         seen, network, trouble = self._look(frame, view)
         ground, _ = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
@@ -130,7 +131,7 @@ class FusingStep:
         )
 
     def compile_kernels(self) -> None:
-        """Now, or load them from numba's cache: the first frame shall not wait for it."""
+        """Compile the kernels, or load them from numba's cache, so that the first frame does not wait."""
         camera = Camera.from_fov(96, 64, 50.0)
         rows, cols = np.mgrid[0:64, 0:96]
         depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
@@ -144,8 +145,8 @@ class FusingStep:
 
 
 def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
-    """Return the depth network of a camera: one with a head has that of the network which the head corrects, so that
-    the encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
+    """Return the depth network of a camera; with a label head, that of the network which the head corrects, so that the
+    encoder runs once. Raises ConfigError if the site names none, ModelError if it is missing."""
     model = config.model or site.depth_model
     if not model:
         raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
@@ -153,7 +154,8 @@ def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkMani
 
 
 def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
-    """Of the network that labels a camera's images; 0 where it is not known here: another computer may run it."""
+    """Return the columns of the network that labels a camera's images; 0 if it is unknown here, because another
+    computer may run it."""
     try:
         return (
             NetworkManifest.find(config.label_model or site.model).serving(site.camera(camera).label_head).label_columns

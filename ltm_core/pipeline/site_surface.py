@@ -66,16 +66,15 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
-    """Return those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
+    """Return the surface versions that a site's terrain node keeps in `folder`. Raises as `Site.open_dem`."""
     resolution = None if site.terrain is None else site.terrain.resolution
     return SurfaceVersions(folder, site.name, terrain_grid(site.open_dem().geometry, resolution))
 
 
 def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
-    """Return the terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment,
-    where the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing
-    that stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
-    moment of which no surface is kept any more."""
+    """Return the terrain for exports of a map whose store is in the folder `state`: as confirmed, now or at a time, if
+    the site enables it and its terrain keeps its surfaces there; else bare earth as given. Raises StoreError, also for
+    a time whose surface is not kept any more."""
     note = ""
     if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
         versions = surface_versions(site, state / FOLDER)
@@ -160,7 +159,7 @@ TERRAIN_STORE: Final = "terrain.sqlite"
 
 
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
-    """Return the surface map in a store (`terrain.sqlite`), also while a graph writes it; nothing is written to it.
+    """Open the surface map in a store (`terrain.sqlite`) read-only, also while a graph writes it.
 
     Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
     """
@@ -181,8 +180,8 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
 
 
 def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
-    """Return the hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of
-    its images; None where the site states it. Raises StoreError for a raster that is not there."""
+    """Return the hexadecimal SHA-256 of all inputs of a correction of a camera's poses. `seen`: the calibration of its
+    images; None if the site states none. Raises StoreError for a missing raster."""
     stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
     rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
     try:
@@ -195,7 +194,7 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
 
 
 def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
-    """Return the site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
+    """Return the site's ground with the tops of trees if it has a surface raster, and the constants that fit it.
 
     Raises DemError as `Site.open_dem`.
     """

@@ -27,7 +27,7 @@ _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -sc
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
-    """Return the band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
+    """Read band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
 
     The prepared heights of a large raster are mapped (see `prepared_heights_io`).
     """
@@ -51,7 +51,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
 
 
 def prepare_heights(path: Path | str) -> Path | None:
-    """Decode a large raster once, for all who read its heights after; the file, None where it is there or not worth it.
+    """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
 
     Raises RasterError: not readable; OSError: no file can be written beside it.
     """
@@ -62,8 +62,8 @@ def prepare_heights(path: Path | str) -> Path | None:
 
 
 def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
-    """Return the band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped
-    where its own grid is another; degrees will do.
+    """Read band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped if its
+    own grid differs; degrees are allowed.
 
     Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
     """
@@ -191,12 +191,12 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
 
 
 def horizontal(crs: CRS) -> CRS:
-    """Lidar DEMs often name their height system too (a compound CRS), which a site's CRS does not."""
+    """Return the horizontal part of a CRS: lidar DEMs often have a compound CRS, a site does not."""
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
 def name_of(crs: CRS) -> str:
-    """`EPSG:...` where it has such a name, else WKT."""
+    """Return `EPSG:...` if the CRS has such a code, else WKT."""
     authority = crs.to_authority()
     return ":".join(authority) if authority else str(crs.to_wkt())
 

@@ -35,8 +35,7 @@ _lock = threading.Lock()
 
 
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
-    """Return what `read` makes of the files at `paths`, or what it made of them before, if somebody still holds that
-    and no file has changed.
+    """Return the result of `read` for the files at `paths`, shared while it is in use and no file has changed.
 
     `way`: all else that the result depends on. Nobody may write to a terrain that is shared. Errors
     are those of `read`.
@@ -134,7 +133,7 @@ class DemStack(Dem):
 
     @classmethod
     def of_fitted(cls, fitted: list[Dem]) -> DemStack:
-        """Of levels, finest first, that have been fitted to each other already."""
+        """Return a stack of levels, finest first, that are already fitted to each other."""
         stack = cls.__new__(cls)
         stack._hold(fitted)
         return stack
@@ -152,7 +151,7 @@ def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
 
 
 def with_surface(ground: Dem, surface: Dem) -> Dem:
-    """Return the terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
+    """Return the terrain with the tops of trees and buildings where `surface` has them, and bare earth elsewhere.
 
     `surface` heights are elevations, as the ground's; where it is NaN, the ground shows. Raises RasterError as
     `DemStack` does.

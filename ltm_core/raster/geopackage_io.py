@@ -38,7 +38,7 @@ class VectorLayer:
 
 
 def read_geopackage(path: Path, layer: str | None = None) -> VectorLayer:
-    """Return the lines and areas of a layer, points left out; `layer` may be left away where the file has one.
+    """Read the lines and areas of a layer, without points; `layer` is optional if the file has only one.
 
     Raises RasterError for a file that is no GeoPackage or damaged, a layer that it lacks, or one without CRS.
     """

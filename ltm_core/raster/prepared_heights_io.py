@@ -44,7 +44,7 @@ def heights_path(raster: Path | str) -> Path:
 
 
 def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
-    """Return the prepared heights (H, W) of `source`, the open dataset of `raster`; None where there are none of its
+    """Return the prepared heights (H, W) of `source`, the open dataset of `raster`; None if there are none of its
     state.
 
     They are mapped copy-on-write: what is written to them stays in this process, and the arrays are of the type for
@@ -66,8 +66,8 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
 
 
 def own_copy(heights: Float32Array) -> Float32Array:
-    """Return a copy (H, W) that may be written to. Of prepared heights it is another mapping of their file: only pages
-    that are written to are this process's own, where a copy in memory of 10,000 x 10,000 cells would take 400 MB."""
+    """Return a writable copy (H, W). Of prepared heights it is another mapping of their file, so that only modified
+    pages use memory; a copy of 10,000 x 10,000 cells in memory would take 400 MB."""
     mapped: Any = heights
     while mapped is not None and not isinstance(mapped, np.memmap):
         mapped = getattr(mapped, "base", None)
@@ -101,7 +101,7 @@ def _stale_makes_room(path: Path, raster: Path | str) -> None:
 
 
 def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array], None]) -> Path | None:
-    """Prepare `source`, the open dataset of `raster`; the file, or None where it is there already or not worth it.
+    """Prepare `source`, the open dataset of `raster`; return the file, or None if it exists already or is not needed.
 
     `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
     cannot be written; what was there before is left then, unless it is of another state and stands in the way.

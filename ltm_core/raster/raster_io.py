@@ -31,7 +31,7 @@ cell. A file may state any size without containing its tiles."""
 
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
-    """Return the open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
+    """Open a dataset. Any GDAL error in the block becomes a RasterError that names the file."""
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
     from rasterio.errors import CRSError, RasterioError
@@ -87,8 +87,8 @@ def _check_is_data(path: Path) -> None:
 
 
 def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
-    """Before so many cells of a raster are read at once. Raises RasterError where they are more than a map has, or than
-    the file can hold."""
+    """Check the number of cells before a raster is read at once. Raises RasterError if it exceeds the limit, or what
+    the file can contain."""
     cells = height * width
     if cells <= _UNSUSPECTED:
         return

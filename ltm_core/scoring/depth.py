@@ -81,7 +81,7 @@ class DepthTally:
         return float(self._count.sum() / self._true) if self._true else float("nan")
 
     def scores(self) -> list[DepthScore]:
-        """By range bin, then over all."""
+        """Return the scores by range bin, then over all."""
         rows = [
             _score(near, far, self._count[i], self._sums[:, i], self._sizes[i])
             for i, (near, far) in enumerate(zip(self.edges[:-1], self.edges[1:], strict=True))

@@ -26,7 +26,7 @@ class SegmentationScore:
         return cls(np.zeros((classes, classes + 1), np.int64))
 
     def plus(self, truth: UInt8Array, predicted: UInt8Array) -> SegmentationScore:
-        """With one more pair of label images (H, W). Raises ImageError where their shapes differ."""
+        """Return the score with one more pair of label images (H, W). Raises ImageError if their shapes differ."""
         if truth.shape != predicted.shape:
             raise ImageError(f"labels of shape {predicted.shape} cannot be scored against truth of {truth.shape}")
         classes = len(self.confusion)

@@ -25,8 +25,7 @@ _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "w
 
 
 def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[SiteFinding]:
-    """Return whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets
-    it."""
+    """Check a camera's calibration and pose, or its mount. If both are in the site file, they are added to `views`."""
     config = site.cameras[name]
     try:
         camera = config.calibration.camera() if config.calibration is not None else None
@@ -71,7 +70,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
 
 
 def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
-    """Return where a camera has one: what share of the image it hides, if its size is known; and those of its views."""
+    """Check a camera's mask, with its share of the image if the size is known, and the masks of its views."""
     config = site.cameras[name]
     yield from _check_view_masks(site, name)
     if config.mask is None:
@@ -163,7 +162,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
 
 
 def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
-    """Return whether the azimuths of all, or of `cameras`, may be radians."""
+    """Check whether the azimuths of all `cameras`, or of some, may be in radians."""
     poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
     doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
     if doubt is not None:
@@ -171,7 +170,7 @@ def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[SiteFinding]:
-    """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
+    """Check that the views of a recording are above the ground of the DEM, with a finding for each camera."""
     for name in dict.fromkeys(view.name for view in views):
         positions = np.array([view.pose.position for view in views if view.name == name])
         above = positions[:, 2] - dem.elevation_at(positions[:, 0], positions[:, 1])

@@ -16,7 +16,7 @@ from ltm_core.vision.segmenter import Segmenter
 
 
 def site_label_errors(site: Site) -> LabelErrors:
-    """Return what is known of the errors of the site's network. Raises ConfigError."""
+    """Return the known label errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
     return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
 

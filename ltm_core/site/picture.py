@@ -53,7 +53,7 @@ def site_picture(
     offset: tuple[float, float],
     titles: tuple[str, str],
 ) -> RgbImage:
-    """Return what cameras see over relief, and beside it the prior fuel map where there is one, (H, W, 3).
+    """Draw the cameras' views over relief and beside it the prior fuel map, if there is one, (H, W, 3).
 
     `dem`, `seen_geometry`, `prior.geometry`: in the map frame. `seen_by`: (h, w) number of views that show a cell, -1
     where the ground is not known, a camera that turns having several; None: no view is known. `offset`: of the map

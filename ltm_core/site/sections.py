@@ -48,7 +48,7 @@ class FuelConfig(StrictModel):
 
 
 class MessageLimits(StrictModel):
-    """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
+    """Maximum size of messages; larger ones are dropped and counted as `too_large` before they are processed.
 
     So that each node stays below a gigabyte at the bound (`test_memory_at_limits.py`).
     """
@@ -62,7 +62,7 @@ class MessageLimits(StrictModel):
 
 
 class WatchdogConfig(StrictModel):
-    """When the runner takes a node for hung, kills it and starts it again. Seconds in which both run."""
+    """Criteria of the watchdog for restarting a process. Times in seconds."""
 
     silent: float = Field(8.0, ge=2)
     """Seconds without a heartbeat after which a process is restarted, if it neither computes nor waits for a core or a
@@ -160,7 +160,7 @@ class CameraConfig(StrictModel):
 
 
 class HealthConfig(StrictModel):
-    """Where a tower answers monitoring systems; a site that has this section runs the node `health`."""
+    """HTTP endpoint of a tower for monitoring systems; a site with this section runs the node `health`."""
 
     port: int = Field(9464, ge=0, le=65535)
     """TCP port; 0: any free port."""

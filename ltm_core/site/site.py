@@ -168,8 +168,8 @@ class Site(StrictModel):
         )
 
     def open_surface(self, ground: Dem) -> Dem:
-        """Return what cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and
-        houses where the site has a surface raster."""
+        """Return the surface that cameras see, in the map frame: `ground` (of `open_dem`) with the tops of trees and
+        buildings if the site has a surface raster."""
         given = self.surface
         if given is None:
             return ground
@@ -196,7 +196,7 @@ class Site(StrictModel):
         return geometry.translated(-x, -y)
 
     def camera(self, name: str) -> CameraConfig:
-        """Raise ConfigError naming the cameras there are."""
+        """Return a camera. Raises ConfigError with the list of cameras."""
         if name not in self.cameras:
             raise ConfigError(f"site {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
         return self.cameras[name]

@@ -40,7 +40,7 @@ _SAMPLES = 200
 
 @dataclass
 class SiteCheck:
-    """What a check has found, and what it has read for that; None, or empty, where it could not."""
+    """Result of a check with the data read for it; None or empty if reading failed."""
 
     findings: list[SiteFinding] = field(default_factory=list)
     site: Site | None = None
@@ -55,7 +55,7 @@ class SiteCheck:
 
 
 def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
-    """Check all that a site file names. `cameras`: only these; none: all. Raises nothing that a user can mend."""
+    """Check all references of a site file. `cameras`: only these; none: all. User errors become findings."""
     check = SiteCheck()
     try:
         check.site = site = load_site(path)

@@ -180,7 +180,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def dumped(content: dict[str, Any]) -> str:
-    """As YAML in the style of a site file."""
+    """Return YAML text in the style of a site file."""
     return "".join(_block(content, 0))
 
 

@@ -13,7 +13,7 @@ from ltm_core.base.strict_model import StrictModel
 
 
 class SecretConfig(StrictModel):
-    """Where a secret stands; never the secret itself. One of the three."""
+    """Reference to a secret (exactly one of the three), never the secret itself."""
 
     environment: str | None = Field(None, min_length=1)
     """Name of an environment variable."""
@@ -40,14 +40,14 @@ class SecretConfig(StrictModel):
 
     @property
     def place(self) -> str:
-        """In words, for errors."""
+        """Return the place of the secret for error messages."""
         if self.environment is not None:
             return f"environment variable {self.environment}"
         return f"systemd credential {self.credential}" if self.file is None else f"file {self.file}"
 
 
 class SourceSettings(StrictModel):
-    """What all kinds have. Times in seconds."""
+    """Settings of all kinds of sources. Times in seconds."""
 
     unsynchronised: Literal["hold", "mark", "ignore"] = "mark"
     """What to do while this computer's clock is not synchronised. `hold`: publish no frame; `mark`: publish and report
@@ -63,7 +63,7 @@ class SourceSettings(StrictModel):
 
     @property
     def period(self) -> float:
-        """Between two images; 0: as they come."""
+        """Return the time between two images; 0: as they arrive."""
         return float(getattr(self, "every", 0.0))
 
     @property
@@ -94,7 +94,7 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
 
 
 class NetworkSettings(SourceSettings):
-    """What kinds have that speak to a camera. In the URL `{user}` and `{password}` stand for these."""
+    """Settings of kinds with a network connection. In the URL, `{user}` and `{password}` are replaced."""
 
     url: str
     user: str | None = None
@@ -125,7 +125,7 @@ class HttpSettings(NetworkSettings):
 
 
 class SnapshotConfig(HttpSettings):
-    """One image a request."""
+    """Camera that returns one image per request."""
 
     kind: Literal["snapshot"]
     every: float = Field(10.0, gt=0)
@@ -134,7 +134,7 @@ class SnapshotConfig(HttpSettings):
 
 
 class MjpegConfig(HttpSettings):
-    """An endless answer of JPEGs (multipart/x-mixed-replace)."""
+    """Endless response of JPEGs (multipart/x-mixed-replace)."""
 
     kind: Literal["mjpeg"]
     every: float = Field(0.0, ge=0)
@@ -161,7 +161,7 @@ class RtspConfig(NetworkSettings):
 
 
 class V4l2Config(SourceSettings):
-    """A USB camera at this computer, by Video4Linux."""
+    """USB camera of this computer, by Video4Linux."""
 
     kind: Literal["v4l2"]
     device: Path
@@ -187,7 +187,7 @@ class V4l2Config(SourceSettings):
 
 
 class FolderConfig(SourceSettings):
-    """A folder that a camera writes into, such as an FTP drop."""
+    """Folder into which a camera writes, such as an FTP upload."""
 
     kind: Literal["folder"]
     path: Path
@@ -222,8 +222,8 @@ class FolderConfig(SourceSettings):
 
 
 class CameraListConfig(HttpSettings):
-    """A network's list of cameras (JSON) with their times and directions, and an image a camera, as ALERTCalifornia
-    has them; `url` is the list's."""
+    """List of the cameras of a network (JSON) with their times and directions and an image for each, as ALERTCalifornia
+    publishes it; `url` is the list's."""
 
     kind: Literal["camera_list"]
     id: str
@@ -256,7 +256,7 @@ Degrees = Annotated[float, Field(ge=-720, le=720)]
 
 
 class PatrolConfig(StrictModel):
-    """The PTZ head is driven. Nobody else may drive it then: a tour of its own, or an operator, would only fight it."""
+    """Tour of presets driven by this program. No other program or operator may drive the PTZ head at the same time."""
 
     presets: tuple[str, ...] = Field(min_length=1)
     """Names of the presets in order; the PTZ head moves to the next one after each image."""
@@ -267,7 +267,8 @@ class PatrolConfig(StrictModel):
 
 
 class PtzSettings(StrictModel):
-    """What all kinds have. What is left out of url, user and password is that of the camera's `source`."""
+    """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
+    `source`."""
 
     url: str | None = None
     """Address `http://HOST` or `https://HOST`, with the port."""
@@ -295,7 +296,7 @@ class PtzSettings(StrictModel):
 
 
 class VapixConfig(PtzSettings):
-    """Axis: degrees, and zoom from 1 to 9999."""
+    """Axis cameras: degrees, and zoom from 1 to 9999."""
 
     kind: Literal["vapix"]
     camera: int = Field(1, ge=1)
@@ -303,7 +304,7 @@ class VapixConfig(PtzSettings):
 
 
 class IsapiConfig(PtzSettings):
-    """Hikvision and its kin."""
+    """Hikvision and compatible cameras."""
 
     kind: Literal["isapi"]
     units: Literal["tenths", "degrees"]
@@ -313,7 +314,7 @@ class IsapiConfig(PtzSettings):
 
 
 class OnvifConfig(PtzSettings):
-    """ONVIF's generic space runs from -1 to 1 in pan and tilt; what that is in degrees is the model's own."""
+    """ONVIF cameras. The generic space is -1 to 1 in pan and tilt; the range in degrees depends on the model."""
 
     kind: Literal["onvif"]
     path: str = Field("/onvif/device_service", pattern=r"/[!-~]*")
@@ -333,7 +334,7 @@ class OnvifConfig(PtzSettings):
 
 
 class ReolinkConfig(PtzSettings):
-    """Reolink's own counts."""
+    """Reolink cameras with their own counts."""
 
     kind: Literal["reolink"]
     channel: int = Field(0, ge=0)

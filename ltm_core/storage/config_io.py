@@ -133,8 +133,8 @@ if yaml.__with_libyaml__:
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """Return what a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises
-    ConfigError: no YAML, keys twice, or more than the bounds above."""
+    """Parse a YAML text into a new object; `place`: the file, for the message. Raises ConfigError for invalid YAML,
+    repeated keys, or content beyond the limits above."""
     if len(text) <= LARGEST_KEPT:
         with contextlib.suppress(ConfigError):  # said below with the place
             return deepcopy(_kept(text))
@@ -153,8 +153,8 @@ def compose_yaml(text: str, place: str) -> yaml.Node | None:
 
 
 def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
-    """Return the line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not
-    have are stepped over. None where it stands nowhere."""
+    """Return the line of a key in a YAML file that `read_yaml` has read; missing sections are skipped. None if the key
+    is missing."""
     node = _composed(read_text(path, LARGEST_FILE, ConfigError), str(path))
     line = None
     for key in keys:
@@ -170,7 +170,7 @@ def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return what a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
+    """Return the content of a YAML file. Raises ConfigError as `parse_yaml` does, and if the file cannot be read."""
     return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))
 
 
@@ -211,7 +211,7 @@ def checked(
     line_of: Callable[[Keys], int | None] = lambda keys: None,
     unnamed: Collection[str] = (),
 ) -> Model:
-    """Return `content` as a `model`. Raises ConfigError that lists every wrong key with its value.
+    """Return `content` as a `model`. Raises ConfigError with every invalid key and its value.
 
     `line_of`: where in the file a key stands. `unnamed`: sections of the model that the file does not write, such as
     those of the columns of a CSV.

@@ -12,24 +12,23 @@ from ltm_core.base.errors import ConfigError
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a file is there; not, too, of a name that none can have or that we may not look at: until Python
-    3.14 `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
+    """Return whether a file exists; False also for invalid names and unreadable places: until Python 3.14,
+    `Path.is_file` raises OSError for names that are too long."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a folder is there; see `is_file`."""
+    """Return whether a folder exists; see `is_file`."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a file, a folder or a device is there; see `is_file`."""
+    """Return whether a file, a folder or a device exists; see `is_file`."""
     return os.path.exists(path)  # noqa: PTH110
 
 
 def folder_that_exists(path: Path) -> Path:
-    """Return the path, or the nearest folder above it that is there: a disk may be asked before anything is written to
-    it."""
+    """Return the path, or its nearest existing parent folder, for querying the disk before writing."""
     path = path.absolute()
     while not is_there(path) and path != path.parent:
         path = path.parent
@@ -53,7 +52,7 @@ def disk_bytes(path: Path) -> int:
 
 
 def free_bytes(path: Path) -> int:
-    """Return what we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
+    """Return the bytes available on the file system of `path`, which need not exist yet. Raises OSError."""
     room = os.statvfs(folder_that_exists(path))
     return room.f_bavail * room.f_frsize
 
@@ -73,7 +72,8 @@ class SpaceFloor:
         """Free bytes at the last check."""
 
     def look(self) -> bool:
-        """Look again; `low`. A disk that cannot be asked (gone, read-only) is not low: writing tells what is wrong."""
+        """Check again and return `low`. A disk that cannot be queried (gone, read-only) is not low; writing will report
+        the error."""
         try:
             self.free = free_bytes(self._path)
         except OSError:
@@ -83,7 +83,7 @@ class SpaceFloor:
 
 
 class DiskReserve:
-    """Room on a disk, held by a file that is given up when nothing else is left.
+    """Space on a disk, reserved by a file that is released when the disk is full.
 
     Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
     """
@@ -96,14 +96,14 @@ class DiskReserve:
 
     @property
     def held(self) -> int:
-        """Return the bytes that are held now."""
+        """Return the bytes currently reserved."""
         try:
             return self.path.stat().st_blocks * 512
         except OSError:
             return 0
 
     def hold(self, wanted: int) -> None:
-        """Hold so many bytes, or a quarter of what is free where that is less; on a full disk nothing, and no error."""
+        """Reserve bytes, at most a quarter of the free space; on a full disk reserve nothing, without an error."""
         held = self.held
         try:
             size = min(wanted, (held + free_bytes(self.path)) // 4)
@@ -123,7 +123,7 @@ class DiskReserve:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Return what was held is free for the caller; what it leaves is held again."""
+        """Release the reserve to the caller, and reserve again what remains afterwards."""
         held = self.held
         self.give_up()
         try:
@@ -133,7 +133,7 @@ class DiskReserve:
                 self._grow(min(held, free_bytes(self.path) * 15 // 16))
 
     def give_up(self) -> None:
-        """Return what was held is free for anybody."""
+        """Release the reserve."""
         try:
             self.path.unlink(missing_ok=True)
         except OSError:
@@ -141,14 +141,14 @@ class DiskReserve:
 
 
 def require_folder(folder: Path, what: str = "results") -> None:
-    """Raise ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
+    """Raise ConfigError unless files can be written to `folder`, which need not exist; creates nothing."""
     reason = _why_not_into(folder)
     if reason is not None:
         raise ConfigError(f"{folder}: cannot write {what} ({reason}): name another folder")
 
 
 def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
-    """Raise ConfigError unless each of `files` can be written, its folders made where they are missing.
+    """Raise ConfigError unless each of `files` can be written; creates missing folders.
 
     `overwrite`: whether files may be there already. Makes and changes nothing.
     """

@@ -33,8 +33,8 @@ LARGEST_TABLE = 4 << 20
 
 
 def read_text(path: Path, most: int, error: type[LtmError], encoding: str = "utf-8") -> str:
-    """Return the whole of a text file. Raises `error`: no file, more than `most` bytes, or other bytes than `encoding`
-    has."""
+    """Return the whole of a text file. Raises `error` for a missing file, more than `most` bytes, or invalid
+    `encoding`."""
     try:
         with path.open("rb") as file:
             content = file.read(most + 1)
@@ -57,7 +57,7 @@ _BROKEN = (
 
 def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]:
     """Return an array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a
-    shape that they do not fill, and Python objects."""
+    wrong size, and Python objects."""
     try:
         return _array(BytesIO(content), len(content))
     except _BROKEN as reason:
@@ -65,8 +65,7 @@ def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]
 
 
 def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[LtmError]) -> list[NDArray[Any]]:
-    """Return these arrays of an .npz file. Raises `error`: no such file, an array missing, or more than `most_bytes` of
-    it."""
+    """Return these arrays of an .npz file. Raises `error` for a missing file or array, or more than `most_bytes`."""
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = []
@@ -110,16 +109,16 @@ _PHOTOS = {".jpg", ".jpeg", ".png"}
 
 @contextmanager
 def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
-    """Return the opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no image, too large, and
-    for whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
+    """Open an image without decoding it; gives the image and the file's bytes. Raises ImageError for other files, too
+    large ones, and any Pillow error in the block; other errors in the block must be ImageErrors already."""
     data = read_picture(path)
     with opened_picture(data, path) as image:
         yield image, data
 
 
 def photos_in(images: Path) -> list[Path]:
-    """Return the photos of a folder in the order of their names, label images left out; of a file, that file. Raises
-    ImageError where there is none."""
+    """Return the photos of a folder by name, without label images, or a single file. Raises ImageError if there is
+    none."""
     paths = [images] if images.is_file() else sorted(images.glob("*"))
     photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
     if not photos:
@@ -134,7 +133,7 @@ def read_rgb(path: Path) -> UInt8Array:
 
 
 def read_picture(path: Path) -> bytes:
-    """Return a photo file's bytes. Raises ImageError: no file, or too large."""
+    """Return a photo file's bytes. Raises ImageError if it is missing or too large."""
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
@@ -147,8 +146,7 @@ def read_picture(path: Path) -> bytes:
 
 @contextmanager
 def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
-    """Return the image of a file's bytes, nothing of it decoded. `path`: what errors call it. Raises as
-    `open_picture`."""
+    """Return the image of a file's bytes, not decoded. `path`: its name in errors. Raises as `open_picture`."""
     from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
     register_heif_opener()
@@ -169,15 +167,15 @@ def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
 
 
 def check_picture(path: Path) -> None:
-    """Before OpenCV decodes a file. Raises ImageError: no image, or one that takes more memory than an image."""
+    """Check a file before OpenCV decodes it. Raises ImageError for other files, and images that are too large."""
     with open_picture(path) as (image, data):
         if image.format == "PNG" and not png_is_whole(data):
             raise ImageError(f"{path} ({len(data)} bytes) is truncated: its chunks state more bytes than it has")
 
 
 def png_is_whole(data: bytes) -> bool:
-    """Return whether all chunks up to the end chunk lie within the data. OpenCV takes memory for what a chunk states,
-    up to a gigabyte, before it sees that the file ends earlier. Source: PNG specification, section 5.3."""
+    """Return whether all chunks up to the end chunk are within the data. OpenCV allocates what a chunk states, up to a
+    gigabyte, before it notices that the file ends earlier. Source: PNG specification, section 5.3."""
     at = 8
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")

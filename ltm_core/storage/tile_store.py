@@ -89,7 +89,7 @@ class TileStore:
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
     ) -> TileStore:
-        """Return the store in `path`, made where there is none, for this process alone to write.
+        """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
         a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or the
@@ -121,7 +121,7 @@ class TileStore:
 
     @classmethod
     def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
-        """Return a store of that kind as it is, with its own schema, also while another process writes it.
+        """Open a store of that kind read-only, with its own schema, also while another process writes it.
 
         Raises ConfigError and StoreError as `open` does.
         """
@@ -136,13 +136,13 @@ class TileStore:
     def in_memory(
         cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
     ) -> TileStore:
-        """Return a store that ends with the process."""
+        """Return a store in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)
         return cls(database, schema, "memory", None, kept_frames, most_frames)
 
     def close(self) -> None:
-        """Idempotent."""
+        """Close the store. Idempotent."""
         self._db.close()
         if self._reserve is not None:
             self._reserve.give_up()
@@ -159,7 +159,7 @@ class TileStore:
         self.close()
 
     def keys(self) -> list[Key]:
-        """Return the tiles that the store holds, in row-major order."""
+        """Return the stored tiles' keys in row-major order."""
         keys = self._rows("SELECT row, col FROM tiles ORDER BY row, col", (), int, int)
         down, across = self.schema.tiles
         for row, col in keys:
@@ -168,7 +168,7 @@ class TileStore:
         return [(row, col) for row, col in keys]
 
     def read(self, key: Key) -> Tile | None:
-        """Return a tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
+        """Return a tile's arrays, (tile, tile, *shape of the field) each; None if it has not been written."""
         rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key, bytes)
         return self.schema.unpack(rows[0][0]) if rows else None
 
@@ -180,7 +180,7 @@ class TileStore:
                 yield key, tile
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Return whether a frame must not be counted: it has been, or it is so old that nobody knows (see
+        """Return whether a frame must not be counted, because it was counted or is too old to know (see
         `forgotten`)."""
         found = self._rows(
             "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
@@ -191,20 +191,20 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Return whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
+        """Return whether a frame is older than the stamps kept for its source (`tile_store_frames`)."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
     def frame_count(self) -> int:
-        """Return the frames counted since the store was made, of all sources."""
+        """Return the number of frames counted since the store was created, of all sources."""
         return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources", (), int)[0][0])
 
     def sources(self) -> dict[str, int]:
-        """Return the frames counted of each source."""
+        """Return the number of frames counted of each source."""
         return dict(self._rows("SELECT name, counted FROM sources ORDER BY name", (), str, int))
 
     def newest_ns(self) -> int | None:
-        """Return the latest stamp that is remembered; None where no frame has been counted."""
+        """Return the latest known stamp; None if no frame has been counted."""
         found = self._rows(
             "SELECT newest FROM "
             "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
@@ -215,7 +215,7 @@ class TileStore:
         return int(found[0][0]) if found else None
 
     def touches(self, key: Key) -> list[Touch]:
-        """Who has touched a tile, by source and network."""
+        """Return the sources and networks that have touched a tile."""
         found = self._rows(
             "SELECT name, model, frames, first_ns, last_ns FROM touches JOIN sources ON source = id "
             "WHERE row = ? AND col = ? ORDER BY name, model",
@@ -225,8 +225,7 @@ class TileStore:
         return [Touch(*row) for row in found]
 
     def waiting(self) -> list[FrameRecord]:
-        """Return the frames that are counted and that no tile holds yet, with their payloads, in the order of their
-        commits."""
+        """Return frames that are counted but not in a tile yet, with their payloads, in the order of their commits."""
         found = self._rows(
             "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number",
             (),
@@ -236,7 +235,7 @@ class TileStore:
         return [FrameRecord(name, at, (), model, decompressed(payload, most)) for name, at, model, payload in found]
 
     def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
-        """Return the journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
+        """Return the journal of a layer in the order of its commits; only changes by frames up to `until_ns`."""
         limit = 2**63 - 1 if until_ns is None else until_ns
         found = self._rows(
             "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number",
@@ -246,8 +245,7 @@ class TileStore:
         return (CellChanges.unpack(layer, at, content, self.schema.geometry.shape) for at, content in found)
 
     def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
-        """Return a layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the
-        first."""
+        """Return a layer as of the frames up to `until_ns`; `initial`: (H, W), its state before the first."""
         if initial.shape != self.schema.geometry.shape:
             raise ValueError(f"initial layer of {initial.shape}, the grid is {self.schema.geometry.shape}")
         result = initial.copy()

@@ -48,7 +48,7 @@ CREATE TABLE touches (
 
 
 def lock_store(path: Path) -> int:
-    """Return the right to write a store, until the descriptor is closed or the process ends in whatever way."""
+    """Lock a store for writing until the descriptor is closed or the process ends."""
     name = path.with_name(path.name + ".lock")
     try:
         lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
@@ -65,7 +65,7 @@ def lock_store(path: Path) -> int:
 
 
 def create_store(path: Path, schema: StoreSchema) -> None:
-    """Return a store without content, which appears under its name only when it is whole."""
+    """Create an empty store, which gets its name only when it is complete."""
     partial = path.with_name(f".{path.name}.new")
     try:
         for leftover in (partial, *(partial.with_name(partial.name + end) for end in ("-wal", "-shm", "-journal"))):
@@ -87,7 +87,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
 
 
 def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
-    """Return a connection to a store that was found sound, and the schema that it states."""
+    """Open a sound store; return the connection and its schema."""
     _check_header(path)
     with named_errors(str(path)):
         db = sqlite3.connect(
@@ -116,8 +116,8 @@ def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSc
 
 
 def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
-    """Return a view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the
-    script that makes ours. Raises ConfigError."""
+    """Check the tables: a view or a computed column instead of a table could run arbitrary code for hours. `tables`:
+    the script that creates ours. Raises ConfigError."""
     query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
     with contextlib.closing(sqlite3.connect(":memory:")) as ours:
         ours.executescript(tables)
@@ -149,7 +149,7 @@ def _check_header(path: Path) -> None:
 
 @contextlib.contextmanager
 def named_errors(name: str) -> Iterator[None]:
-    """SQLite's errors as ours, with the file's name and what may help."""
+    """Convert SQLite's errors to ours, with the file's name and a remedy."""
     try:
         yield
     except sqlite3.Error as error:
@@ -168,8 +168,8 @@ def named_errors(name: str) -> Iterator[None]:
 def checked_rows(
     db: sqlite3.Connection, name: str, query: str, values: Sequence[object], *types: type
 ) -> list[tuple[Any, ...]]:
-    """Return what a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its
-    tables only where their writer does."""
+    """Return the rows of a query. Raises ConfigError for a column of another type, because SQLite does not enforce
+    types."""
     with named_errors(name):
         rows = db.execute(query, values).fetchall()
     for row in rows:
@@ -180,7 +180,7 @@ def checked_rows(
 
 
 def wants_room(error: StoreError) -> bool:
-    """Return whether more room on the disk may help: a quota comes as an error of input and output."""
+    """Return whether more disk space may help; a quota is reported as an input/output error."""
     code = getattr(error.__cause__, "sqlite_errorname", "") or ""
     return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
 
@@ -196,7 +196,7 @@ _REMEDIES = {
 
 @contextlib.contextmanager
 def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connection]:
-    """Give `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
+    """Run a transaction on `db`; its changes are written completely or not at all. Raises as `named_errors`."""
     with named_errors(name):
         db.execute("BEGIN IMMEDIATE")
         try:
@@ -220,7 +220,7 @@ MOST_FRAMES = 1_000_000
 
 @dataclass(frozen=True)
 class Remembered:
-    """How many stamps of a source are remembered: `frames` at least, those of `KEPT_NS` too, `most` at most."""
+    """Limits of the stamps kept per source: at least `frames`, those within `KEPT_NS`, at most `most`."""
 
     frames: int = KEPT_FRAMES
     most: int = MOST_FRAMES
@@ -229,7 +229,7 @@ class Remembered:
 def count_frames(
     db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool, bounds: Remembered
 ) -> None:
-    """Within a transaction on the store `name`. `keep`: their payloads too, until the tiles that hold them are written.
+    """Count frames within a transaction on the store `name`. `keep`: with payloads, until their tiles are written.
 
     Raises ValueError where a frame has been counted already, ConfigError where the store is damaged.
     """

@@ -97,7 +97,7 @@ class StoreSchema:
 
     @classmethod
     def from_description(cls, text: str, place: str) -> StoreSchema:
-        """Return the inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
+        """Return the schema from `described`. Raises ConfigError on any other text; `place` is its place."""
         try:
             content = _Description.model_validate_json(text)
             schema = cls(
@@ -117,12 +117,13 @@ class StoreSchema:
         return schema
 
     def differences(self, other: StoreSchema) -> str:
-        """Return what `other` has otherwise; empty where both are the same."""
+        """Return the differences of `other`; empty if both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
 
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-        """Return a tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
+        """Return a tile as compressed bytes with a checksum. Raises ValueError for arrays that do not fit the
+        schema."""
         across = self.tiles
         if not (0 <= key[0] < across[0] and 0 <= key[1] < across[1]):
             raise ValueError(f"tile {key} is outside a grid of {across} tiles")
@@ -139,7 +140,7 @@ class StoreSchema:
         return compressed(b"".join(parts))
 
     def unpack(self, content: bytes) -> Tile:
-        """Return the inverse of `pack`; the arrays are writable. Raises ConfigError where the bytes are damaged."""
+        """Return the arrays of packed bytes; they are writable. Raises ConfigError for damaged bytes."""
         shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
         sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
         whole = decompressed(content, sum(sizes.values()))
@@ -157,7 +158,7 @@ class StoreSchema:
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A frame that is counted: once by `source` (its camera) and `stamp_ns`.
+    """Counted frame: once by `source` (its camera) and `stamp_ns`.
 
     `tiles`, `model`: for the record of who touched which tile with what network. `payload`: what it takes to count the
     frame again; the store keeps it until tiles that hold the frame's effect are committed.
@@ -172,7 +173,7 @@ class FrameRecord:
 
 @dataclass(frozen=True, eq=False)
 class CellChanges:
-    """Cells of a layer that a frame of `stamp_ns` (or an order of that time) changed, for the journal.
+    """Cells of a layer that a frame of `stamp_ns` (or a command of that time) changed, for the journal.
 
     `rows`, `cols`, `old`, `new`: (N,) integers that fit int32.
     """
@@ -192,7 +193,8 @@ class CellChanges:
 
     @classmethod
     def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> CellChanges:
-        """`shape`: of the grid. Raises ConfigError where the bytes are damaged, or cells lie outside the grid."""
+        """Return the changes from bytes; `shape`: of the grid. Raises ConfigError for damaged bytes or cells outside
+        the grid."""
         whole = decompressed(content, prod(shape) * _CHANGE.itemsize)
         if len(whole) % _CHANGE.itemsize:
             raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes cannot be decoded; restore it")
@@ -205,7 +207,7 @@ class CellChanges:
 
 @dataclass(frozen=True)
 class Touch:
-    """What a source's frames, labelled by one network, did to a tile: how many they are, the first and last stamp."""
+    """Effect of a source's frames, labelled by one network, on a tile: their number, the first and last stamp."""
 
     source: str
     model: str
@@ -215,12 +217,12 @@ class Touch:
 
 
 def compressed(content: bytes) -> bytes:
-    """Zstandard with a checksum, so that damage is found when the bytes are read."""
+    """Compress with Zstandard and a checksum, so that damage is detected on reading."""
     return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True, write_content_size=True).compress(content)
 
 
 def decompressed(content: bytes, most: int) -> bytes:
-    """Raise ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
+    """Decompress. Raises ConfigError for damaged bytes, or if they state more than `most`."""
     try:
         # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
         stated = zstandard.frame_content_size(content)

@@ -73,7 +73,7 @@ class TileCells(NamedTuple):
 
     @classmethod
     def empty(cls, slots: int) -> TileCells:
-        """Their content is arbitrary; memory is claimed as it is used."""
+        """Return cells with arbitrary content; memory is allocated on use."""
         estimate, candidate, decision = (np.empty((slots, CELLS), dtype) for dtype in (ESTIMATE, CANDIDATE, DECISION))
         return cls(estimate, candidate, decision, np.empty((slots, CELLS), np.uint8))
 
@@ -85,7 +85,7 @@ class TileCells(NamedTuple):
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def place_of(row: int, col: int, across: int) -> int:
-    """Of a cell of the grid, which is `across` tiles wide."""
+    """Return the place of a cell of the grid, which is `across` tiles wide."""
     tile = (row >> TILE_BITS) * across + (col >> TILE_BITS)
     return (tile << PLACE_BITS) | ((row & (TILE - 1)) << TILE_BITS) | (col & (TILE - 1))
 
@@ -116,7 +116,7 @@ class FrameSums(NamedTuple):
 
     @classmethod
     def empty(cls, most: int, tiles: int) -> FrameSums:
-        """For at most `most` cells of a grid of `tiles` tiles; memory is claimed as it is used."""
+        """Return sums for at most `most` cells of a grid of `tiles` tiles; memory is allocated on use."""
         return cls(
             np.zeros(2, np.int64),
             np.empty(most, SUM),
@@ -144,7 +144,7 @@ def clear(sums: FrameSums) -> None:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def sum_of(sums: FrameSums, place: int) -> int:
-    """Return where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
+    """Return the place of the sums of a cell, cleared if it is new; -1 if there is no room."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     number = sums.number_of[tile]
     if number < 0:

@@ -61,14 +61,15 @@ def _bits(mask: int) -> int:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def independent(cameras: int, first: int, last: int, independent_after: float, settle: float) -> bool:
-    """Return whether these views are more than one: two cameras over some time, or one camera long enough apart."""
+    """Return whether these views are independent: two cameras over some time, or one camera long enough apart."""
     span = float(last) - float(first)
     return span >= independent_after or (span >= settle and _bits(cameras) >= 2)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeated: float) -> float:
-    """Of an estimate. `repeated`: of the observations' own variance, what is the same in each look of a camera."""
+    """Return the variance of an estimate. `repeated`: share of the observations' variance that all observations of a
+    camera have in common."""
     total = looks / weight
     pose = min(pose_variance, total)
     own = total - pose
@@ -196,9 +197,9 @@ def update_cell(
     wait: float,
     rules: Rules,
 ) -> None:
-    """Return one observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
-    variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
-    camera's looks that contradict the estimate are independent."""
+    """Update one cell by one observation. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
+    variance of the change of the stand about the cell. `wait`: seconds after which one camera's contradicting
+    observations are independent."""
     # Does the observation agree with the estimate, and with the candidate that contradicts it?
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0

@@ -32,7 +32,7 @@ Window = tuple[int, int, int, int]
 
 
 class ChangeKind(IntEnum):
-    """What happened to a cell."""
+    """Kind of change of a cell."""
 
     NONE = 0
     REMOVED = 1
@@ -45,9 +45,8 @@ class ChangeKind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Changed:
-    """Cells whose kind of change is new, (N,) each: row, col, kind before and now, and the shift from the reference in
-    metres.
-    """
+    """Cells with a new kind of change, (N,) each: row, col, kind before and now, and the shift from the reference in
+    metres."""
 
     rows: Int32Array
     cols: Int32Array
@@ -64,19 +63,18 @@ class Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
     def within(self, mask: BoolArray, window: Window) -> Changed:
-        """Only the cells that lie in `mask`, whose first cell is the window's."""
+        """Return only the cells in `mask`, whose first cell is the window's."""
         kept = mask[self.rows - window[0], self.cols - window[1]]
         return Changed(*(getattr(self, f.name)[kept] for f in fields(self)))
 
 
 def margin_of(resolution: float) -> int:
-    """Return the cells beyond a window that decide about cells inside it."""
+    """Return the number of cells beyond a window that influence cells inside it."""
     return math.ceil(REACH * WIDE / resolution)
 
 
 def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Return the fields of the cells of a window, (h, w) each, zero where nobody has looked. The window starts on a
-    tile's edge or anywhere."""
+    """Return fields of the cells of a window, (h, w) each, zero where unseen. The window may start anywhere."""
     row, col, height, width = window
     parts: dict[str, NDArray[Any]] = {}
     for tile_row in range(row // TILE, (row + height - 1) // TILE + 1):
@@ -192,7 +190,7 @@ def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArra
 
 def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
     """Return the variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both
-    infinite where there is no estimate), and whether independent views made it."""
+    infinite without an estimate), and whether independent views made it."""
     variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
     return variance, relative_variance, sure
 

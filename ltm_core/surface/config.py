@@ -12,7 +12,7 @@ from ltm_core.base.types import Float64Array
 
 
 class PoseErrorConfig(StrictModel):
-    """Standard deviations of a pose that comes without a covariance."""
+    """Standard deviations of a pose without a covariance."""
 
     angle_deg: float = Field(0.3, gt=0)
     """Standard deviation of each angle in degrees, typical of surveyed mounts. A phone's compass is off by five degrees
@@ -21,12 +21,13 @@ class PoseErrorConfig(StrictModel):
     """Standard deviation of each coordinate in metres."""
 
     def covariance(self) -> Float64Array:
-        """Return (6, 6): position, then rotation about the map's axes, in metres and radians."""
+        """Return the covariance (6, 6): position, then rotation about the map's axes, in metres and radians."""
         return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
 
 
 class TerrainConfig(StrictModel):
-    """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
+    """Settings of the updated terrain; a site with this section runs the node `terrain`. Lengths in metres, times in
+    seconds."""
 
     resolution: float | None = Field(None, gt=0)
     """Cell size in metres; None: that of the DEM."""

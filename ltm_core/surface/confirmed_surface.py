@@ -77,16 +77,14 @@ class ConfirmedSurface:
         return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
 
     def ground_over(self, given: Dem) -> Dem:
-        """Return `given`, which is bare earth, with the ground of cells where that has changed; itself where there are
-        none.
+        """Return `given`, bare earth, with changed ground cells replaced; `given` itself if there are none.
 
         Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
         """
         return self._over(given, self.ground)
 
     def surface_over(self, given: Dem) -> Dem:
-        """Return `given`, what cameras saw of the terrain, with the surface of changed cells; otherwise as
-        `ground_over`."""
+        """Return `given`, the visible surface, with changed cells replaced; otherwise as `ground_over`."""
         return self._over(given, self.surface)
 
     def _over(self, given: Dem, heights: Float32Array) -> Dem:
@@ -141,7 +139,7 @@ _STRIP = 256
 
 
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """Return the changed cells, and how many cells independent views have judged.
+    """Return the changed cells, and the number of cells that independent views have judged.
 
     Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
     half is left. Bare earth itself follows where the ground is lower.
@@ -178,11 +176,10 @@ FORMAT = 1
 
 
 class SurfaceVersion(StrictModel):
-    """One version. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`: the version that it
-    followed when it came last. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent
-    views have judged, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their
-    bare earth.
-    """
+    """Version of the confirmed surface. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`:
+    the previous version when it came last. `as_of_ns`: stamp of the newest contributing frame. `seen`: cells judged by
+    independent views, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their bare
+    earth."""
 
     version: str = Field(pattern=f"^{VERSION}$")
     digest: str = Field(pattern="^[0-9a-f]{64}$")
@@ -201,22 +198,21 @@ class SurfaceVersion(StrictModel):
 
     @property
     def changed_share(self) -> float:
-        """Of what independent views have seen."""
+        """Return the changed share of the cells that independent views have seen."""
         return self.changed / max(1, self.seen)
 
 
 class CountedVersion(StrictModel):
-    """That a version began to count, by frames up to `as_of_ns`."""
+    """Entry of the history: a version was put into use by frames up to `as_of_ns`."""
 
     version: str = Field(pattern=f"^{VERSION}$")
     as_of_ns: int = Field(ge=0)
 
 
 class SurfaceManifest(StrictModel):
-    """`current`: the version that counts. `held`: it was taken back, and none follows by itself. `history`: what has
-    counted, in order, without what was taken back; a version that returns is there twice. `forgotten`: there was more
-    before that.
-    """
+    """List of versions. `current`: the version in use. `held`: it was reverted, and none follows automatically.
+    `history`: versions used, in order, without reverted ones; a version that returns is listed twice. `forgotten`:
+    earlier entries were dropped."""
 
     site: str
     current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
@@ -236,12 +232,12 @@ class SurfaceManifest(StrictModel):
         return self
 
     def entry(self, version: str) -> SurfaceVersion | None:
-        """Return what is known of a version; None where it is not listed."""
+        """Return the entry of a version; None if it is not listed."""
         return next((one for one in self.versions if one.version == version), None)
 
     def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """Return the current version, or the one before it that counted at a moment, with the stamp from which on it
-        did; None: as given. Raises StoreError for a moment of which nothing is kept any more."""
+        """Return the version in use at a time, with the stamp from which it was used; None: as given. Raises StoreError
+        for a time of which nothing is kept any more."""
         past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
         if past:
             found = self.entry(past[-1].version)
@@ -259,8 +255,7 @@ class SurfaceManifest(StrictModel):
 
 
 def of_later_release(content: bytes, error: ValidationError) -> str:
-    """Return how a manifest that is none for this program shows that a later one wrote it; empty: it does not, and is
-    damaged.
+    """Return the evidence that a later release wrote an unreadable manifest; empty: none, so it is damaged.
 
     It states a later format, or has keys that this program does not know and nothing else is wrong with it.
     """

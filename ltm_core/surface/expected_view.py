@@ -59,22 +59,21 @@ class Extremes(NamedTuple):
 
 
 class ExpectedViews:
-    """Bounded cache of expected views by key, at most so many bytes but at least one view. The least recently used
-    makes room, and its memory is used again for the next: freed arrays of this size would fragment memory.
-    """
+    """Bounded cache of expected views by key, at most a number of bytes but at least one view. The least recently used
+    one is evicted and its memory reused, because freeing arrays of this size would fragment memory."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
         self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
 
     def get(self, key: Hashable) -> RecordArray | None:
-        """Return the view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
+        """Return the view (H, W) of EXPECTED_PIXEL and mark it as used; None if it is not cached."""
         if key in self._kept:
             self._kept.move_to_end(key)
         return self._kept.get(key)
 
     def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
-        """Return the array of a new view, of arbitrary content: to be filled."""
+        """Return the array of a new view, with arbitrary content, to be filled."""
         pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
             pixels = self._kept.popitem(last=False)[1]
@@ -86,7 +85,7 @@ class ExpectedViews:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
-    """Of a pixel's ray in the map frame, a unit vector."""
+    """Return the unit vector of a pixel's ray in the map frame."""
     m = view.rotation
     a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
     return (
@@ -100,7 +99,7 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
 def predict_view(
     ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, pixels: RecordArray
 ) -> None:
-    """Fill `pixels` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
+    """Fill `pixels` (H, W) of EXPECTED_PIXEL with each pixel's view of the reference."""
     rows, cols = expected.shape
     x0, y0 = view.position[0], view.position[1]
     for v in range(rows):

@@ -32,10 +32,8 @@ _WIDER = 1.05
 
 
 class ElevatedCells(NamedTuple):
-    """Cells in memory where something is held to stand above the reference, (N,) each: slot, cell of the tile, map
-    coordinates of a point well inside the thing, how far that is, its height above the reference, and whether it is a
-    candidate.
-    """
+    """Cells in memory with an object above the reference, (N,) each: slot, cell of the tile, map coordinates of a point
+    well inside the object, its distance, its height above the reference, and whether it is a candidate."""
 
     slot: Int32Array
     cell: Int32Array
@@ -46,7 +44,7 @@ class ElevatedCells(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> ElevatedCells:
-        """With room for so many."""
+        """Return an empty array with room for `count` cells."""
         point, away = np.empty((count, 3)), np.empty(count)
         dz, candidate = np.empty(count, np.float32), np.empty(count, np.bool_)
         return cls(np.empty(count, np.int32), np.empty(count, np.int32), point, away, dz, candidate)
@@ -56,9 +54,8 @@ class ElevatedCells(NamedTuple):
 
 
 class CameraBounds(NamedTuple):
-    """Where a camera is and what it sees at most: position, rotation to the map, |x / z| and |y / z| of its rays, and
-    the least and greatest distance at which things are looked for.
-    """
+    """Position and maximum view of a camera: position, rotation to the map, |x / z| and |y / z| of its rays, and the
+    minimum and maximum distance of objects."""
 
     position: Float64Array
     rotation: Float64Array
@@ -81,7 +78,8 @@ def see_through(
     rules: Rules,
     reach: tuple[float, float],
 ) -> int:
-    """Drop what this image sees through, or count it against growth that several looks have seen; how many cells.
+    """Drop objects that this image sees through, or count it against growth that several observations have seen; return
+    the number of cells.
 
     What the image itself has brought is looked at too: what stands, stands on something, so that whatever hovers in the
     air, as smoke does or a bird, is seen through under its own place.

@@ -29,7 +29,7 @@ def add_labels(
     limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
-    """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.
+    """Add the label evidence of labels (H, W) by cell, as far as `sums` has room.
 
     Args:
         expected_pixels: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.

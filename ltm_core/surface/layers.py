@@ -51,13 +51,13 @@ class SurfaceLayers:
 
     @property
     def told(self) -> UInt8Array:
-        """Return (H, W) ChangeKind as others are told of it: 255 where independent views have not looked."""
+        """Return (H, W) ChangeKind for publication: 255 where independent views have not seen the cell."""
         known = self.observed | (self.change > 0)
         return np.where(known, self.change, np.uint8(_NOT_LOOKED)).astype(np.uint8)
 
 
 def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules: Rules) -> SurfaceLayers:
-    """Of a window (row, col, height, width); None: the whole grid."""
+    """Return the layers of a window (row, col, height, width); None: the whole grid."""
     height, width = reference.geometry.shape
     window = window or (0, 0, height, width)
     shape = window[2:]

@@ -29,9 +29,8 @@ _THROUGH = 8
 
 
 class Estimates(NamedTuple):
-    """Of cells (H, W): shift from the reference in metres; weight, 1 / variance, as a height of that cell;
-    relative_weight, as a shift of all that stands about it. All 0 where `usable` is False.
-    """
+    """Estimates of cells (H, W): shift from the reference in metres; weight, 1 / variance, as a height of that cell;
+    relative_weight, as a shift of the stand about it. All 0 where `usable` is False."""
 
     off: Float32Array
     weight: Float32Array
@@ -40,8 +39,8 @@ class Estimates(NamedTuple):
 
 
 def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
-    """Return what each cell's neighbours of its own kind, `standing` or not, say of its shift, and the deviation of
-    that if nothing has changed; 0 and infinite where none is near."""
+    """Return the mean shift of each cell's neighbours of its own kind, `standing` or not, and its deviation if nothing
+    has changed; 0 and infinite without neighbours."""
     if not (standing & cells.usable).any() or standing.all():
         return _mean(cells, cells.usable, resolution)
     upper, lower = (_mean(cells, cells.usable & kind, resolution) for kind in (standing, ~standing))
@@ -77,8 +76,8 @@ def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32A
 
 
 def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, resolution: float) -> Float32Array:
-    """Return each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours
-    differ among each other beyond their noise."""
+    """Return each cell's shift between its own estimate and its neighbours' mean; its own has more weight if neighbours
+    differ by more than their noise."""
     sigma = SMOOTHING / resolution
     count = np.maximum(blurred(cells.usable.astype(np.float32), sigma), 1e-6)
     noise = np.where(cells.usable, variance, 0).astype(np.float32)
@@ -94,7 +93,7 @@ def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, reso
 def stand_rise(
     off: Float32Array, level: Float32Array, grown: BoolArray, shift: Float32Array, resolution: float
 ) -> Float32Array:
-    """By how much stands have grown: the mean of what their level cells show, over WIDE; `shift` where none is near.
+    """Return the growth of stands: the mean of their level cells over WIDE; `shift` if none is near.
 
     Where a crown grows, its face comes nearer by a fraction of that: such cells tell that it has grown and not by how
     much. `level`: of each cell, (0, 1], the variance on the block's slope as a share of that on its own, so about the
@@ -109,7 +108,7 @@ def stand_rise(
 
 
 def blurred(values: Float32Array, sigma: float) -> Float32Array:
-    """By a Gaussian of `sigma` cells; what is outside counts as 0."""
+    """Blur by a Gaussian of `sigma` cells; outside values are 0."""
     if sigma < 0.3:
         return values
     side = 2 * int(REACH * sigma + 0.5) + 1
@@ -118,8 +117,8 @@ def blurred(values: Float32Array, sigma: float) -> Float32Array:
 
 
 def regions(strong: BoolArray, weak: BoolArray, unseen: BoolArray, least: float) -> BoolArray:
-    """Return the cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across
-    a few cells, and through those of a stand that nobody sees."""
+    """Return cells of `weak` in regions with a strong cell and at least `least` cells. A region continues across a few
+    cells, and through those of an unseen stand."""
     bridge = np.ones((2 * _BRIDGED + 1, 2 * _BRIDGED + 1), np.uint8)
     reached = weak.astype(np.uint8)
     open_to = (weak | unseen).astype(np.uint8)

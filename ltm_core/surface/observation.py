@@ -26,7 +26,7 @@ information."""
 
 @dataclass(frozen=True, eq=False)
 class LabelImage:
-    """`ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
+    """Label image. `ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
 
     ids: UInt8Array
     camera: Camera
@@ -73,9 +73,9 @@ class DepthFrame:
         covariance: Float64Array | None = None,
         labels: UInt8Array | None = None,
     ) -> DepthFrame:
-        """Return what was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size,
-        edge to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked
-        then."""
+        """Return the frame of a measurement in a photo of `camera`, NaN where nothing was measured, and its labels:
+        each of its own size, edge to edge over the photo. If nothing was measured, the pose may be suspected, and
+        labels are not used."""
         height, width = depth.shape
         measured = ~np.isnan(depth)
         small = full_labels = None
@@ -102,7 +102,7 @@ class DepthFrame:
 
 
 class Observer:
-    """Turns depth images into observations of a reference surface.
+    """Convert depth images to observations of a reference surface.
 
     `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
     views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
@@ -139,7 +139,8 @@ class Observer:
         self._views = ExpectedViews(int(views_mb * 2**20))
 
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
-        """Return what a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
+        """Return the observations of a frame by cell, valid until the next call. Raises PoseError as the tracer
+        does."""
         camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
         view = self._view(camera, frame, covariance)
         expected_pixels = self._expected_pixels(camera, frame, view)
@@ -172,14 +173,14 @@ class Observer:
         )
 
     def sampled(self, frame: DepthFrame) -> Camera:
-        """Return the camera of those of a frame's pixels that are used."""
+        """Return the camera of the pixels of a frame that are used."""
         return frame.camera.scaled(self._step(frame))
 
     def _step(self, frame: DepthFrame) -> int:
         return -(-frame.camera.width // self._columns)
 
     def pixels(self, frame: DepthFrame) -> Pixels:
-        """Return a frame as the kernels take it."""
+        """Return a frame in its compiled form."""
         labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
         return Pixels(
             np.ascontiguousarray(frame.depth, np.float32),
@@ -207,7 +208,7 @@ class Observer:
 
 
 def block_maxima(surface: Float32Array) -> Float32Array:
-    """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
+    """Return the maxima of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
     height, width = surface.shape
     starts = np.arange(0, width, BLOCK)
     edges = np.stack([np.maximum(starts - 1, 0), np.minimum(starts + BLOCK, width - 1) + 1], axis=-1).ravel()

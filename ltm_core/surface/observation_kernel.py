@@ -70,10 +70,9 @@ class ObservationLimits(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
-    sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
-    depth / slant range.
-    """
+    """Pixels of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis,
+    its sigma, whether it is a measurement, and labels ((0, 0): none). `cosines`: of the pixels in use, depth / slant
+    range."""
 
     depth: Float32Array
     sigma: Float32Array

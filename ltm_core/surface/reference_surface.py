@@ -21,10 +21,9 @@ LEAST_INCIDENCE = 0.1
 
 
 class ReferenceGrid(NamedTuple):
-    """`surface`, `bare`: (H, W) metres, with what stands on the ground and without; `east`, `north`: rise per metre of
-    blocks of `block` cells a side, `highest`: of what is known of each and the cells around it, -inf where nothing is;
-    `across`: tiles.
-    """
+    """Grids of a reference: `surface`, `bare`: (H, W) metres, with objects on the ground and without; `east`, `north`:
+    rise per metre of blocks of `block` cells a side, `highest`: maximum of each and the cells around it, -inf if
+    unknown; `across`: tiles."""
 
     surface: Float32Array
     bare: Float32Array
@@ -69,7 +68,7 @@ def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def stood_at(ground: ReferenceGrid, place: int) -> float:
-    """Return the metres of what stands in a cell."""
+    """Return the height in metres of the object in a cell."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     row = ((tile // ground.across) << TILE_BITS) + (k >> TILE_BITS)
     col = ((tile % ground.across) << TILE_BITS) + (k & (TILE - 1))
@@ -119,7 +118,7 @@ _ROWS = 256
 
 
 class Elevations(Protocol):
-    """What heights can be asked of: a `Dem` or a stack of them."""
+    """Source of heights: a `Dem` or a stack of them."""
 
     @property
     def geometry(self) -> GridGeometry: ...

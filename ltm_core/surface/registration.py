@@ -36,9 +36,8 @@ _FLOOR_DEG = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """`turned_deg`: by how much. `pose`, `covariance`: what is then known. `samples`: on open ground. `residual`:
-    metres of height by which these were off before and after, robust standard deviations.
-    """
+    """Registration of a frame. `turned_deg`: by how much. `pose`, `covariance`: afterwards. `samples`: on open ground.
+    `residual`: metres of height error of these before and after, robust standard deviations."""
 
     turned_deg: float
     pose: Pose
@@ -54,10 +53,9 @@ class Registration:
 def register(
     frame: DepthFrame, covariance: Float64Array, reference: Reference, tracer: TerrainTracer, limits: ObservationLimits
 ) -> Registration | None:
-    """Turn a frame; None where the pose is too certain to matter, where too little open ground is in view, or where no
-    turn helps. Open ground: where the known canopy is low, or where the frame says so. Raises PoseError as the tracer
-    does.
-    """
+    """Turn a frame; return None if the pose is accurate enough, if too little open ground is in view, or if no turn
+    improves it. Open ground: where the known canopy is low, or by the frame's labels. Raises PoseError as the tracer
+    does."""
     prior = covariance[3:, 3:]
     if math.sqrt(float(np.trace(prior))) <= 2 * math.radians(_FLOOR_DEG):
         return None

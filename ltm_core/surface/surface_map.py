@@ -39,9 +39,8 @@ memory."""
 
 @dataclass(frozen=True)
 class Added:
-    """What a frame did: cells that it saw, tiles that it touched and those that found no room in memory, and how it
-    was turned (None: it was not).
-    """
+    """Effect of a frame: cells seen, tiles touched and those without room in memory, and its turn (None: not
+    turned)."""
 
     cells: int
     tiles: int
@@ -163,7 +162,7 @@ class SurfaceMap:
         return Added(int(cells), len(keys), left_out, turned)
 
     def decide(self) -> Changed:
-        """Bring the changes up to date where frames have touched the map since the last call; what is new."""
+        """Update the changes where frames have touched the map since the last call; return the new ones."""
         found = Changed.none()
         while self._undecided:
             first = min(self._undecided)
@@ -189,12 +188,12 @@ class SurfaceMap:
         return layers_of(self._pool, self.reference, window, self._rules)
 
     def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
-        """Return (H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
+        """Return (H, W) metres by which accepted change has moved the surface of a window, 0 without change."""
         parts = mosaic(self._pool.peek, window, ("shift",))
         return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
 
     def close(self) -> None:
-        """Return its store; the map is of no use then. Idempotent."""
+        """Close its store; the map cannot be used afterwards. Idempotent."""
         self._pool.store.close()
 
     def seen_window(self) -> tuple[int, int, int, int] | None:

@@ -56,12 +56,12 @@ _ARRAYS = ("rows", "cols", "surface", "ground")
 
 
 class BrokenManifestError(StoreError):
-    """What stands in its place is no manifest, and will not become one by itself."""
+    """The file at this path is not a manifest."""
 
 
 @dataclass(frozen=True)
 class SurfaceVersions:
-    """The versions of a site in a folder, which need not be there before the first is written.
+    """Versions of a site in a folder, which is created with the first one.
 
     `geometry`: of the terrain's grid, in the map frame; a version of another grid is rejected.
     """
@@ -71,8 +71,8 @@ class SurfaceVersions:
     geometry: GridGeometry
 
     def manifest(self) -> SurfaceManifest:
-        """Of no version where there is none yet. Raises StoreError where it cannot be read, a later release wrote it or
-        it is of another site."""
+        """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read, if a later release
+        wrote it, or if it is of another site."""
         path = self.folder / MANIFEST
         try:
             content = _read(path, _MOST_MANIFEST)
@@ -95,9 +95,8 @@ class SurfaceVersions:
         return found
 
     def manifest_of_writer(self) -> tuple[SurfaceManifest, str]:
-        """For whoever writes: a folder whose manifest cannot be read as one is put aside, and begun anew; and what is
-        to be told of that, empty: nothing. Raises StoreError as `manifest` does for anything else.
-        """
+        """Return the manifest for writing: a folder with an unreadable manifest is moved away and started afresh, with
+        a message about it (empty: none). Raises StoreError as `manifest` does for anything else."""
         try:
             return self.manifest(), ""
         except BrokenManifestError as error:
@@ -110,12 +109,11 @@ class SurfaceVersions:
             return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
 
     def file(self, version: str) -> Path:
-        """Return where the file of a version of the manifest stands."""
+        """Return the path of a version of the manifest."""
         return self.folder / f"surface-{version}.npz"
 
     def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
-        """Return a version's cells. Raises StoreError where its file is missing, not what was written, or of another
-        grid."""
+        """Load a version's cells. Raises StoreError if its file is missing, modified, or of another grid."""
         path = self.file(entry.version)
         try:
             content = _read(path, _MOST_FILE)
@@ -242,7 +240,7 @@ def _of_bytes(content: bytes) -> ConfirmedSurface:
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedTerrain:
-    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+    """Ground and surface in the map frame, of one version of the confirmed surface (None: the site's rasters).
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
@@ -260,5 +258,5 @@ class ConfirmedTerrain:
 
     @property
     def name(self) -> str:
-        """Return the version, as frames carry it; AS_GIVEN where there is none."""
+        """Return the name of the version in frames; AS_GIVEN if there is none."""
         return AS_GIVEN if self.version is None else self.version.version

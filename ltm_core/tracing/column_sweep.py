@@ -197,8 +197,8 @@ def through_cells(
     at: int,
     out: Float32Array,
 ) -> int:
-    """Answer those of a block's rays that an entry and single cells answer; returns how many are left for
-    `by_pyramid`. `at`: flat index of the first pixel.
+    """Compute those of a block's rays that an entry and single cells decide; return the number left for `by_pyramid`.
+    `at`: flat index of the first pixel.
 
     Apart from the rest, for what the pyramid needs would otherwise be carried past every ray.
     """
@@ -241,7 +241,7 @@ def through_cells(
 def by_pyramid(
     ground: TerrainRaster, stage: RasterStage, count: int, block: Float64Array, at: int, out: Float32Array
 ) -> None:
-    """Answer a block's rays that are not yet answered; `at`: flat index of the first pixel."""
+    """Compute a block's remaining rays; `at`: flat index of the first pixel."""
     last, oz, top, resolution = stage.last, stage.oz, stage.highest, stage.resolution
     # No ray leaves the raster after `farthest`, and one from a camera over it none before `nearest`.
     farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
@@ -276,7 +276,7 @@ def by_pyramid(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
-    """Return the range of a plumb ray, by the sign of its slope; NaN of one that is none."""
+    """Return the range of a vertical ray, by the sign of its slope; NaN for other rays."""
     if slope > 0.0:
         return np.inf
     return stage.oz - height_at(ground, stage.ox, stage.oy) if slope < 0.0 else np.nan

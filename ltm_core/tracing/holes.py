@@ -29,7 +29,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Arra
 
 
 class PossibleGround(StrictModel):
-    """Bounds of unknown ground, by which a ray that has been over known ground goes on, or is unknown.
+    """Bounds of unknown ground that decide whether a ray beyond known ground continues or is unknown.
 
     Unknown ground rises from known ground no more steeply than `steepest`, and outside of what known ground surrounds
     no higher than `highest`, or where that is not stated, than `margin` above the highest ground of the DEM. A ray
@@ -44,7 +44,7 @@ class PossibleGround(StrictModel):
     """Metres above the DEM's highest ground that are assumed if `highest` is not given."""
 
     def limit(self, top: float) -> float:
-        """Return the metres above which there is no ground outside a DEM whose highest is `top`."""
+        """Return the height in metres above which there is no ground outside a DEM with the maximum `top`."""
         return top + self.margin if self.highest is None else self.highest
 
 

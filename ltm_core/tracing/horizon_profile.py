@@ -53,7 +53,7 @@ class Wedges(NamedTuple):
 
 
 def no_wedges() -> Wedges:
-    """Return a profile of which nothing is built."""
+    """Return an empty profile."""
     total = 4 * WEDGES_A_FACE
     return Wedges(
         np.zeros(total, np.int64),
@@ -65,7 +65,7 @@ def no_wedges() -> Wedges:
 
 
 def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: RasterStage) -> Wedges:
-    """Return `wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
+    """Return `wedges` with the missing ones of the `wanted` indices added, over the stage's part of the raster."""
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
         return wedges
@@ -237,7 +237,7 @@ def wedge_of(along_x: bool, forward: bool, t: float) -> int:
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
 def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
-    """Mark the sectors that an image (H, W, 3) of rays looks into, from each `every`-th pixel and some margin.
+    """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin.
 
     It may miss one: a ray in a wedge that is not built is traced without it.
     """

@@ -142,8 +142,8 @@ def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
-    """Return the answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing and no
-    ground that may lie ahead is as high or as steep, else NaN."""
+    """Return the final result of a ray without a hit: +inf if it climbs out and no ground ahead can be as high or as
+    steep, else NaN."""
     if not (stage.last and q < 0.0):
         return q
     leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0

@@ -37,8 +37,8 @@ _one_at_a_time = threading.Lock()
 
 
 def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
-    """Return what the kernels know of each level, finest first, and of unknown ground; the same for all who ask while
-    the terrain is in use. Raises RasterError for infinite heights."""
+    """Return the kernels' data of each level, finest first, and of unknown ground, shared while the terrain is in use.
+    Raises RasterError for infinite heights."""
     with _one_at_a_time:
         made = _known.setdefault(dem, {})
         if possible not in made:
@@ -66,7 +66,7 @@ def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
 
 
 def highest_possible(dem: Dem, possible: PossibleGround) -> float:
-    """Return the metres above which there is no ground outside the DEM."""
+    """Return the height in metres above which there is no ground outside the DEM."""
     highest = _highest.get(dem)
     if highest is None:
         highest = _highest[dem] = max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels)

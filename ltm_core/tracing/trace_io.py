@@ -29,7 +29,7 @@ from ltm_core.tracing.holes import PossibleGround
 
 
 class PoseFile(StrictModel):
-    """A pose file: one image's `pose` and `calibration`, as a camera has them in a site file."""
+    """Pose file: one image's `pose` and `calibration`, as for a camera in a site file."""
 
     pose: PlacedPose
     calibration: CalibrationConfig
@@ -40,14 +40,14 @@ class PoseFile(StrictModel):
 
 
 class PictureConfig(PoseFile):
-    """One image: where its camera stood, how it looked, and its calibration."""
+    """One image: its camera's pose and calibration."""
 
     pose: PoseConfig
 
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """An image ready to be traced, in a map frame whose origin is near its camera."""
+    """Image ready to be traced, in a map frame whose origin is near its camera."""
 
     dem: Dem
     frame: SiteFrame
@@ -113,7 +113,7 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
 
 
 def cell_counts(traced: RangeImage) -> UInt32Array:
-    """Return how many pixels see each DEM cell, (H, W) of the raster."""
+    """Return the number of pixels that see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
         raise ImageError("this range image has no raster, so it has no cells")
     cells = traced.cells()
@@ -126,7 +126,7 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
 
 
 def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32Array | None = None) -> list[Path]:
-    """Write a traced image as GeoTIFFs into the folder `out`; returns their paths.
+    """Write a traced image as GeoTIFFs into the folder `out`; return their paths.
 
     `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
     pixel of the image, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
@@ -202,7 +202,7 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
 
 
 class GuessConfig(PoseFile):
-    """What is known of a camera before its pose is found: a pose file whose angles may be left out.
+    """Known values of a camera before its pose is found: a pose file whose angles are optional.
 
     The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
     """

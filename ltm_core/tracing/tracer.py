@@ -60,7 +60,7 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True)
 class TracerStatistics:
-    """Counts since the tracer was made, and what it holds.
+    """Counts since the tracer was created, and the size of its caches.
 
     A frame is a hit of `frame_hits` where camera and pose were as before, so that nothing was traced; a hit of
     `profile_hits` where all of the position's profile that it needs was there.
@@ -74,7 +74,8 @@ class TracerStatistics:
 
 
 class BoundedCache(Generic[_Value]):
-    """Values by key, of which the least recently used go when together they exceed `most_bytes`. Thread-safe."""
+    """Cache of values by key that evicts the least recently used ones when the total exceeds `most_bytes`.
+    Thread-safe."""
 
     def __init__(self, most_bytes: int, size_of: Callable[[_Value], int]) -> None:
         self._most = most_bytes
@@ -89,7 +90,7 @@ class BoundedCache(Generic[_Value]):
         return self._held
 
     def get(self, key: Hashable) -> _Value | None:
-        """Return the value, now the most recently used; None where there is none."""
+        """Return the value and mark it as used; None if it is missing."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -149,11 +150,11 @@ class TerrainTracer:
 
     @property
     def statistics(self) -> TracerStatistics:
-        """Return how often what is kept of earlier frames served, and how much is kept."""
+        """Return cache hits and sizes."""
         return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
-        """Return the range of every pixel; the array is read-only, since it is given again for the same camera and
+        """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
         pose.
 
         Args:

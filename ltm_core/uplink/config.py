@@ -18,7 +18,7 @@ AGGREGATOR = "aggregator"
 
 
 class BrokerConfig(StrictModel):
-    """An MQTT 5 broker, reached by TLS alone; each side shows a certificate that the same authority has signed."""
+    """MQTT 5 broker over TLS; each side has a certificate signed by the same authority."""
 
     host: str = Field(min_length=1, max_length=253)
     """Host name or address of the broker, as stated in its certificate."""
@@ -36,7 +36,7 @@ class BrokerConfig(StrictModel):
 
 
 class UplinkConfig(StrictModel):
-    """A site's section `region`: its cameras' votes go to the map of a region, by way of an outbox on this machine."""
+    """Section `region` of a site: its cameras' votes are sent to the map of a region through a local outbox."""
 
     name: Name
     """Name of the region."""
@@ -56,7 +56,7 @@ class UplinkConfig(StrictModel):
 
 
 class ExportConfig(StrictModel):
-    """The map as Cloud Optimized GeoTIFFs with a STAC item, written anew while it changes."""
+    """Export of the map as Cloud Optimized GeoTIFFs with a STAC item, rewritten after changes."""
 
     folder: Path
     """Folder of the exports, relative to region.yaml; created if only its last part is missing."""
@@ -68,7 +68,7 @@ class ExportConfig(StrictModel):
 
 
 class RegionConfig(StrictModel):
-    """region.yaml: the fuel map of many towers."""
+    """Content of region.yaml: the fuel map of many towers."""
 
     name: Name
     site: Path
@@ -100,7 +100,7 @@ class RegionConfig(StrictModel):
 
 
 def load_region(path: Path | str) -> RegionConfig:
-    """Return its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
+    """Load region.yaml; relative paths are resolved against the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
     region = load_yaml(path, RegionConfig)
     changes: dict[str, object] = {
@@ -114,5 +114,5 @@ def load_region(path: Path | str) -> RegionConfig:
 
 
 def broker_beside(broker: BrokerConfig, folder: Path) -> BrokerConfig:
-    """With the paths of its certificates below a folder."""
+    """Return the broker with the paths of its certificates resolved against a folder."""
     return broker.model_copy(update={name: folder / getattr(broker, name) for name in ("ca", "certificate", "key")})

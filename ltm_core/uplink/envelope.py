@@ -40,7 +40,7 @@ most 64 characters."""
 
 @dataclass(frozen=True)
 class Envelope:
-    """`signed`: the bytes that the signature is over. Nothing in it has been checked but the lengths."""
+    """Envelope of a message. `signed`: the signed bytes. Only the lengths have been checked."""
 
     header: bytes
     certificate: bytes = field(repr=False)
@@ -50,8 +50,7 @@ class Envelope:
 
 
 def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
-    """Return what is to be signed; the signature follows it. Raises MessageError where it is larger than may be
-    sent."""
+    """Return the bytes to sign; the signature follows them. Raises MessageError if they are too large."""
     size = _LENGTHS.size + len(header) + len(certificate) + len(body) + LARGEST_SIGNATURE
     if len(header) > LARGEST_HEADER or len(certificate) > LARGEST_CERTIFICATE or size > LARGEST:
         raise MessageError(
@@ -63,7 +62,7 @@ def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
 
 
 def unpacked(content: bytes) -> Envelope:
-    """Return the parts of an envelope. Raises MessageError on anything else."""
+    """Parse the parts of an envelope. Raises MessageError on anything else."""
     if not _LENGTHS.size <= len(content) <= LARGEST:
         raise MessageError(f"an envelope has {_LENGTHS.size} to {LARGEST} bytes, this has {len(content)}")
     magic, header, certificate, body = _LENGTHS.unpack_from(content)
@@ -92,22 +91,22 @@ class VotesGrid(StrictModel):
 
     @classmethod
     def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> VotesGrid:
-        """`geometry`: in its CRS."""
+        """Return the grid of `geometry`, in its CRS."""
         return cls(crs=str(geometry.crs), origin=origin, **_edges(geometry))
 
     @property
     def geometry(self) -> GridGeometry:
-        """In its CRS."""
+        """Return the geometry in its CRS."""
         return GridGeometry(self.x_min, self.y_max, self.resolution, self.width, self.height, self.crs)
 
     @property
     def in_map(self) -> GridGeometry:
-        """In the map frame, where the votes' points are."""
+        """Return the geometry in the map frame of the votes' points."""
         return self.geometry.translated(-self.origin[0], -self.origin[1])
 
 
 class HeaderStart(StrictModel):
-    """What every version of a tower's header has, so that a newer one can be answered in words."""
+    """Common part of all versions of a tower's header, so that newer ones can be answered."""
 
     model_config = StrictModel.model_config | {"extra": "ignore"}
 
@@ -119,7 +118,7 @@ class HeaderStart(StrictModel):
 
 
 class VotesHeader(StrictModel):
-    """Of a frame's votes; the body is the message, serialised as ROS has it (CDR of sensor_msgs/PointCloud2)."""
+    """Header of a frame's votes; the body is the serialised message (CDR of sensor_msgs/PointCloud2)."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -132,7 +131,7 @@ class VotesHeader(StrictModel):
 
 
 class Outcome(StrictModel):
-    """What became of a frame. `done`: it need not be sent again; else `why` says what is amiss."""
+    """Result for a frame. `done`: it need not be sent again; else `why` is the reason."""
 
     camera: str = Field(max_length=63)
     stamp_ns: int
@@ -141,7 +140,7 @@ class Outcome(StrictModel):
 
 
 class AckHeader(StrictModel):
-    """The aggregator's word on frames of one tower; the body is `Outcomes` as JSON."""
+    """Acknowledgement of frames of one tower by the aggregator; the body is `Outcomes` as JSON."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -153,7 +152,7 @@ class Outcomes(StrictModel):
 
 
 class TileHeader(StrictModel):
-    """Of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
+    """Header of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -170,12 +169,12 @@ HeaderT = TypeVar("HeaderT", bound=StrictModel)
 
 
 def header_of(kind: type[HeaderT], envelope: Envelope) -> HeaderT:
-    """Raise MessageError on a header that is none of that kind."""
+    """Parse a header. Raises MessageError if it is invalid or of another kind."""
     return _parsed(kind, envelope.header, "header")
 
 
 def outcomes_of(envelope: Envelope) -> list[Outcome]:
-    """Return what an acknowledgement says. Raises MessageError on a body that is none."""
+    """Return the outcomes of an acknowledgement. Raises MessageError on an invalid body."""
     return _parsed(Outcomes, envelope.body, "body").outcomes
 
 

@@ -31,7 +31,7 @@ from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_s
 
 
 def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array, spare: int) -> BoolArray:
-    """Return which of N frames go, so that `spare` bytes or more are free; all of them where they hold less.
+    """Return which of N frames to drop to free at least `spare` bytes; all if they hold less.
 
     `stamps_ns`, `sizes`: (N,) int64, bytes. `views`: (N,) a number for each view of each camera. The result is a mask
     in the order given.
@@ -87,9 +87,8 @@ FrameKey = tuple[str, int]
 
 @dataclass(frozen=True)
 class OutboxFrame:
-    """The votes of one frame. `view`: a number for the direction in which the camera looked. `model`: what labelled it,
-    empty where that is not known. `message`: serialised votes.
-    """
+    """Votes of one frame. `view`: number of the camera's viewing direction. `model`: label network, empty if unknown.
+    `message`: serialised votes."""
 
     camera: str
     stamp_ns: int
@@ -104,16 +103,16 @@ class OutboxFrame:
 
 @dataclass(frozen=True)
 class Removed:
-    """Frames that went without an acknowledgement: `thinned` for want of room, `aged` for their age."""
+    """Frames removed without an acknowledgement: `thinned` for space, `aged` for their age."""
 
     thinned: int
     aged: int
 
 
 class Outbox:
-    """One process at a time opens a file. Methods raise StoreError where the disk does not serve just now: then nothing
-    of that call is in the file, and the call may be made again; ConfigError where the file has become damaged, which
-    the next one that opens it puts aside.
+    """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors: the call then
+    has no effect and may be repeated; ConfigError if the file is damaged, which the next process that opens it moves
+    away.
 
     Args:
         path: of the file; made where there is none, its folder must exist.
@@ -168,9 +167,9 @@ class Outbox:
         return new
 
     def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[tuple[FrameKey, int]]:
-        """Return the newest frames but these, and but those that a `postpone` holds back until later than `now_s`, and
-        the bytes of their messages: a map of the present is worth more than one of an hour ago, and evidence may come
-        in any order. What they hold is read by `frame`, of those alone that are sent."""
+        """Return the newest queued frames, except these and those that `postpone` delays until after `now_s`, and the
+        bytes of their messages. A current map has priority, and evidence may arrive in any order. `frame` reads the
+        content of those that are sent."""
         left_out = set(without)
         with named_errors(str(self._path)):
             rows = self._db.execute(
@@ -181,7 +180,7 @@ class Outbox:
         return [((camera, at), size) for camera, at, size in rows if (camera, at) not in left_out][:limit]
 
     def frame(self, key: FrameKey) -> OutboxFrame | None:
-        """Return what waits under a key; None: nothing."""
+        """Return the queued frame of a key; None: none."""
         with named_errors(str(self._path)):
             row = self._db.execute(
                 "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?", key
@@ -189,18 +188,18 @@ class Outbox:
         return None if row is None else OutboxFrame(*row)
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
-        """Let go of frames that are in the region's map; how many of them were here."""
+        """Remove frames that are in the region's map; return the number found."""
         return self._remove(list(keys))
 
     def postpone(self, keys: Iterable[FrameKey], until_s: float) -> None:
-        """Do not offer frames again before then, by the clock of `waiting`."""
+        """Delay sending frames until then, by the clock of `waiting`."""
         with transaction(self._db, str(self._path)) as db:
             db.executemany(
                 "UPDATE frames SET retry_s = ? WHERE camera = ? AND stamp_ns = ?", [(until_s, *key) for key in keys]
             )
 
     def oldest_ns(self) -> int | None:
-        """Return the stamp of the oldest frame; None: nothing waits."""
+        """Return the stamp of the oldest frame; None: the queue is empty."""
         with named_errors(str(self._path)):
             (oldest,) = self._db.execute("SELECT min(stamp_ns) FROM frames").fetchone()
         return None if oldest is None else int(oldest)

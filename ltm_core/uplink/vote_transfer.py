@@ -21,7 +21,7 @@ MOST_CELLS: Final = 4_000_000
 
 
 class VoteTransfer:
-    """By nearest cell, as `GridTransfer`; where both grids have one CRS and their cells coincide, that is exact.
+    """Transfer by nearest cell, as `GridTransfer`; exact if both grids have one CRS and coinciding cells.
 
     What a frame shows of a cell is told of each cell of the region whose centre lies in it, so between two CRSs a cell
     may count twice or not at all: evidence moves by half a cell at most. Bearings are turned from one grid north to the
@@ -59,7 +59,7 @@ class VoteTransfer:
         self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:
-        """Return the votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
+        """Return the votes on the region's grid, in row-major order; votes outside it are dropped.
 
         `votes`: on `source`.
         """

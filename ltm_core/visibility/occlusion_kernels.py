@@ -69,9 +69,9 @@ def raise_slopes(
 def blocking_slope(
     ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float, over_known: bool
 ) -> tuple[float, np.uint8]:
-    """Return the greatest slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is
-    greater; and what the way has come to there. `over_known`: it has been over known ground before; outer holes are
-    free until then."""
+    """Return the maximum slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is
+    greater; and the state of the way there. `over_known`: it has been over known ground before; outer holes are free
+    until then."""
     nodes, bounds, height, width = ground.nodes, ground.bounds, ground.height, ground.width
     ox, oy, oz, bend = stage.ox, stage.oy, stage.oz, stage.bend
     top_level = len(ground.offsets) - 1

@@ -109,8 +109,8 @@ class PointVisibility:
         self._beyond = possible.steepest, highest_possible(dem, possible)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
-        """Return how far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where
-        that hangs on unknown ground: a hole's ceiling is in the way, or nothing known is but the way leaves the DEM.
+        """Return the lift that makes points visible from `origin`, (N,) metres, 0 if they are visible; and whether it
+        depends on unknown ground: a hole's ceiling is in the way, or the way leaves the DEM.
 
         Raises PoseError where the origin is under the ground or not finite.
         """

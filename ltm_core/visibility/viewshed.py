@@ -51,7 +51,7 @@ class Coverage:
         return int((self.count >= 0).sum())
 
     def share(self, cameras: int = 1) -> float:
-        """Return the share of the known ground that at least so many cameras see."""
+        """Return the share of the known ground that at least `cameras` cameras see."""
         return float((self.count >= cameras).sum() / max(1, self.known))
 
 

@@ -59,7 +59,7 @@ class _NamedAreas(StrictModel):
 
 
 def parse_areas(text: str, place: str) -> tuple[NamedArea, ...]:
-    """Raise ConfigError: no JSON, another form, values that are no areas; `place` names the text."""
+    """Parse areas. Raises ConfigError for invalid JSON, another form or invalid areas; `place` names the text."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -70,12 +70,12 @@ def parse_areas(text: str, place: str) -> tuple[NamedArea, ...]:
 
 
 def read_areas(path: Path) -> tuple[NamedArea, ...]:
-    """Raise ConfigError, as `parse_areas` and where the file cannot be read."""
+    """Read areas. Raises ConfigError as `parse_areas`, and if the file cannot be read."""
     return parse_areas(read_text(path, LARGEST_FILE, ConfigError), str(path))
 
 
 def write_areas(path: Path, areas: Sequence[NamedArea]) -> None:
-    """Return one line an area; whole, or not at all."""
+    """Write one line per area, atomically."""
     lines = [
         json.dumps(area.model_dump(by_alias=True, exclude_defaults=True, mode="json"), ensure_ascii=False)
         for area in areas
@@ -99,7 +99,7 @@ Points = Sequence[Sequence[float]]
 
 
 def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: LabelSet) -> UInt8Array:
-    """Return (H, W) class ids; 255 where nothing is named, and where the class is none of the label set."""
+    """Return (H, W) class ids; 255 in unlabelled areas and for other classes."""
     drawn = np.full((height, width), UNLABELLED, np.uint8)
     for area in areas:
         value = labels.names.index(area.kind) if area.kind in labels.names else int(UNLABELLED)
@@ -108,7 +108,7 @@ def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: Label
 
 
 def stroke_areas(image: str, kind: str, points: Points, radius: float, height: int, width: int) -> list[NamedArea]:
-    """Return what a round brush of this radius (pixels) covers along `points` (u, v) of a photo, as areas."""
+    """Return the areas covered by a round brush of this radius (pixels) along `points` (u, v) of a photo."""
     drawn = np.zeros((height, width), np.uint8)
     path = np.rint(np.array(points, np.float64)).astype(np.int32)
     thick = max(1, round(2 * radius))
@@ -119,7 +119,7 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
 
 
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
-    """Return a label image (H, W) as areas, the largest first, so that what lies within another lies over it.
+    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones.
 
     `least`: share of the image; smaller regions are left out.
     """
@@ -138,8 +138,8 @@ def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float 
 
 
 def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False) -> list[Outline]:
-    """Return the outlines (u, v) of the parts of (H, W), to `tolerance` pixels or, where one would have more corners
-    than a polygon may (`MOST_POINTS`), as much coarser as it must be.
+    """Return outlines (u, v) of the parts of (H, W), to `tolerance` pixels, coarser where a polygon would have too many
+    corners (`MOST_POINTS`).
 
     `filled`: holes are filled. Otherwise the outline goes in to each hole, about it, and back the same way, so that
     filling it by the even-odd rule leaves the hole out.

@@ -24,8 +24,7 @@ def add_model(
     progress: Callable[[int], None] = lambda received: None,
     folder: Path | None = None,
 ) -> NetworkManifest:
-    """Return the copy a manifest and all it names into `folder` (default: the user's own models); gives the added
-    manifest.
+    """Copy a manifest and its files into `folder` (default: the user's own models); return the new manifest.
 
     The network file is taken where the manifest finds it, or, with `fetch`, from its URL; nothing is downloaded unless
     asked, and the checksum decides what is kept. `progress` gets the bytes received. Raises ModelError: a name that

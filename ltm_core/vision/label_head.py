@@ -81,10 +81,9 @@ _DIGITS: Final = 4
 
 
 class LabelHeadFile(StrictModel):
-    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
-    each of `classes`, a column for each of the map's channels. `one_view`: it was taught by one view and is for that
-    alone. `calibration`: how its labels err, on photos held out.
-    """
+    """File of a label head. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
+    each of `classes`, a column for each of the map's channels. `one_view`: it was trained on one view and is for that
+    only. `calibration`: errors of its labels on held-out photos."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
     network: str
@@ -118,7 +117,7 @@ class LabelHeadFile(StrictModel):
 
 
 def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
-    """Return the label head of a file, for the network of a manifest, and all that the file says.
+    """Read a label head for the network of a manifest; return it with the file's content.
 
     Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
     """
@@ -183,14 +182,14 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
 
 
 def places_of_label_heads(manifest: NetworkManifest, site: Path | None) -> list[Path]:
-    """Return the folders that label heads of a network are looked for in, the first one first: `site` (a site's),
-    beside the manifest, among what the user taught."""
+    """Return the folders searched for label heads of a network, in order: `site` (a site's), beside the manifest, the
+    user's own."""
     beside = dict.fromkeys([manifest.folder, added_folder()])
     return [*([] if site is None else [site]), *(label_heads_folder(manifest, folder) for folder in beside)]
 
 
 def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
-    """Return where label heads of a network lie, below the folder of its manifest or, by default, of the user's own
+    """Return the folder of a network's label heads, below the folder of its manifest or, by default, of the user's own
     models."""
     return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
 

@@ -44,7 +44,7 @@ class LensCorner:
 
 
 def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
-    """Of images (H, W, 3) RGB of one camera, some 640 pixels wide; deterministic."""
+    """Find lens corners in images (H, W, 3) RGB of one camera, about 640 pixels wide; deterministic."""
     labs = [_lab(frame) for frame in frames]
     found = []
     for up in (True, False):

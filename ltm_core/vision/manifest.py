@@ -73,22 +73,22 @@ class InputSpec(StrictModel):
 
 
 class CoarseLook(StrictModel):
-    """A second look at the whole image, at this size, whose scores of land count by `share` (`tiling`). The
-    network's file must take inputs of both sizes."""
+    """Second inference of the whole image at this size, whose scores of land count by `share` (`tiling`). The network's
+    file must accept both input sizes."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
     share: float = Field(gt=0, lt=1)
 
     def image(self, first: InputSpec) -> InputSpec:
-        """Return what the network takes for it, where it takes `first` for the first look."""
+        """Return its input specification, given the `first` one."""
         return first.model_copy(update={"width": self.width, "height": self.height})
 
 
 class Withdrawal(StrictModel):
-    """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
-    *tree* where the photo's local contrast is lower (`label_rules.contrast`), as of hazy far slopes, where the
-    image shows more shrub than tree. 0: none."""
+    """Thresholds below which labels are withdrawn and do not vote. `confidence`: of the probability. `tree_contrast`:
+    of the photo's local contrast (`label_rules.contrast`) for *tree*, as on hazy far slopes, if the image shows more
+    shrub than tree. 0: none."""
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
     tree_contrast: float = Field(default=0.0, ge=0)
@@ -144,7 +144,7 @@ class OutputSpec(StrictModel):
 
 
 class TextSpec(StrictModel):
-    """Embeddings of words, made once, offline, with the text tower that belongs to a network of kind `embeddings`.
+    """Embeddings of words, computed once, offline, with the text tower that belongs to a network of kind `embeddings`.
 
     `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float. The score of a word at a
     pixel is `scale` times the cosine between the two vectors (LSeg 14.3, CLIP 100).
@@ -156,7 +156,7 @@ class TextSpec(StrictModel):
 
 
 class NetworkManifest(StrictModel):
-    """A network file with all that is needed to run it and to judge it; YAML on disk.
+    """Network file with the data needed to run and check it; YAML on disk.
 
     `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
     is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
@@ -244,7 +244,7 @@ class NetworkManifest(StrictModel):
         return cls.load(path)
 
     def serving(self, head: str) -> NetworkManifest:
-        """Return the network that answers where a camera has this head: itself, or the one whose heads it takes
+        """Return the network used by a camera with this label head: itself, or the one whose heads it uses
         (`heads_of`).
 
         Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
@@ -258,8 +258,8 @@ class NetworkManifest(StrictModel):
 
     @property
     def label_columns(self) -> int:
-        """Return how many columns of labels a photo gets at least: such networks answer for every second pixel of their
-        input, and what fills the photo between them is interpolated."""
+        """Return the minimum number of label columns of a photo: such networks label every second pixel of their input,
+        and the pixels between are interpolated."""
         return max(1, self.input.width // 2)
 
     def model_file(self) -> Path:
@@ -271,7 +271,7 @@ class NetworkManifest(StrictModel):
         return self._located(self.file)
 
     def text_file(self) -> Path:
-        """Return the path of the words' embeddings, found as the network is. Raises ModelError; also where there are
+        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
         none."""
         if self.text is None:
             raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")

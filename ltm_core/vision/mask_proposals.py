@@ -65,8 +65,8 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
 
 
 def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tuple[int, int]) -> list[Proposal]:
-    """Of areas that a person has drawn, in their order, in images of this size (H, W), those that hide the landscape:
-    of no class of `names`. What was drawn or erased over them later, in the same image, is no part of them."""
+    """Return drawn areas that hide the landscape, in order, at this image size (H, W): areas of no class of `names`,
+    without what was drawn or erased over them later in the same image."""
     found: list[tuple[NamedArea, UInt8Array]] = []
     for area in areas:
         drawn = np.zeros(shape, np.uint8)

@@ -66,7 +66,7 @@ MaskConfig = Annotated[
 
 
 class ViewMask(StrictModel):
-    """What hides the landscape where a turning camera looks one way: a preset of its patrol, say."""
+    """Mask for one viewing direction of a turning camera, for example a preset of its patrol."""
 
     name: str = Field(min_length=1, max_length=80)
     azimuth_deg: AzimuthDeg
@@ -81,7 +81,7 @@ class ViewMask(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class CameraMask:
-    """`hidden`: (H, W) bool, True where the landscape is never seen. `place`: what errors call it.
+    """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
 
     Raises ConfigError for a mask that hides nothing, or everything.
     """
@@ -100,7 +100,7 @@ class CameraMask:
 
     @classmethod
     def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
-        """Raise ConfigError, too, where a polygon lies beside an image of this size."""
+        """Return the mask of polygons. Raises ConfigError, also for a polygon outside an image of this size."""
         drawn = np.zeros((height, width), np.uint8)
         for number, polygon in enumerate(polygons):
             points = np.array(polygon.polygon, np.float64)
@@ -114,16 +114,16 @@ class CameraMask:
 
     @cached_property
     def share(self) -> float:
-        """Of the image."""
+        """Return the masked share of the image."""
         return float(self.hidden.mean())
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return (width, height)."""
+        """Return the size (width, height)."""
         return self.hidden.shape[1], self.hidden.shape[0]
 
     def check_size(self, width: int, height: int) -> None:
-        """Raise ConfigError where the camera's images have another size."""
+        """Raise ConfigError if the camera's images have another size."""
         if self.size != (width, height):
             raise ConfigError(
                 f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
@@ -138,7 +138,7 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 
 
 def read_mask(path: Path, place: str) -> CameraMask:
-    """Return a PNG of one channel in which all but 0 is masked. `place`: the key that names it, for errors.
+    """Read a single-channel PNG in which non-zero pixels are masked. `place`: the key that names it, for errors.
 
     Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked.
     """
@@ -173,7 +173,7 @@ the width."""
 
 @dataclass(frozen=True)
 class Looking:
-    """Where an image was taken to: azimuth and pitch of the optical axis, and how wide the lens was, degrees."""
+    """Viewing direction of an image: azimuth and pitch of the optical axis, and field of view, degrees."""
 
     azimuth_deg: float
     pitch_deg: float
@@ -188,7 +188,7 @@ class Looking:
         return f"azimuth {self.azimuth_deg:.1f}, pitch {self.pitch_deg:.1f}, {self.hfov_deg:.1f} deg wide"
 
     def off_deg(self, view: ViewMask) -> float:
-        """Return the angle between the optical axes; infinite where the lens is not as wide as the view's."""
+        """Return the angle between the optical axes; infinite if the fields of view differ."""
         if view.hfov_deg is not None and abs(self.hfov_deg / view.hfov_deg - 1) > _ZOOM:
             return math.inf
         turned = math.radians(self.azimuth_deg - view.azimuth_deg)
@@ -199,8 +199,8 @@ class Looking:
 
 
 class ViewMasks:
-    """`views`: as the site file has them, each with what makes its mask. Raises what these do where they are of a known
-    `size` (width, height)."""
+    """Masks by view. `views`: as in the site file, each with the function that makes its mask. Raises as these for an
+    invalid known `size` (width, height)."""
 
     def __init__(self, views: Mapping[ViewMask, MakeMask], size: tuple[int, int] | None = None) -> None:
         self._views = dict(views)
@@ -209,18 +209,19 @@ class ViewMasks:
                 make(*size)
 
     def at(self, looking: Looking) -> ViewMask | None:
-        """Return the nearest of those views that look there; None: none does."""
+        """Return the nearest view in that direction; None: none."""
         off = {view: looking.off_deg(view) for view in self._views}
         near = [view for view, angle in off.items() if angle <= view.within_deg]
         return min(near, key=off.__getitem__, default=None)
 
     def mask(self, view: ViewMask, width: int, height: int) -> CameraMask:
-        """Raise ConfigError where it cannot be of this size."""
+        """Return the mask. Raises ConfigError if it cannot have this size."""
         return self._views[view](width, height)
 
 
 def packed(mask: CameraMask) -> MakeMask:
-    """Return what makes a mask that was read: for its own size alone. Kept as bits, for a patrol has many views."""
+    """Return the function for a mask that was read, valid for its own size only. It is kept as bits, because a patrol
+    has many views."""
     size, place = mask.size, mask.place
     bits: UInt8Array = np.packbits(mask.hidden)
 

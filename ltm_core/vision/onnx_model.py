@@ -35,7 +35,7 @@ dropped."""
 
 
 class SharedRuns:
-    """Of one file. Threads may call it at once; each part is given out once, so whoever has it may write to it."""
+    """Shared runs of one file, thread-safe; each output is given to one user, which may modify it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,13 +43,13 @@ class SharedRuns:
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
 
     def join(self, owner: object, output: str) -> None:
-        """Return `owner` will ask for `output` as long as it lives."""
+        """Register `owner` as a user of `output` while it exists."""
         with self._lock:
             self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
-        """Return these outputs of an image's tensor, which nobody changes meanwhile; `compute` gives those of its
-        names."""
+        """Return these outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by
+        name."""
         with self._lock:
             others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
@@ -80,7 +80,7 @@ class _Loaded:
 
 
 class OnnxModel:
-    """The network of a manifest, its file's checksum and its tensors compared with what the manifest states.
+    """Network of a manifest; the checksum and tensors of its file are compared with the manifest.
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
     what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
@@ -132,7 +132,7 @@ class OnnxModel:
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
-        """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
+        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
         `part`: of an image, or another size of it, which nobody else will ask for. Raises ModelError where the file
         gives something else by such a name.
@@ -274,13 +274,12 @@ def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
 
 
 def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Return the photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect."""
+    """Return the network's input tensor for a photo (H, W, 3) uint8 RGB, resized without keeping the aspect."""
     return as_tensor(fitted(image, spec), spec)
 
 
 def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
-    """Return the photo (H, W, 3) uint8 RGB in the network's size. Shrinks by area (no aliasing), enlarges
-    bilinearly."""
+    """Resize a photo (H, W, 3) uint8 RGB to the network's size. Shrinks by area (no aliasing), enlarges bilinearly."""
     height, width = image.shape[:2]
     if (width, height) == (spec.width, spec.height):
         return image
@@ -290,7 +289,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
 
 
 def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Return the photo (height, width, 3) uint8 RGB of the network's size -> the tensor that it takes."""
+    """Return the tensor of a photo (height, width, 3) uint8 RGB of the network's size."""
     if spec.channels == "bgr":
         image = image[..., ::-1]
     planar = spec.layout == "NCHW"

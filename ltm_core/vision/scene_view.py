@@ -19,9 +19,9 @@ from ltm_core.vision.usable import Unusable, Usability, judge
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """`hidden`: (H, W) bool, True where something else stands before the landscape; None: nowhere. `usability`: whether
-    the image shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was.
-    `smoke`: share of the image in which smoke hides the land."""
+    """Visible landscape in an image. `hidden`: (H, W) bool, True where something is in front of the landscape; None:
+    nowhere. `usability`: whether the image shows enough; None: not judged. `masked`: the view mask used, if the camera
+    has several. `smoke`: share of the image in which smoke hides the land."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
@@ -30,24 +30,24 @@ class SceneView:
 
     @property
     def reason(self) -> Unusable | None:
-        """Return why nothing of the image is used; None: it is."""
+        """Return why the image is not used; None: it is used."""
         return None if self.usability is None else self.usability.reason
 
     @property
     def unusable(self) -> str:
-        """Return `reason` in words; empty where the image is used."""
+        """Return `reason` in words; empty if the image is used."""
         return "" if self.usability is None else self.usability.said
 
     @property
     def doubtful(self) -> BoolArray | None:
-        """Return a grid (rows, columns) over the image: where it is burnt out or black; None: nowhere."""
+        """Return a grid (rows, columns) over the image, True where it is overexposed or black; None: nowhere."""
         if self.usability is None or not self.usability.doubtful.any():
             return None
         return self.usability.doubtful
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
-        """Take labels (H, W) and their confidence (H, W) away, in place: where the landscape is not seen, of an image
-        that is not used, and of land where it is burnt out or black."""
+        """Remove labels (H, W) and their confidence (H, W), in place, where the landscape is not visible, in unusable
+        images, and on overexposed or black land."""
         if self.reason is None and self.hidden is None and self.doubtful is None:
             return
         gone = np.full(labels.shape, self.reason is not None)
@@ -62,7 +62,7 @@ class SceneView:
 
 
 class SceneFilter:
-    """Says of each image of a camera what of it shows the landscape.
+    """Determine the visible landscape in each image of a camera.
 
     `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
     beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
@@ -84,19 +84,19 @@ class SceneFilter:
 
     @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
-        """With the mask of a PNG; `place`: what names it in errors. Raises ConfigError as `read_mask`, and where it
-        does not have the images' size."""
+        """Return the filter of a PNG mask; `place`: its name in errors. Raises ConfigError as `read_mask`, and if its
+        size is not that of the images."""
         make, own = mask_maker(path, place)
         return cls(make, size or own, judged)
 
     @property
     def by_view(self) -> bool:
-        """Return whether what is hidden hangs on where the camera looks."""
+        """Return whether the mask depends on the viewing direction."""
         return self._views is not None
 
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
-        """Return (H, W) bool, what is masked in images of this size that look there (None: wherever they look); None:
-        nothing. Raises ConfigError."""
+        """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);
+        None: no mask. Raises ConfigError."""
         view = None if self._views is None or looking is None else self._views.at(looking)
         if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
             self.mask = self._make(width, height)
@@ -111,8 +111,8 @@ class SceneFilter:
         return seen[1]
 
     def judge(self, picture: UInt8Array, hidden: BoolArray | None, stamp_ns: int | None) -> Usability | None:
-        """Of an image (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: when it was taken,
-        None: nobody knows. None: images are not judged. Raises ImageError for another shape."""
+        """Judge an image (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: its time, None:
+        unknown. Returns None if images are not judged. Raises ImageError for another shape."""
         if not self._judged:
             return None
         sun_deg = None
@@ -122,8 +122,8 @@ class SceneFilter:
         return judge(picture, hidden, sun_deg)
 
     def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
-        """Of an image (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
-        mask is for another size, ImageError for another shape."""
+        """Return the scene view of an image (H, W, 3) RGB; `stamp_ns`: its time, None: unknown. Raises ConfigError if
+        the mask has another size, ImageError for another shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
             raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
@@ -137,7 +137,7 @@ class SceneFilter:
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
-    """Return what makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
+    """Return the function that makes the mask, and its size if it has one of its own. Raises ConfigError."""
     if not isinstance(config, Path):
         return partial(CameraMask.of_polygons, config, place=place), None
     read = read_mask(config, place)

@@ -103,8 +103,7 @@ _CREST: Final = 0.0125  # of the width
 
 
 def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, sky: Sequence[int]) -> Float32Array:
-    """Return the scores (K, h, w) of an image, those of its land averaged with `coarse` (K, h', w'), which counts by
-    `share`.
+    """Return scores (K, h, w) of an image, those of its land averaged with `coarse` (K, h', w'), weighted by `share`.
 
     Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
     cameras their pose.

@@ -29,7 +29,7 @@ from ltm_core.vision.word_embeddings_io import load_text
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What each pixel shows.
+    """Label of each pixel.
 
     `labels` (H, W) uint8: ids of the label set, 255 unlabelled. `confidence` (H, W) uint8: the network's probability
     of that label x 255, of a head as its `agreement` has it; 0 where unlabelled; 255 wherever labelled by a network
@@ -87,8 +87,8 @@ class Segmenter:
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
     ) -> "Segmenter":
-        """Return a segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or
-        path.
+        """Open a segmenter by its manifest's path, or the name of one in `config/models`, with a label head by its name
+        or path.
 
         With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for
         the head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
@@ -99,19 +99,19 @@ class Segmenter:
 
     @property
     def name(self) -> str:
-        """Return what labels, for tables."""
+        """Return the name of the network and label head, for tables."""
         return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
 
     @property
     def withdrawal(self) -> Withdrawal:
-        """Return which labels are left out."""
+        """Return the thresholds for withdrawing labels."""
         own = self.manifest.output.withdraw if self.head is None else self.head.withdraw
         return own.model_copy(update=dict(self.withdraw_otherwise))
 
     @property
     def described(self) -> str:
-        """Return what labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
-        ModelError for a calibration that cannot be read."""
+        """Return the names and checksums of network and label head, and whether they were tested on photos, for
+        `labels/info`. Raises ModelError for an unreadable calibration."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
         head = self.head
         told = network if head is None else f"{network}, label head {head.described}"
@@ -162,7 +162,7 @@ class Segmenter:
 
     def logits(self, image: UInt8Array) -> Float32Array:
         """Return the scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by
-        the head and averaged with the coarse look's, before any temperature, at the network's resolution.
+        the label head and averaged with the coarse inference, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
@@ -173,7 +173,7 @@ class Segmenter:
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
-        h', w') that its manifest states: what a head is taught from. Raises as `logits` does."""
+        h', w') of its manifest, on which label heads are trained. Raises as `logits` does."""
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
 

@@ -97,7 +97,7 @@ class _Kept:
 
     @property
     def land(self) -> BoolArray:
-        """Return (h, w) bool."""
+        """Return (h, w) bool land."""
         return np.unpackbits(self.packed_land, count=self.grey.size).view(np.bool_).reshape(self.grey.shape)
 
 
@@ -114,8 +114,8 @@ class _Places:
         return self._bytes.nbytes
 
     def keep(self, seen: _SmokeFrame) -> _Kept:
-        """In the place of the one that was kept `REMEMBERED` images ago. One that is larger than the first gets a
-        place of its own."""
+        """Keep an image in the slot of the one that is `REMEMBERED` images older. One larger than the first gets a slot
+        of its own."""
         packed = np.packbits(seen.land)
         # Numbers of four bytes first, for they must begin at a multiple of four.
         ends = np.cumsum([seen.coarse.nbytes, seen.grey.nbytes, packed.nbytes])
@@ -132,7 +132,7 @@ class _Places:
 
 
 class SmokeMemory:
-    """What a camera saw of its land in the last hours: it tells smoke in later images, in their order."""
+    """Recent views of a camera's land, by which smoke is detected in later images, in their order."""
 
     def __init__(self) -> None:
         self._seen: deque[_Kept] = deque(maxlen=REMEMBERED)
@@ -140,13 +140,13 @@ class SmokeMemory:
 
     @property
     def nbytes(self) -> int:
-        """That it holds, all of it from the first image on."""
+        """Return the bytes used, all of them from the first image on."""
         return self._places.nbytes
 
     def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
-        """Return (H, W) bool, where smoke hides the land in an image (H, W, 3) RGB taken at `at_s`; None: nowhere that
-        could be told. `labels`: (H, W), what was taken for land is remembered as such. An image from before the last
-        one is judged, and not remembered; one from hours before begins anew, for a clock was set."""
+        """Return (H, W) bool, where smoke hides the land in an image (H, W, 3) RGB taken at `at_s`; None: nowhere
+        detectable. `labels`: (H, W), land is remembered. An image earlier than the last one is judged but not
+        remembered; one hours earlier resets the memory, because a clock was set."""
         now = _SmokeFrame.of(picture, labels, at_s)
         if self._seen and at_s < self._seen[-1].at_s - OLDEST_S:
             self._seen.clear()

@@ -49,7 +49,7 @@ _REGION = 0.6
 
 
 class Unusable(StrEnum):
-    """Why an image shows too little."""
+    """Reason why an image is unusable."""
 
     BLANK = "blank"
     NIGHT = "night"
@@ -61,15 +61,15 @@ class Unusable(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Usability:
-    """`reason`: why the image as a whole shows too little; None: it can be used. `doubtful`: (ROWS, COLUMNS) bool,
-    edge to edge over the image: cells that are burnt out or black, so that nothing can be told there."""
+    """Usability of an image. `reason`: why it is unusable as a whole; None: usable. `doubtful`: (ROWS, COLUMNS) bool,
+    edge to edge over the image: overexposed or black cells."""
 
     reason: Unusable | None
     doubtful: BoolArray
 
     @property
     def said(self) -> str:
-        """In words; empty where the image can be used."""
+        """Return the reason in words; empty if the image is usable."""
         return "" if self.reason is None else _SAID[self.reason]
 
 
@@ -84,8 +84,8 @@ _SAID = {
 
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
-    """Of an image (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
-    `sun_deg`: how high the sun stood, degrees; None: nobody knows.
+    """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
+    sun's elevation, degrees; None: unknown.
 
     Raises ImageError for another shape.
     """

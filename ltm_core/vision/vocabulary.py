@@ -33,7 +33,7 @@ class _VocabularyFile(StrictModel):
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words and the label that each stands for."""
+    """Words and their labels."""
 
     synonyms: dict[str, tuple[str, ...]]
 
@@ -59,7 +59,7 @@ class Vocabulary:
 
 @dataclass(frozen=True)
 class QueryMatch:
-    """What was made of one query: the network's classes that answer it, and how that came, in words."""
+    """Match of one query: the network's classes for it, and the way it was found."""
 
     query: str
     classes: tuple[str, ...]
@@ -78,8 +78,8 @@ def parse_queries(text: str) -> list[str]:
 
 
 def read_queries(queries: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> list[QueryMatch]:
-    """Return what a network makes of each query. Raises ConfigError for a word that neither it nor the vocabulary
-    knows."""
+    """Match each query to classes of a network. Raises ConfigError for a word unknown to both network and
+    vocabulary."""
     words = load_text(manifest).names if manifest.text is not None else manifest.classes
     readings: list[QueryMatch] = []
     taken: dict[str, str] = {}
@@ -119,7 +119,7 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
 def open_vocabulary(
     manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
 ) -> tuple[Segmenter, list[QueryMatch]]:
-    """Return a segmenter whose labels are the queries, in their order, and what was made of each.
+    """Return a segmenter whose labels are the queries, in their order, and the match of each.
 
     Among a text network's words only the queries compete; another network's classes that answer no query stay
     unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.

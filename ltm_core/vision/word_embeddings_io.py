@@ -25,7 +25,7 @@ class TextEmbeddings:
     scale: float
 
     def only(self, words: Sequence[str] | None) -> TextEmbeddings:
-        """Return these words alone, in their order; all where None. Raises ModelError for a word that is not there."""
+        """Return these words only, in order; all for None. Raises ModelError for a missing word."""
         if words is None:
             return self
         absent = sorted(set(words) - set(self.names))
@@ -42,8 +42,8 @@ class TextEmbeddings:
 
 
 def load_text(manifest: NetworkManifest) -> TextEmbeddings:
-    """Return the text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than
-    the manifest states, a word twice, or one in `mapping` that is not there."""
+    """Load the text embeddings of a manifest. Raises ModelError for a missing file, other arrays, another dimension
+    than stated, repeated words, or words in `mapping` that are missing."""
     path, spec = manifest.text_file(), manifest.text
     if spec is None:
         raise ModelError(f"model {manifest.name!r} has no text embeddings")

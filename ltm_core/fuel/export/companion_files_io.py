@@ -25,7 +25,7 @@ Entry = tuple[int, str, Color]
 
 
 def style_path(raster: Path) -> Path:
-    """Return where QGIS looks for the style of a raster."""
+    """Return the path at which QGIS looks for the style of a raster."""
     return raster.with_suffix(".qml")
 
 
@@ -37,7 +37,7 @@ def code_entries(codes: Int16Array) -> list[Entry]:
 
 
 def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -> Path:
-    """Return a style that shows a band's values by name. Raises ConfigError where it cannot be written."""
+    """Write a style that shows a band's values by name. Raises ConfigError if it cannot be written."""
     renderer = _renderer("paletted", band=str(band))
     palette = SubElement(renderer, "colorPalette")
     for value, label, color in entries:
@@ -53,7 +53,7 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
 
 
 def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
-    """Return a style that shows a band from black to white. Raises ConfigError where it cannot be written."""
+    """Write a style that shows a band from black to white. Raises ConfigError if it cannot be written."""
     renderer = _renderer("singlebandgray", grayBand=str(band), gradient="BlackToWhite")
     stretch = SubElement(renderer, "contrastEnhancement")
     for name, text in (
@@ -97,7 +97,7 @@ _NEVER: Final = "1970-01-01T00:00:00Z"
 
 
 def item_path(export: Path) -> Path:
-    """Return where the item of an export stands: beside a file, inside a folder."""
+    """Return the path of the STAC item of an export: beside a file, inside a folder."""
     return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
 
 
@@ -147,7 +147,7 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
 
 
 def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
-    """Write the item of an export. Raises ConfigError where it cannot be written."""
+    """Write the item of an export. Raises ConfigError if it cannot be written."""
     path = item_path(export)
     partial = path.with_name(f".{path.name}.partial")
     try:

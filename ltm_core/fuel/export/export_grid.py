@@ -40,7 +40,7 @@ def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridG
 
 
 class GridTransfer:
-    """Takes layers from one grid to another by nearest cell, which is what codes allow; both grids name their CRS."""
+    """Resample layers from one grid to another by nearest cell, as codes require; both grids have a CRS."""
 
     def __init__(self, source: GridGeometry, target: GridGeometry) -> None:
         self.source, self.target = source, target
@@ -51,7 +51,7 @@ class GridTransfer:
         self._rows, self._cols = np.where(self._inside, rows, 0), np.where(self._inside, cols, 0)
 
     def layer(self, layer: NDArray[Any], outside: float) -> NDArray[Any]:
-        """Return (..., H, W) on the target grid; `outside` where the source does not reach."""
+        """Return (..., H, W) on the target grid; `outside` beyond the source."""
         taken = layer[..., self._rows, self._cols]
         return np.where(self._inside, taken, np.array(outside, layer.dtype))
 
@@ -67,8 +67,8 @@ class GridTransfer:
         return replace(prior, codes=codes, geometry=self.target, canopy=canopy, fbfm13=beside)
 
     def heights(self, dem: Dem, frame: SiteFrame) -> Float64Array:
-        """Return the mean heights (H + 2, W + 2) of the target's cells and of a border of one cell about it, from a DEM
-        in the map frame: of what it knows of the cell; NaN where it knows nothing."""
+        """Return mean heights (H + 2, W + 2) of the target's cells and of a border of one cell, from a DEM in the map
+        frame: over the known part of the cell; NaN where nothing is known."""
         g = self.target
         around = GridGeometry(
             g.x_min - g.resolution, g.y_max + g.resolution, g.resolution, g.width + 2, g.height + 2, g.crs
@@ -112,7 +112,7 @@ def make_landscape(
     seen: SeenCanopy | None = None,
 ) -> Landscape:
     """Return the landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
-    code, or nothing.
+    code, or none.
 
     Args:
         source: the grid of layers and prior, in the site's CRS.
@@ -158,7 +158,7 @@ def with_fuel(
     climate: FuelClimate,
     seen: SeenCanopy | None = None,
 ) -> Landscape:
-    """Return a landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as of
+    """Return a landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as in
     `make_landscape`."""
     bands = landscape.bands.copy()
     bands[3] = surface_codes(layers, prior, climate, landscape.system)

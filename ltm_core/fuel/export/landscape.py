@@ -50,7 +50,7 @@ class Landscape:
     dropped: int = 0
 
     def terrain_note(self) -> str:
-        """Return what is to be told of heights that the site's terrain does not have; empty where it has all."""
+        """Return a note about heights that the site's terrain lacks; empty if it has all."""
         parts = []
         if self.filled:
             parts.append(f"{self.filled} cells have the elevations of the prior map")
@@ -96,8 +96,8 @@ def _steepest(east: Float64Array, south: Float64Array) -> tuple[Float64Array, Fl
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
-    """Return the elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA
-    where the height is unknown. Where a neighbour's is, the slope from the cell's other side goes on to it."""
+    """Return elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where
+    the height is unknown. If a neighbour's is unknown, the slope from the cell's other side is extended."""
     heights = np.asarray(padded, np.float64)
     slope, aspect = slope_and_aspect(heights, cell)
     own = heights[1:-1, 1:-1]
@@ -120,7 +120,7 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
 
 
 def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Int16Array:
-    """Return the cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
+    """Return cover, height, base height and bulk density (4, H, W) for the layers' codes.
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
     their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
@@ -148,7 +148,7 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClima
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, system: FuelSystem) -> Int16Array:
-    """Return the layers' codes in a system, of the fuel type that they have in their own.
+    """Return the layers' codes in a system, with the fuel type that they have in their own.
 
     Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk

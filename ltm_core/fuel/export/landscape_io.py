@@ -166,8 +166,7 @@ def write_raster(
     colormap: Mapping[int, tuple[int, int, int]] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
-    """Return a GeoTIFF that appears whole or not at all, its bands named. Raises ConfigError where it cannot be
-    written."""
+    """Write a GeoTIFF atomically, with named bands. Raises ConfigError if it cannot be written."""
     import rasterio
 
     partial = path.with_name(f".{path.stem}.partial.tif")
@@ -224,7 +223,7 @@ def write_cog(
     tags: Mapping[str, str] | None = None,
     name: str = "",
 ) -> None:
-    """Return a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
+    """Write a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
 
     Raises ConfigError where it cannot be written.
     """

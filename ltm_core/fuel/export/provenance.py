@@ -40,7 +40,7 @@ class Provenance:
     """What was kept of the prior's FBFM13 map (`PriorConfig.own_fbfm13`); empty: nothing."""
 
     def tags(self) -> dict[str, str]:
-        """For GeoTIFF: TIFF's own, and ours."""
+        """Return the tags of a GeoTIFF: standard TIFF tags and our own."""
         tags = {
             "site": self.site,
             "as_of": self.as_of,
@@ -63,7 +63,7 @@ class Provenance:
         return tags
 
     def line(self) -> str:
-        """In one line, for formats with a field of text."""
+        """Return one line for formats with a text field."""
         seen = "unknown" if self.seen is None else f"{self.seen:.1%}"
         parts = [
             f"fuel map of {self.site}",
@@ -76,7 +76,7 @@ class Provenance:
         return "; ".join(filter(None, [*parts, self.terrain, self.surface]))
 
     def moment(self) -> datetime | None:
-        """None where no frame had a say, or none is dated."""
+        """Return the time; None if no frame contributed, or none has a date."""
         return None if self.as_of in (NOTHING_SEEN, WITHOUT_DATES) else datetime.fromisoformat(self.as_of)
 
 
@@ -86,7 +86,7 @@ def landscape_units() -> dict[str, str]:
 
 
 def surface_note(surface: SurfaceVersion) -> str:
-    """Return what is to be told of heights that views have confirmed."""
+    """Return a note about heights that views have confirmed."""
     return (
         f"heights of surface {surface.version}, confirmed by views as of {iso_moment(surface.as_of_ns)}: "
         f"{surface.changed_share:.1%} of {surface.seen} terrain cells seen have changed"
@@ -94,7 +94,7 @@ def surface_note(surface: SurfaceVersion) -> str:
 
 
 def iso_moment(stamp_ns: int) -> str:
-    """ISO 8601, UTC, to the second."""
+    """Return the time in ISO 8601, UTC, to the second."""
     return datetime.fromtimestamp(stamp_ns // 10**9, UTC).isoformat()
 
 
@@ -107,11 +107,11 @@ def software() -> str:
 
 
 def landfire_version(name: str) -> str:
-    """LANDFIRE's release by a file's name: LC22_F40_230.tif is of 2022, version 2.3.0; empty where it tells none."""
+    """Return LANDFIRE's release by a file's name: LC22_F40_230.tif is of 2022, version 2.3.0; empty if unknown."""
     found = re.search(r"LC(\d\d)_[A-Za-z0-9]+_(\d)(\d)(\d)(?!\d)", name)
     return "" if found is None else f"LANDFIRE 20{found[1]}, version {found[2]}.{found[3]}.{found[4]}"
 
 
 def as_rows(tags: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Our own tags, TIFF's left out: for formats with a table."""
+    """Return our own tags, without TIFF's, for formats with a table."""
     return [(name, value) for name, value in tags.items() if not name.startswith("TIFFTAG_")]

@@ -29,8 +29,9 @@ def write_kmz(
     made: Provenance | None = None,
     shows: str = "life forms",
 ) -> None:
-    """Return `picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
-    (h, w, 3) stays in the screen's corner; `made`: what the viewer tells of it, and its time.
+    """Write a KMZ of an image `picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent
+    outside; `legend` (h, w, 3) is fixed in the screen's corner; `made`: the description shown by the viewer, and its
+    time.
 
     Raises ConfigError where it cannot be written.
     """
@@ -106,7 +107,8 @@ _LAS_CLASS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class FuelPoints:
-    """`xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16. `rgb`: (N, 3) uint8."""
+    """Points of the fuel map. `xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16.
+    `rgb`: (N, 3) uint8."""
 
     xyz: Float64Array
     life_form: UInt8Array
@@ -116,8 +118,8 @@ class FuelPoints:
 
 
 def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometry, labels: LabelSet) -> FuelPoints:
-    """Return the cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none
-    is."""
+    """Return the cells with known life form and height (H, W), at their centres. Raises ConfigError if there are
+    none."""
     known = np.isfinite(heights) & (layers.life_form <= len(LifeForm)) & (layers.life_form > 0)
     if not known.any() or geometry.crs is None:
         raise ConfigError("no cell of the fuel map has a life form and a known height: there are no points to write")
@@ -135,8 +137,8 @@ def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometr
 
 
 def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
-    """Return the binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS and what it is
-    of as comments."""
+    """Write a binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; CRS and provenance as
+    comments."""
     table = np.empty(
         len(points.xyz),
         [("xyz", "<f8", 3), ("rgb", "u1", 3), ("life_form", "u1"), ("code", "<i2")],
@@ -151,7 +153,8 @@ def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) ->
 
 
 def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
-    """LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra `export`)."""
+    """Write LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra
+    `export`)."""
     import laspy
     from pyproj import CRS
 

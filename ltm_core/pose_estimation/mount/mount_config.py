@@ -21,8 +21,7 @@ _ANGLES = 4
 
 
 class MountConfig(PoseConfig):
-    """Where a PTZ head stands and how it is mounted: the keys of a pose are those of its camera where pan and tilt are
-    0.
+    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0.
 
     The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated.
     """
@@ -63,7 +62,7 @@ class MountConfig(PoseConfig):
         return self.covariance_deg2 is not None
 
     def model(self, dem: Dem, frame: SiteFrame) -> MountModel:
-        """In the map frame. Raises what `PoseConfig.pose` raises."""
+        """Return the mount in the map frame. Raises as `PoseConfig.pose`."""
         base = self.pose(dem, frame)
         sigmas = (self.position_sigma, self.height_sigma, *self.angle_sigmas_deg[:3])
         covariance = np.zeros((7, 7))
@@ -83,7 +82,7 @@ class MountConfig(PoseConfig):
 
     @property
     def angle_sigmas_deg(self) -> tuple[float, float, float, float]:
-        """Of azimuth, pitch, roll and tilt zero, as they are stated."""
+        """Return the stated sigmas of azimuth, pitch, roll and tilt zero."""
         return (
             self.azimuth_sigma_deg or 1.5,
             self.pitch_sigma_deg or 0.5,
@@ -93,7 +92,7 @@ class MountConfig(PoseConfig):
 
 
 def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
-    """Return the section `mount` of a calibrated PTZ head, for YAML; its place in the frame's CRS."""
+    """Return the section `mount` of a calibrated PTZ head for YAML, with its position in the frame's CRS."""
     x, y, z = (float(v) for v in model.base.position)
     azimuth, pitch, roll = model.base.angles_deg
     angles = np.degrees(np.degrees(model.angle_covariance))
@@ -129,8 +128,8 @@ def _short(value: float) -> float:
 
 
 class PoseRefinementConfig(StrictModel):
-    """How the poses of mounted cameras are kept by their images; a site that has this section runs the node `pose`
-    for each camera. Angles in degrees."""
+    """Settings for refining poses of mounted cameras by their images; a site with this section runs the node `pose` for
+    each camera. Angles in degrees."""
 
     every: float = Field(10.0, ge=0)
     """Minimum seconds between two images that are used."""

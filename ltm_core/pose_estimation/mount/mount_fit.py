@@ -57,7 +57,7 @@ class MountFit:
     focal_sigma: float = 0.0
 
     def pose_covariance(self, picture: int) -> Float64Array:
-        """Return (6, 6) of an image's pose, as in `pose_covariance`."""
+        """Return the covariance (6, 6) of an image's pose, as in `pose_covariance`."""
         to_pose = np.zeros((6, 7))
         to_pose[:, :6] = np.eye(6)
         to_pose[3:, 6] = self.found[picture].rotation[:, 0]
@@ -127,7 +127,7 @@ def fit_ptz_mount(
     config: PicturePoseConfig,
     tilt_zero_sigma_deg: float,
 ) -> MountFit:
-    """Of a PTZ head: with the zero of its tilt axis where images in several directions ask for one, else without.
+    """Fit a PTZ mount: with the zero of its tilt axis if images in several directions need one, else without.
 
     A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
     three sigmas from none; no image is then surer of its direction than without it.
@@ -263,5 +263,5 @@ def _floor(pictures: list[MountPicture]) -> Float64Array:
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:
-    """Return the same prior for a single image of a mount whose tilt zero, too, is not known."""
+    """Return the prior for a single image of a mount whose tilt zero, too, is unknown."""
     return replace(prior, pitch_sigma_deg=math.hypot(prior.pitch_sigma_deg, extra_deg))

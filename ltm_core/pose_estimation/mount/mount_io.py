@@ -71,7 +71,7 @@ def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
 
 
 def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom: float) -> None:
-    """Return one line more, below a head line that is written first."""
+    """Append one line, after a header line in a new file."""
     new = not path.exists()
     with path.open("a", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -116,7 +116,7 @@ def memory_file(folder: Path, camera: str) -> Path:
 
 
 def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
-    """In place of the former file, at once and whole. Raises StoreError."""
+    """Replace the previous file atomically. Raises StoreError."""
     angles = watch.correction.angles
     memory = _Memory(
         layout=_LAYOUT,

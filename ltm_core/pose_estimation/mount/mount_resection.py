@@ -144,7 +144,7 @@ class _Adjustment:
         self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, np.ones(len(encoder), bool)])
 
     def robust_fit(self, model: MountModel) -> tuple[float, Float64Array]:
-        """Return the median residual (pixels) and state of a fit that gross errors move little, from `model`."""
+        """Return the median residual (pixels) and the state of a robust fit from `model`."""
         self._begun = model
         state = np.zeros(int(self._free.sum()))
         everyone = np.ones(len(self._points.names), bool)
@@ -153,7 +153,7 @@ class _Adjustment:
         return float(np.median(np.linalg.norm(self._residuals(state), axis=1))), state
 
     def solved(self, model: MountModel, state: Float64Array, notes: list[str]) -> MountResection:
-        """From a robust fit to the result: least squares over the landmarks that are no outliers."""
+        """Return the result from a robust fit: least squares over the landmarks without outliers."""
         self._begun = model
         count = len(self._points.names)
         used = np.ones(count, bool)

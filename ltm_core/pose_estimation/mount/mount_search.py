@@ -28,8 +28,8 @@ _MOST_PAIRS = 200
 def closed_forms(
     points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float
 ) -> dict[tuple[Sign, Sign], MountModel]:
-    """For each sign of pan and tilt, that which is stated first, the mount that most landmarks agree on, without a tilt
-    zero."""
+    """Return, for each sign of pan and tilt (the stated ones first), the mount that most landmarks agree on, without a
+    tilt zero."""
     sights = line_of_sight_vectors(start.base.position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]

@@ -27,24 +27,24 @@ from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline
 
 @dataclass(frozen=True, eq=False)
 class MountPicture:
-    """An image as stated (`prior`), what was found in it by itself, and the ridges around."""
+    """Image as stated (`prior`), its own result, and the ridges around."""
 
     prior: PosePrior
     search: PictureSearch
     ridges: ContourDirections
 
     def pose(self, state: Float64Array) -> Pose:
-        """With a correction (8,)."""
+        """Return the pose with a correction (8,)."""
         stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
         return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
 
     def camera(self, state: Float64Array) -> Camera:
-        """With a correction (8,)."""
+        """Return the camera with a correction (8,)."""
         return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
 
 
 def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
-    """Of images that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
+    """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
     fits = [
         skyline_fit(p.pose(state), p.camera(state), p.search.evidence, p.search.horizon, config)
         for p in pictures
@@ -54,7 +54,7 @@ def skylines_at(pictures: list[MountPicture], state: Float64Array, config: Pictu
 
 
 def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
-    """Return how many images look where this one does: they share the DEM's errors, so that they count as one."""
+    """Return the number of images with this viewing direction: they share the DEM's errors and count as one."""
     width = picture.search.evidence.camera.hfov_deg
     azimuth = picture.prior.pose.angles_deg[0]
     away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
@@ -70,10 +70,9 @@ def judge_mount(
     away: float,
     config: VerdictConfig,
 ) -> tuple[Word, str]:
-    """Return the verdict in a word, and why. `found`: poses of the images with the correction. `seen`: how their
-    skylines lie on the terrain's there. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: by which
-    the next best correction costs more. `away`: sigmas of what is stated by which it is from none, the most of any
-    angle."""
+    """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
+    skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
+    the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
     apart = _alone_apart(pictures, found, config.mount_sharp_deg)
     if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
         return "ambiguous", f"the pictures leave the mount open by {turns_deg.max():.2f} deg"

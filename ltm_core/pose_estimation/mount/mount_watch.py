@@ -62,7 +62,7 @@ class MountState(Enum):
 
 
 class MountWatch:
-    """What the images of one camera say of its mount; give them in time order.
+    """Monitor the mount of one camera by its images; give them in time order.
 
     Args:
         terrain: what its skylines are compared with.
@@ -97,11 +97,12 @@ class MountWatch:
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
     def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
-        """Go on from what a former watch of the same mount has found."""
+        """Continue from the result of a previous monitor of the same mount."""
         self._become(state, correction, reason)
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
-        """Take an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
+        """Process an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; return whether it
+        was clear.
 
         Raises PoseError for a camera beside the DEM or under its ground.
         """
@@ -239,7 +240,7 @@ class MountWatch:
 
 
 def unknown_angles() -> Float64Array:
-    """Return (3, 3): the covariance of angles by which nothing shall be placed."""
+    """Return (3, 3) the covariance of unknown angles, with which nothing is located."""
     return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
 
 

@@ -37,7 +37,7 @@ from ltm_core.pose_estimation.points.resection_search import coarse_poses
 
 @dataclass(frozen=True)
 class Rejected:
-    """A parameter that the points determine too badly, as they would have had it.
+    """Parameter that the points determine too poorly, with its estimate.
 
     `values`, `sigmas`: of fx (pixels), of k1, or of x, y, z (map metres). `median_px`: median residual of the points.
     """

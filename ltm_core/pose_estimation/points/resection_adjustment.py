@@ -60,7 +60,8 @@ class Adjustment:
     def robust_fit(
         self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
     ) -> Fit:
-        """Soft-L1, then Cauchy loss, which gross errors move less; the median residual of all points is its scale."""
+        """Fit with soft-L1, then Cauchy loss, which reduce the effect of gross errors; the median residual of all
+        points is the scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
@@ -71,7 +72,7 @@ class Adjustment:
         return fit
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
-        """Return the least squares over the points within OUTLIER_SIGMAS, until that set stays."""
+        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable."""
         size = 3 + size_of(free)
         before = None
         for _ in range(10):
@@ -137,7 +138,7 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
 
 
 def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
-    """Return the points of `which` by residual, largest first."""
+    """Return the points of `which` with their residuals, largest first."""
     off = lengths(residuals)
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
     shown = [
@@ -227,7 +228,7 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
 def unbearable(
     fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
-    """Return the free parameter that the points bear least, and why; None where they bear all but those that are
+    """Return the free parameter that the points determine worst, and why; None if they determine all except those in
     `forced`. Raises for the angles."""
     camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))

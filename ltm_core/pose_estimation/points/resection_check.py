@@ -18,7 +18,7 @@ the edge on which it is."""
 
 
 class SurveyedState(StrEnum):
-    """What the DEM says of a surveyed point, seen from the fitted camera."""
+    """State of a surveyed point in the DEM as seen from the fitted camera."""
 
     SEEN = "seen"
     HIDDEN = "hidden"
@@ -33,9 +33,8 @@ class SurveyedState(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class TracedErrors:
-    """`errors`: (N,) metres from the traced to the surveyed place, +inf where the pixel meets no known terrain.
-    `states`: of each point. `above_ground`: (N,) metres by which a point stands over the DEM's surface, NaN beside it.
-    """
+    """Tracing errors. `errors`: (N,) metres from the traced to the surveyed place, +inf where the pixel meets no known
+    terrain. `states`: of each point. `above_ground`: (N,) metres from the DEM's surface up to a point, NaN outside."""
 
     errors: Float64Array
     states: tuple[SurveyedState, ...]

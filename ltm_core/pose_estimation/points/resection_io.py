@@ -33,7 +33,7 @@ _COLUMNS: dict[str, Sequence[str]] = {
 
 @dataclass(frozen=True)
 class ResectionSetup:
-    """A guess placed in a map frame; `dem` only where one was given."""
+    """Initial guess in a map frame; `dem` only if one was given."""
 
     frame: SiteFrame
     camera: Camera
@@ -82,8 +82,8 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
 def read_point_rows(
     path: Path | str, frame: SiteFrame, first_pixel: float = 0.0, further: Mapping[str, Sequence[str]] = {}
 ) -> tuple[tuple[str, ...], Float64Array]:
-    """Return the names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`,
-    each by the names that it may have. Raises PoseError as `read_control_points` does."""
+    """Return names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`,
+    each by its possible names. Raises PoseError as `read_control_points` does."""
     path = Path(path)
     lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
@@ -158,7 +158,7 @@ def _pose_sigmas(result: Resection) -> dict[str, float]:
 
 
 def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
-    """Return a line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+    """Return a line for each parameter that should be fitted but is fixed: why, its estimate, and the remedy.
 
     `position`: as it was given, map metres.
     """

@@ -44,7 +44,7 @@ def coarse_poses(
     position_free: bool,
     bend: float,
 ) -> list[tuple[Camera, Pose]]:
-    """Return the best few (camera, pose) to start from. Raises PoseError where all points are crowded together."""
+    """Return the best few starts (camera, pose). Raises PoseError if all points are too close together."""
     diagonal = float(np.hypot(camera.width, camera.height))
     sights = line_of_sight_vectors(position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)

@@ -42,7 +42,7 @@ if a good skyline leaves two poses open, ridges mislead more often than not."""
 
 @dataclass(frozen=True, eq=False)
 class PictureSearch:
-    """Hypotheses from the best down, and what they were judged by."""
+    """Hypotheses in order of cost, and the evidence by which they were judged."""
 
     hypotheses: tuple[Hypothesis, ...]
     evidence: PictureEvidence
@@ -52,20 +52,20 @@ class PictureSearch:
 
 @dataclass(frozen=True, eq=False)
 class SearchTerrain:
-    """Ground for the search: the DEM, the bend of rays over it, and how high ground may be that it does not know."""
+    """Terrain for the search: the DEM, the bend of rays over it, and the maximum height of unknown ground."""
 
     dem: Dem
     bend: float
     possible: PossibleGround = field(default_factory=PossibleGround)
 
     def above(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Without those whose camera a free place has brought under the ground."""
+        """Return the hypotheses whose camera is not under the ground."""
         places = np.array([h.refined.pose.position for h in hypotheses]).reshape(-1, 3)
         under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
         return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
 
     def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
-        """Seen from the prior position, as far round as the search may look."""
+        """Return the horizon from the prior position over the range of the search."""
         reach = search_reach(prior, config)
         half = math.radians(camera.hfov_deg) / 2 + reach + math.radians(8.0)
         pixel = math.atan(1 / camera.fx)
@@ -125,7 +125,7 @@ class _JudgedPose:
         return self.verdict.word == "accepted"
 
     def doubted(self, reason: str) -> _JudgedPose:
-        """Return the same, not accepted."""
+        """Return the result with a verdict that is not accepted."""
         if not self.accepted:
             return self
         return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))

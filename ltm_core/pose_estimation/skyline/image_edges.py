@@ -32,7 +32,7 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Return the edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds
+    """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
     and masks.
 
     The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
@@ -77,8 +77,8 @@ _THICK = 2.0
 
 
 def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
-    """Return the rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at
-    rows `v`; `v` where there is none, or three of five neighbouring columns do not agree on it. Columns must rise."""
+    """Return rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at
+    rows `v`; `v` if there is none, or if fewer than three of five neighbouring columns agree. Columns must increase."""
     if len(u) < 2:
         return v
     unit = photo.shape[1] / 640
@@ -177,7 +177,7 @@ class ImageSkyline:
     spacing: float
 
     def only(self, kept: BoolArray) -> ImageSkyline:
-        """Of those columns (K,) alone."""
+        """Return the skyline of those columns (K,) only."""
         return replace(
             self,
             u=self.u[kept],
@@ -189,7 +189,7 @@ class ImageSkyline:
 
 
 def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
-    """Of a photo (H, W, 3) and its labels (H, W)."""
+    """Find the skyline of a photo (H, W, 3) with its labels (H, W)."""
     height, width = labels.shape
     spacing = max(1.0, width / COLUMNS)
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))

@@ -26,26 +26,26 @@ _LEAST_SKY = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PictureEdges:
-    """A photo's edges, each found when it is first asked for: `find` gives those in an image so many pixels wide."""
+    """Edges of a photo, each computed on first use: `find` returns those at a width in pixels."""
 
     find: Callable[[int], ImageContours]
     config: ContourConfig
 
     @cached_property
     def fine(self) -> ImageContours:
-        """To which ridges are laid."""
+        """Return the edges to which ridges are fitted."""
         return self.find(self.config.width)
 
     @cached_property
     def coarse(self) -> ImageContours:
-        """By which poses are compared: who only tracks a pose never needs them."""
+        """Return the edges by which poses are compared; tracking a pose does not need them."""
         return self.find(self.config.coarse_width)
 
 
 @dataclass(frozen=True, eq=False)
 class PictureEvidence:
-    """What a photo, undistorted and in its working size, shows: `skyline` (None: no sky in it), `found`, its edges, and
-    the labels (H, W) that tell what grows on a ridge."""
+    """Evidence in a photo, undistorted and at its working size: `skyline` (None: no sky), `found`, its edges, and the
+    labels (H, W) for the cover of ridges."""
 
     camera: Camera
     labels: UInt8Array
@@ -62,7 +62,7 @@ class PictureEvidence:
 
     @property
     def unseen(self) -> PictureEvidence:
-        """Return the same, its edges still to be found: for who measures how long that takes."""
+        """Return a copy whose edges are not computed yet, to measure the time."""
         return replace(self, found=replace(self.found))
 
     @property
@@ -80,9 +80,8 @@ def picture_evidence(
     config: PicturePoseConfig = PicturePoseConfig(),
     hidden: BoolArray | None = None,
 ) -> PictureEvidence:
-    """Of a photo (H, W, 3) of `camera`, its labels (H, W), and where it shows something else (`hidden`, (H, W): a
-    caption, parts of a tower). Raises ImageError where their sizes differ.
-    """
+    """Return the evidence in a photo (H, W, 3) of `camera` with its labels (H, W); `hidden` (H, W): captions and parts
+    of a tower. Raises ImageError if their sizes differ."""
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(

@@ -21,7 +21,7 @@ _NEAR, _FAR = 250.0, 1500.0
 
 
 class CoverHeights(StrictModel):
-    """Metres by which a crest of each class stands over the DEM, and their standard deviation."""
+    """Mean height of each class on a crest above the DEM in metres, and its standard deviation."""
 
     tree: tuple[float, float]
     shrub: tuple[float, float]
@@ -30,7 +30,7 @@ class CoverHeights(StrictModel):
     other: tuple[float, float]
 
     def table(self) -> Float64Array:
-        """Return (256, 2) metres by label: how high, and its sigma."""
+        """Return (256, 2) metres by label: height and sigma."""
         table = np.tile(np.array(self.other), (256, 1))
         for label, values in ((Label.TREE, self.tree), (Label.SHRUB, self.shrub), (Label.GRASS, self.grass)):
             table[label] = values
@@ -39,7 +39,7 @@ class CoverHeights(StrictModel):
 
 
 class CrestCover(StrictModel):
-    """Of crests up to 250 m away, and from 1500 m on."""
+    """Cover of crests up to 250 m and beyond 1500 m."""
 
     near: CoverHeights
     far: CoverHeights
@@ -49,7 +49,7 @@ class CrestCover(StrictModel):
         return np.asarray(_table(self)[labels], np.float64)
 
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
+        """Return heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         both, far = self.of(labels), farness(ranges)
         height, sigma = ((1 - far) * both[:, k] + far * both[:, k + 2] for k in (0, 1))
         return height, sigma
@@ -62,12 +62,12 @@ def _table(cover: CrestCover) -> Float64Array:
 
 
 def farness(ranges: Float64Array) -> Float64Array:
-    """0 up to 250 m, 1 from 1500 m on."""
+    """Return 0 up to 250 m, 1 beyond 1500 m, and an interpolated value between."""
     return np.asarray(np.clip(np.log(np.maximum(ranges, 1.0) / _NEAR) / np.log(_FAR / _NEAR), 0.0, 1.0), np.float64)
 
 
 def everywhere(heights: CoverHeights) -> CrestCover:
-    """Return the same at all ranges."""
+    """Return a cover with the same heights at all ranges."""
     return CrestCover(near=heights, far=heights)
 
 
@@ -84,7 +84,7 @@ CANOPY_SURFACE = everywhere(
 
 
 class SkylineConfig(StrictModel):
-    """How far a skyline may lie from the terrain's horizon."""
+    """Error model of a skyline against the terrain's horizon."""
 
     dem_sigma: float = Field(0.2, gt=0)
     """Standard deviation of the DEM's heights along a crest in metres."""
@@ -113,13 +113,13 @@ class SkylineConfig(StrictModel):
 
     @property
     def odds(self) -> float:
-        """Return the density of a fitting column in one sigma over that of an outlier, for a sigma of one radian."""
+        """Return the density ratio of a fitting column to an outlier for a sigma of one radian."""
         # 0.375: the density of Student's t with four degrees of freedom at 0
         return (1 - self.outliers) / self.outliers * self.outlier_span * 0.375
 
 
 class ContourConfig(StrictModel):
-    """What ridges within the scene count."""
+    """Weights of ridges within the scene."""
 
     width: int = Field(640, gt=63)
     """Width in pixels of the images in which edges are searched."""
@@ -142,12 +142,12 @@ class ContourConfig(StrictModel):
     """Maximum number of ridge points in a view by which a pose is refined."""
 
     def odds(self, search: float) -> float:
-        """As `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+        """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
         return (1 - self.outliers) / self.outliers * 0.75 * search
 
 
 class SettlingConfig(StrictModel):
-    """What neighbouring places of ridges have in common (`ridge_settling`)."""
+    """Correlation between neighbouring places of ridges (`ridge_settling`)."""
 
     least_plants: float = Field(0.3, ge=0, le=1)
     """Minimum share of trees and shrubs in the land for this step; nothing rises above the DEM on bare ground."""
@@ -167,7 +167,7 @@ class SettlingConfig(StrictModel):
 
 
 class SearchConfig(StrictModel):
-    """Where poses are sought."""
+    """Extent of the search for poses."""
 
     step_deg: float = Field(0.25, gt=0)
     wide_step_deg: float = Field(0.4, gt=0)
@@ -179,15 +179,15 @@ class SearchConfig(StrictModel):
     """Number of best poses that are refined, separated by `apart_deg`."""
     apart_deg: float = Field(1.2, gt=0)
     """Minimum separation of these poses in azimuth in degrees."""
-    teeth: int = Field(6, ge=0)
-    """Number of additional poses that are refined, separated by `teeth_apart_deg`. Far ridges are periodic, with one
+    extra_hypotheses: int = Field(6, ge=0)
+    """Number of additional poses that are refined, separated by `extra_apart_deg`. Far ridges are periodic, with one
     local optimum per peak, and the best pose of the grid need not be the best after refinement."""
-    teeth_apart_deg: float = Field(0.5, gt=0)
+    extra_apart_deg: float = Field(0.5, gt=0)
     """Minimum separation of the additional poses in azimuth in degrees."""
 
 
 class VerdictConfig(StrictModel):
-    """When a pose is accepted."""
+    """Criteria for accepting a pose."""
 
     alternative_deg: float = Field(2.5, gt=0)
     """Minimum difference in azimuth in degrees between a pose and an alternative."""
@@ -258,12 +258,12 @@ class VerdictConfig(StrictModel):
     `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
 
     def support_asked(self, sigma_deg: float) -> float:
-        """Return the share of the skyline that must fit where the least sure of the angles is known to `sigma_deg`."""
+        """Return the minimum share of the skyline that must fit if the worst angle has the sigma `sigma_deg`."""
         return self.sharp_support if sigma_deg <= self.sharp_sigma_deg else self.least_support
 
     def gap_asked(self, veiled: float, variance: float) -> float:
-        """By how much an alternative must cost more, where plants may hide such a share of the skyline. Misfits of a
-        small `variance` tell poses apart by more than is stated; large ones make no pose unlikelier than its cost."""
+        """Return the minimum additional cost of an alternative if plants may hide this share of the skyline. Misfits of
+        a small `variance` separate poses better than stated; large ones do not reduce the cost."""
         return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
@@ -276,7 +276,7 @@ them."""
 
 
 class PicturePoseConfig(StrictModel):
-    """All of it."""
+    """All constants of pose estimation from a photo."""
 
     skyline: SkylineConfig = SkylineConfig()
     contours: ContourConfig = ContourConfig()

@@ -31,7 +31,7 @@ UNSTATED_TILT_SIGMA_DEG = 5.0
 
 @dataclass(frozen=True, eq=False)
 class SearchSetup:
-    """A guess placed on a DEM, ready for `find_pose`."""
+    """Initial guess on a DEM, ready for `find_pose`."""
 
     frame: SiteFrame
     camera: Camera
@@ -41,8 +41,8 @@ class SearchSetup:
 
 @dataclass(frozen=True, eq=False)
 class PoseResult:
-    """What a search hands on: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are
-    those found where the verdict is `accepted`, and those that came in otherwise."""
+    """Result of a search: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are the
+    estimated ones if the verdict is `accepted`, and the given ones otherwise."""
 
     pose: Pose
     camera: Camera
@@ -51,8 +51,7 @@ class PoseResult:
 
 
 def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
-    """Return the place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and
-    ConfigError."""
+    """Place a guess on `dem`. Raises PoseError for a camera under the ground or outside the DEM, and ConfigError."""
     frame, local = near_frame(guess, dem)
     stated = guess.pose
     position = stated.position(local, frame)
@@ -78,7 +77,7 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
 
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
-    """Return the class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
+    """Read class ids (H, W) from a single-channel PNG of the camera's size. Raises ImageError."""
     with open_picture(Path(path)) as (source, _):
         labels = np.asarray(source)
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
@@ -90,7 +89,7 @@ def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
 
 
 def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | None:
-    """In words, where the sky of labels (H, W) lies lower than the land, beside what a mask hides (H, W)."""
+    """Return a warning if the sky of labels (H, W) is below the land, outside of masked areas (H, W)."""
     seen = np.ones(labels.shape, np.bool_) if hidden is None else ~hidden
     sky = seen & (labels == np.uint8(Label.SKY))
     land = seen & ~sky
@@ -103,8 +102,7 @@ def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | N
 
 
 def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseResult:
-    """Never a worse pose than came in without a word: what is not accepted leaves the prior pose. `camera`: the
-    photo's."""
+    """Return the result; a pose that is not accepted is replaced by the prior one. `camera`: the photo's."""
     if search.verdict.word != "accepted":
         return PoseResult(prior.pose, camera, prior.covariance, False)
     found = search.hypotheses[0].refined
@@ -116,7 +114,7 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
 def write_result(
     path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
 ) -> None:
-    """Return the pose file of a result; whether and why it was found stands at its top."""
+    """Write the pose file of a result, with the verdict at the top."""
     notes = [f"Pose from the picture: {word} ({reason})."]
     if not result.accepted:
         notes.append("It was not taken: this is the pose that was given.")
@@ -124,7 +122,7 @@ def write_result(
 
 
 def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
-    """Return what was found, for JSON; positions in the frame's CRS."""
+    """Return the JSON-ready results; positions in the frame's CRS."""
     verdict = search.verdict
 
     def place(pose: Pose) -> list[float]:
@@ -167,5 +165,5 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
 
 
 def write_figures_of(path: Path | str, content: Any) -> None:
-    """As JSON."""
+    """Write the results as JSON."""
     Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

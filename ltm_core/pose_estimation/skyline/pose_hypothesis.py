@@ -30,8 +30,8 @@ class Hypothesis:
 
 
 def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """Return the same, from the best down, the first one's pose the mean of those about it, each with its weight by
-    cost, and as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
+    """Return the hypotheses with the first pose replaced by the mean of those around it, weighted by cost, with their
+    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives
     (`pose_verdict`)."""
     if len(hypotheses) < 2:
         return hypotheses
@@ -47,8 +47,8 @@ def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> l
 
 
 def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """Return the same, the first one where it is, and as uncertain as those about it lie away from it: of poses by
-    ridges alone one is on its edges, and a mean on none."""
+    """Return the hypotheses with the uncertainty of the first one widened by the distance of those around it; unlike a
+    mean, a pose by ridges alone lies on its edges."""
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
@@ -58,7 +58,8 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
 
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
-    """Return the first one, between where skyline and ridges alone put it; None where they contradict each other.
+    """Return the first hypothesis moved between the solutions by skyline and by ridges; None if they contradict each
+    other.
 
     How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
     half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
@@ -92,8 +93,8 @@ def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Fl
 def mean_about_best(
     costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are
-    near that of the first, the best. `variance`: of the skyline's misfits."""
+    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those with azimuths (N,), rad, near
+    the first, best one. `variance`: of the skyline's misfits."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.
@@ -113,7 +114,7 @@ def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
 
 
 def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
-    """Return the radians of azimuth about the prior one within which poses are sought; pi where none is known."""
+    """Return the range of azimuths about the prior one to search, radians; pi if none is known."""
     s = config.search
     if not prior.heading_known:
         return math.pi
@@ -121,7 +122,7 @@ def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
 
 
 def focal_candidates(focal_sigma: float) -> Float64Array:
-    """Return the factors of the focal length that are tried."""
+    """Return the factors of the focal length to try."""
     if focal_sigma <= 0:
         return np.ones(1)
     n = math.ceil(2 * focal_sigma / _FOCAL_STEP)
@@ -157,10 +158,9 @@ def judge(
     plants: float,
     gap_by_ridges: float | None = None,
 ) -> PoseVerdict:
-    """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
-    the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone are of the same pose, and
-    alternatives cost so much more by them.
-    """
+    """Judge the first of `hypotheses`, which are in order of cost; `by_ridges`: they were found without a skyline.
+    `plants`: the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone give the same pose with
+    this gap to alternatives."""
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:

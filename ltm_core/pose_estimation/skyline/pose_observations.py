@@ -53,7 +53,7 @@ class RidgeObservations(Observations):
     ground: Float64Array
 
     def only(self, kept: IndexArray) -> RidgeObservations:
-        """Of those places (K,) alone."""
+        """Return those places (K,) only."""
         return RidgeObservations(
             self.error[kept],
             self.slopes[kept],
@@ -121,7 +121,7 @@ def skyline_observations(
     wide: float,
     config: PicturePoseConfig,
 ) -> SkylineObservations | None:
-    """Return the row of the terrain's skyline minus that of the photo's, column by column; None where there is none."""
+    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline."""
     skyline, noise = evidence.skyline, config.skyline
     if skyline is None or len(skyline.u) < 8:
         return None
@@ -205,7 +205,7 @@ def ridge_observations(
     search: float,
     config: PicturePoseConfig,
 ) -> RidgeObservations | None:
-    """Across ridges, from the edge nearby to where they are predicted, pixels."""
+    """Return the distances across ridges, from the nearest edge to the predicted place, pixels."""
     if len(ridges.range) == 0:
         return None
     noise, edges = config.contours, evidence.edges

@@ -17,7 +17,7 @@ UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """A pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
+    """Prior pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
 
     An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
     Raises PoseError for sigmas that are none.
@@ -40,7 +40,7 @@ class PosePrior:
 
     @classmethod
     def of_covariance(cls, pose: Pose, covariance: Float64Array) -> PosePrior:
-        """From a (6, 6) covariance as in `pose_covariance`; raises PoseError where its angles have none."""
+        """Return the prior of a (6, 6) covariance as in `pose_covariance`. Raises PoseError if its angles have none."""
         slopes = angle_slopes(pose)
         angles = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
         place = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
@@ -53,18 +53,18 @@ class PosePrior:
 
     @property
     def sigmas(self) -> Float64Array:
-        """Return (6,): x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,) sigmas: x, y, z (m), azimuth, pitch, roll (rad)."""
         angles = np.radians([self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg])
         return np.array([self.position_sigma, self.position_sigma, self.height_sigma, *angles])
 
     @property
     def covariance(self) -> Float64Array:
-        """Return (6, 6) as in `pose_covariance`."""
+        """Return the covariance (6, 6) as in `pose_covariance`."""
         angles = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
         return pose_covariance(self.pose, self.position_sigma, self.height_sigma, *angles)
 
     def deviation(self, pose: Pose) -> Float64Array:
-        """Return (6,) of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,) the deviation of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
         return np.concatenate([pose.position - self.pose.position, angles_between(self.pose, pose)])
 
 
@@ -75,8 +75,8 @@ def angles_between(a: Pose, b: Pose) -> Float64Array:
 
 
 def angle_slopes(pose: Pose) -> Float64Array:
-    """Return (3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down,
-    where azimuth and roll turn about one axis, each takes half of a turn about it."""
+    """Return (3, 3) derivatives of azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad).
+    Straight up or down, where azimuth and roll have one axis, each takes half of a turn about it."""
     return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
 
 

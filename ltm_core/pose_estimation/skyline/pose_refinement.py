@@ -80,7 +80,7 @@ class RefinedPose:
 
     @property
     def sigma_deg(self) -> tuple[float, float, float]:
-        """Of azimuth, pitch and roll."""
+        """Return the sigmas of azimuth, pitch and roll in degrees."""
         azimuth, pitch, roll = pose_sigmas(self.pose, self.covariance[:6, :6])[3:].tolist()
         return azimuth, pitch, roll
 
@@ -131,7 +131,7 @@ def refine(
 def skyline_fit(
     pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
 ) -> SkylineFit:
-    """Of a photo's skyline alone."""
+    """Return the fit of a photo's skyline alone."""
     rows = skyline_observations(pose, camera, evidence, horizon, 1.0, config)
     if rows is None:
         return SkylineFit()
@@ -195,8 +195,8 @@ def picture_system(
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
-    """Return how far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of,
-    in one sigma of a pixel."""
+    """Return the weight of each of `rows` (N,) as fitting rather than outlying, where `odds` are the density ratio in
+    one sigma of a pixel."""
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     like = odds / rows.sigma / q**2.5
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
@@ -218,8 +218,7 @@ def settled_on_ridges(
     focal_sigma: float,
     config: PicturePoseConfig,
 ) -> RefinedPose:
-    """Return the same image's pose by ridges alone, the DEM's own horizon among them; with its skyline's fit as it
-    was."""
+    """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
     unseen = replace(evidence, skyline=None)
@@ -240,7 +239,7 @@ def ridge_system(
     config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """As `picture_system`, of ridges alone, with what neighbouring places share."""
+    """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
     normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     rows = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
     if rows is None:
@@ -257,8 +256,8 @@ def ridge_system(
 
 
 def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
-    """Return (N, N), px^2, of the errors of `rows`, each of which `fits` (N,) so far: what does not is as unsure as it
-    is unlikely, by itself."""
+    """Return (N, N), px^2, the covariance of the errors of `rows`, each of which `fits` (N,) so far; unlikely ones get
+    a larger variance."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)

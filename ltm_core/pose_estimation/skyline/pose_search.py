@@ -58,7 +58,7 @@ def search_ridges(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Return the hypotheses from the best down; none where too few ridges may be in view."""
+    """Return hypotheses in order of cost; none if too few ridges may be in view."""
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
     config = config.model_copy(
         update={
@@ -183,7 +183,7 @@ def poses_on_skyline(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Return the hypotheses from the best down, of an image that shows a skyline."""
+    """Return hypotheses in order of cost for an image with a skyline."""
     s, skyline = config.search, evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
     reach = search_reach(prior, config)
@@ -219,7 +219,7 @@ def poses_on_skyline(
         ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
-    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
+    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.extra_hypotheses, s.extra_apart_deg)):
         for _, at, camera in ranked:
             if len(starts) == most:
                 break

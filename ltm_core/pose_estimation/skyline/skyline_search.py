@@ -44,7 +44,7 @@ COST, PITCH, ROLL = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class SkylineCosts:
-    """Of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to be added to those of the pose that was given."""
+    """Costs of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to add to those of the given pose."""
 
     azimuth: Float64Array
     cost: Float64Array
@@ -117,7 +117,7 @@ def search_azimuths(
 
 
 def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:
-    """Of one column among those of an image, that count as `independent` altogether."""
+    """Return the weight of one column of an image whose columns count as `independent` altogether."""
     return min(1.0, independent * skyline.spacing / camera.width)
 
 

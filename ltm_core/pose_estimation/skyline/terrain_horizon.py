@@ -30,8 +30,8 @@ _SHORTEST = math.radians(0.6)
 
 @dataclass(frozen=True, eq=False)
 class OccludingContours:
-    """Points of contours. (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the
-    DEM's `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the DEM's
+    `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
 
     azimuth: Float64Array
     tangent: Float64Array
@@ -45,9 +45,8 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind,
-    cell), from one azimuth to the next; what stays shorter than 0.6 degrees is left out.
-    """
+    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind, cell),
+    from one azimuth to the next; contours shorter than 0.6 degrees are dropped."""
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
     rows, cols = np.nonzero(kept)
@@ -133,12 +132,12 @@ class TerrainHorizon:
 
     @property
     def whole(self) -> bool:
-        """Return the azimuths go all round."""
+        """Return whether the azimuths cover the full circle."""
         return len(self.tangent) * self.step > 2 * math.pi - 1.5 * self.step
 
     @property
     def open(self) -> BoolArray:
-        """Return (N,) where land beyond the DEM may stand over the known horizon, by more than a hundredth of a
+        """Return (N,) whether land beyond the DEM may rise above the known horizon by more than a hundredth of a
         degree."""
         return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
 
@@ -152,7 +151,7 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Look round from `position` (3,), within `half_width` radians of `azimuth`.
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
 
     `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
     of the DEM lies around the position.
