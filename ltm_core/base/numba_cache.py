@@ -6,8 +6,8 @@ all files that kernels may depend on: those that name numba, and what these impo
 edit elsewhere compiles nothing anew.
 
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
-changed meanwhile may have mixed two states: it marks its folder, and nobody is given it again. (One that is killed
-marks nothing: edit, kill, undo the edit to the byte, and only deleting `ltm_core/__pycache__` helps.)
+changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process
+marks nothing: after edit, kill and an exact undo of the edit, only deleting `ltm_core/__pycache__` helps.)
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _NAME = re.compile(rb"\w+")
 def use_own_cache(source: Path) -> Path | None:
     """Point numba to the cache of this state of `source`. Return the folder, or None if it is not our own.
 
-    Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
-    A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to. What lies
-    there is run as it is, so outside the source a place must be our own: elsewhere anybody could have put it there.
+    Numba reads the variable when it is imported; if it was imported before, as by pytest, its setting is changed too.
+    A NUMBA_CACHE_DIR that the user has set is kept; without a writable place nothing changes. Cached code is executed,
+    so a folder outside the source must belong to us.
     """
     given = os.environ.get(_VARIABLE)
     if given and not Path(given).name.startswith(_PREFIX):
@@ -103,8 +103,8 @@ def _mark_if_changed(source: Path, state: str, folder: Path) -> None:
 
 
 def _own(folder: Path) -> bool:
-    """Make a folder where there is none; whether it is ours and nobody else gets at what lies in it. A link is not: it
-    may lead elsewhere tomorrow."""
+    """Create a missing folder; return whether it is ours and inaccessible to other users. A link is not accepted,
+    because its target may change."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()

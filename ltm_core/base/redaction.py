@@ -38,7 +38,7 @@ def _masked(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     # Whole, for what is cut off afterwards could end before the sign by which a user part is known; and to the last
-    # such sign, for a password that nobody has quoted may hold any.
+    # such sign, because an unquoted password may contain it.
     scheme, found, rest = value.partition("://")
     if found and "@" in rest:
         value = f"{scheme}://{HIDDEN}@{rest.rpartition('@')[2]}"

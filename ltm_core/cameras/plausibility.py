@@ -125,7 +125,7 @@ def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
     if resolution < 5.0 or not np.isfinite(rise).any() or float(np.nanmedian(rise)) <= _STEEP:
         return None
     return (
-        f"half the ground is steeper than {math.degrees(math.atan(float(np.nanmedian(rise)))):.0f} degrees: if its "
+        f"half of the ground is steeper than {math.degrees(math.atan(float(np.nanmedian(rise)))):.0f} degrees: if its "
         "heights are feet, convert them to metres"
     )
 
@@ -139,9 +139,9 @@ def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str) -> 
     ratio = float(np.median(heights[known] / others[known]))
     apart = float(np.median(np.abs(heights[known] - others[known])))
     if abs(ratio * FOOT - 1) < _ALIKE:
-        return f"stands {ratio:.2f} times as high as {name}: its heights are feet, convert them to metres"
+        return f"is {ratio:.2f} times as high as {name}: its heights are feet, convert them to metres"
     if abs(ratio / FOOT - 1) < _ALIKE:
-        return f"stands {ratio:.2f} times as high as {name}, whose heights may be feet: convert them to metres"
+        return f"is {ratio:.2f} times as high as {name}, whose heights may be feet: convert them to metres"
     if apart > _FAR_OFF:
         return f"is {apart:.0f} m off {name} in the median: check place, unit and datum of both"
     return None

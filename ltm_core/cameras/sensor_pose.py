@@ -44,8 +44,8 @@ OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
     """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
-    `turned_deg`: by how much the phone was turned counter-clockwise, as the one who holds it sees it, from portrait: 90
-    for landscape with the top to the left.
+    `turned_deg`: counter-clockwise turn of the phone from portrait, as its user sees it: 90 for landscape with the top
+    to the left.
     """
     t = math.radians(turned_deg)
     cosine, sine = (round(v, 12) if turned_deg % 90 == 0 else v for v in (math.cos(t), math.sin(t)))

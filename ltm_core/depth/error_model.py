@@ -243,7 +243,7 @@ def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> 
     widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     start = int(np.argmin(widths))
     middle = float(np.median(ordered[start : start + count]))
-    # Of a normal distribution, that part lies within so many sigmas.
+    # The number of sigmas that contain this part of a normal distribution.
     wide = float(widths[start]) / (2.0 * NormalDist().inv_cdf(0.5 + 0.5 * densest))
     return middle, max(wide**2 - float(np.median(terrain)) ** 2, config.scale.relative_floor**2) ** 0.5
 

@@ -2,7 +2,7 @@
 
 What the terrain lets expect of a pixel: the depth of the visible surface and how sure it is.
 
-Traced depth is that of bare ground. Where a label says that something grows, the camera looks at its top: the ray that
+Traced depth is that of bare ground. Where a label shows vegetation, the camera sees its top: the ray that
 meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels further down the
 image. So the raised surface's depth is found in the traced image itself, exactly where the slope goes on, and never
 across a silhouette (that is `occlusion_boundaries`' work).

@@ -126,7 +126,9 @@ class ErrorModelConfig(StrictModel):
     peak: float = derived(0.15, "about what a cell smoothed by `blur` keeps of its own")
     fewest: int = chosen(10, "samples of which a spread is taken")
     belief: float = chosen(1.0, "regions' worth of it in the spread of all ranges")
-    densest: float = chosen(0.4, "of the samples, that lie closest together: what stands in most places draws a median")
+    densest: float = chosen(
+        0.4, "of the samples, that lie closest together: objects in most places would bias a median"
+    )
     least_spread: float = chosen(0.5, "of the spread of all ranges, that of one")
     nearer: float = chosen(12.0, "times nearer than the ground: no error, but something right before the camera")
     nearer_far: float = chosen(3.0, "times nearer: far ground of unknown range is seen at some middling one")

@@ -132,7 +132,7 @@ def _sample(
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) -> np.float32:
     """Return how far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below (`low`)
-    and surely above (`high`), 1/m. One whose edges are soft, or elsewhere, has little to say here."""
+    and surely above (`high`), 1/m. Soft or displaced edges give values near 0."""
     share = (low - high) / (1 / near - (1 / far if far < 1e9 else np.float32(0.0)))
     return min(share, 1 / share) if share > 0 else np.float32(0.0)
 
@@ -157,7 +157,7 @@ def _against(inverse: np.float32, answer: _Answer) -> np.float32:
 def _farther(
     inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, errors: ErrorTables, most: np.float32
 ) -> np.float32:
-    """Return the log likelihood that the network speaks for the far side, of depth `far`, and not for the near one."""
+    """Return the network's log likelihood ratio of the far side, of depth `far`, to the near one."""
     if np.isnan(inverse) or np.isnan(far):
         return np.float32(0.0)
     gain = _against(inverse, near) - _against(inverse, _answer(far, row, col, errors))

@@ -4,8 +4,8 @@ How likely something stands before the ground: by the labels about a place, and 
 
 Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
 judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
-sees there, and in a wood a pixel of grass may well be a crown. What stands has its foot on the ground: straight below
-it in the image the terrain is as near as it is, and from there up to the pixel is its height.
+sees there, and in a wood a pixel of grass may well be a crown. An object has its foot on the ground: directly below
+it in the image, the terrain is as near as the object, and its height is the distance from there up to the pixel.
 """
 
 from __future__ import annotations

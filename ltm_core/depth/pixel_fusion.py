@@ -147,7 +147,7 @@ def average_row(row: FusionRow, rules: DecisionRules) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
-    """Initialise a row as it is without a network."""
+    """Initialise a row without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
     for u in range(len(d)):
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
@@ -249,8 +249,8 @@ def _fuse(
                 continue
             inverse, t = invert(i, column[u], other, errors)
             if nearer:
-                # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
-                # there is known even where its depth is as good as not.
+                # The shifts were learned on ground; an object in front of it has the depth of the line alone, and its
+                # presence is known even if its depth is not.
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
             if not (t < inverse and (kind[u] == 0 or inverse > true[u])):
                 continue

@@ -152,7 +152,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     if line.inlier_ratio < rules.least_inliers:
         return _unusable(network, line, f"only {line.inlier_ratio:.0%} of the ground samples fit one scale and shift")
     if line.scale <= 0:
-        return _unusable(network, line, f"the network's depth runs against the terrain's (scale {line.scale:.3g})")
+        return _unusable(network, line, f"the network's depth is opposite to the terrain's (scale {line.scale:.3g})")
     inverse = _in_metres(network, line)
     read = sampled(inverse, samples, size)
     explained = _explained(1.0 / samples.depth, read)
@@ -194,7 +194,7 @@ def _unfit(values: Float32Array, kind: str) -> str:
 
 
 def _too_few(samples: GroundSamples, least: int) -> str:
-    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
+    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
 
 
 def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:

@@ -88,7 +88,7 @@ def check_skyline(
 
 
 def _within(top: Float64Array, columns: int) -> Float64Array:
-    """Return the standard deviation of the skyline (C,) over so many columns about each."""
+    """Return the standard deviation of the skyline (C,) over a window of columns about each."""
     size = columns | 1
     mean = uniform_filter1d(top, size, mode="nearest")
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))

@@ -196,12 +196,12 @@ class UnknownShare:
     def reason(self) -> str:
         """Return the share, and its most likely reason."""
         likely = max(
-            (self.beyond, "the camera looks over the DEM's edge; give a coarser DEM around it, or possible_ground"),
+            (self.beyond, "the view extends beyond the DEM's edge; give a coarser DEM around it, or possible_ground"),
             (self.between, "the DEM has holes there"),
-            (self.before, "the camera stands beyond the DEM's edge or beside a hole of it"),
-            (self.no_ground, "the camera looks past the DEM; check position and azimuth, or give a larger DEM"),
+            (self.before, "the camera is beyond the DEM's edge or next to a hole"),
+            (self.no_ground, "the view misses the DEM; check position and azimuth, or give a larger DEM"),
         )
-        return f"{self.whole:.0%} of the picture is unknown ground: {likely[1]}"
+        return f"{self.whole:.0%} of the image is unknown ground: {likely[1]}"
 
 
 def unknown_share(depth: Float32Array) -> UnknownShare:

@@ -91,10 +91,10 @@ def _check_units(source: Any, path: Path) -> None:
 BANDS: Mapping[str, str] = {
     "arrival_before": "hours after ignition",
     "arrival_after": "hours after ignition",
-    "arrival_difference": "hours, positive: later on the map as it is",
+    "arrival_difference": "hours, positive: later on the updated map",
     "flame_before": "m",
     "flame_after": "m",
-    "flame_difference": "m, positive: longer on the map as it is",
+    "flame_difference": "m, positive: longer on the updated map",
     "changed": "0 no, 1 yes",
     "burn_probability": "1",
 }

@@ -4,8 +4,8 @@ Canopy of fuel cells by what cameras have seen: its cover and height, and what f
 
 Where the surface was confirmed to have changed, from that over bare earth (only where a raster of tree tops says what
 stood there before), and from labels (`label_cover`); where trees are new or the prior has no canopy, cover from
-labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and where nobody has looked, the canopy
-stays what the prior or the region says.
+labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and in unseen cells, the canopy
+is that of the prior or the region.
 
 Heights of stands from depth against bare earth, for sites without a raster of tree tops.
 

@@ -158,7 +158,7 @@ EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
     "camera_hashes": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
     "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
     "last_seen": Field(np.uint32),  # second of the latest frame
-    "burned_at": Field(np.uint32),  # second of the latest burn that the map was told of; 0 none
+    "burned_at": Field(np.uint32),  # second of the latest burn added to the map; 0 none
     **cover_fields(VIEWS),  # shares of woody pixels by view, of its newest epoch
 }
 """State of a cell. Seconds count from 1970; a tile is an array of each field, (tile, tile, *shape)."""

@@ -26,7 +26,7 @@ class CellVisibility:
     `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
     `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
     by which the pose's uncertainty may misplace the cell on the map, away from the camera and sideways. `bearing`:
-    radians clockwise from grid north in which the camera looks at the cell.
+    radians clockwise from grid north from the camera to the cell.
     """
 
     cos_incidence: Float32Array

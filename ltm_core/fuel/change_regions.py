@@ -111,8 +111,8 @@ def supported_changes(
 
     A view errs alike over some cells, but seldom with much certainty over a whole region, and plants change by
     regions. So a cell that looks changed counts where sure cells of the same change about it have log odds of
-    `rules.support` or more together, and so do those that hang together with it within `rules.grow_cells`: a sure
-    region is reported as far as it goes, an unsure one not at all (hysteresis: Canny, IEEE PAMI 8, 1986). A cell that
+    `rules.support` or more together, and so do those connected to it within `rules.grow_cells`: a certain
+    region is reported completely, an uncertain one not at all (hysteresis: Canny, IEEE PAMI 8, 1986). A cell that
     only leans to what most of those about it have become is reported with them: stands that the network mislabels are
     holes in what has changed.
 
@@ -142,7 +142,7 @@ def supported_changes(
 
 
 def _filled(region: BoolArray, leaning: BoolArray, rules: FusionRules) -> BoolArray:
-    """Return (H, W): with cells of `leaning` that have so many of `region` about them."""
+    """Return (H, W) `region` with cells of `leaning` that have enough neighbours in it."""
     for _ in range(rules.fill_rounds):
         about = cv2.boxFilter(region.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
         region = region | (leaning & (about >= rules.fill_cells))

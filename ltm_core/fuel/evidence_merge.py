@@ -14,10 +14,10 @@ that two parts hold is rejected: it would count twice. Of each field of a cell's
 | `first`, first of `span` | the least that is not 0 |
 | `camera_hashes`, `seen_by` | the least of the union, as many as are kept, rising |
 | `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, at most the largest number |
-| `burned_at` | must be the same: a burn is told to every part before its frames are counted |
+| `burned_at` | must be the same: a burn is added to every part before its frames are counted |
 
-Days of frames need not be told of the burns of other days: a burn voids what came before it, so the days before it are
-merged, the map is told (`EvidenceMap.burn`), and parts of frames that all come after it know of it then (`after`).
+Days of frames do not need the burns of other days: a burn voids earlier evidence, so the days before it are merged, the
+burn is added to the map (`EvidenceMap.burn`), and then to parts whose frames all come after it (`after`).
 """
 
 from __future__ import annotations

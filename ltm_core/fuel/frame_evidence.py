@@ -211,7 +211,7 @@ def frame_evidence(
     probability = _probability(votes, rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
     bearing = None
-    # What a cell looks like tells of the labels' confidence and of how plants stand before the ground behind them.
+    # The appearance model already uses the labels' confidence and the occlusion by plants.
     by_look = errors.appearance is not None and votes.visibility is not None
     if votes.confidence is not None and not by_look:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
@@ -248,7 +248,7 @@ def _probability(
 ) -> Float64Array:
     """Return (N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
 
-    Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
+    Plants grow in stands larger than a cell, so that the appearance of neighbouring cells is evidence for a cell too.
     """
     correlation = errors.correlation
     weight = pixels / (1 + (pixels - 1) * correlation.cell)
@@ -280,7 +280,7 @@ def _probability(
 
 
 def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
-    """Return (N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
+    """Return (N, FORMS) log likelihood of a cell's label shares (N, FORMS), averaged over (N,) pixels."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     result = np.full(shares.shape, -np.inf)

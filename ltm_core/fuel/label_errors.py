@@ -169,7 +169,7 @@ class LabelErrors:
         """With the step from renderings to photos, where no photo had a part in the calibration."""
         if not calibration.on_renderings_alone:
             return self
-        about = f"{self.source}; never scored on photographs, so taken for {PHOTO_STEP:g} times as large"
+        about = f"{self.source}; not tested on photos, so assumed to be {PHOTO_STEP:g} times as large"
         return replace(self.scaled(PHOTO_STEP), source=about)
 
     def scaled(self, level: float) -> LabelErrors:

@@ -137,7 +137,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
 
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Return the labels of every n-th pixel put at their places in a full image; any other shape is left as it is."""
+    """Return the labels of every n-th pixel put at their places in a full image; any other shape is unchanged."""
     step = -(-height // labels.shape[0])
     full = np.full((height, width), UNLABELLED, np.uint8)
     if full[::step, ::step].shape != labels.shape or step == 1:

@@ -114,7 +114,7 @@ class Fused:
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
     """Fuse all sights at the resolution that their common places need.
 
-    `turned`: of a camera that is turned by nobody knows how much.
+    `turned`: sights of a camera that is turned by an unknown angle.
     """
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]

@@ -2,8 +2,8 @@
 
 Terrain in a sector around a camera: heights along rays of the map, from near to far, and what stands before what.
 
-A query looks at a sector of a degree or two, so that the terrain is sampled there and nowhere else: no image needs to
-be traced for it. Its lines of sight are held against `visibility.PointVisibility` by the tests.
+A query covers a sector of a degree or two, so the terrain is sampled only there, and no image is traced. Tests compare
+its lines of sight with `visibility.PointVisibility`.
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ class LocatingTerrain:
         marked = float(sight.directions.slope @ sight.directions.weights)
         if marked > highest:
             above = math.degrees(math.atan(marked) - math.atan(highest))
-            what = "smoke that stands clear of the ground" if self.smoke else "sky"
+            what = "smoke clear of the ground" if self.smoke else "sky"
             raise RegionError(
                 f"{name}: the mark shows {what}: it is {above:.1f} degrees above the highest ground known there; mark "
                 + ("its base, or where it rises from a ridge" if self.smoke else "a place on the ground")
@@ -216,8 +216,7 @@ def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
 
 
 def _azimuths_of(position: Float64Array, bounds: Bounds, around: float) -> tuple[float, float]:
-    """Return the azimuths between which a rectangle is seen, within half a turn of `around`; all where one stands in
-    it."""
+    """Return the azimuths between which a rectangle is visible, within half a turn of `around`; all from inside."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     if x_min <= x <= x_max and y_min <= y <= y_max:

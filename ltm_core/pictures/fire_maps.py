@@ -36,8 +36,8 @@ _SOON: Final = 5 / 60
 """Hours within which two arrivals count as equal; the model's steps are minutes."""
 DIFFERENCE: Final = Scale(
     (
-        "burns only as the map is now", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
-        "later by 5 min to 1 h", "later by 1 h and more", "burns only as the map was",
+        "burns only with the updated map", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
+        "later by 5 min to 1 h", "later by 1 h and more", "burns only with the previous map",
     ),
     (
         (122, 4, 3), (214, 84, 50), (244, 165, 120), (226, 216, 176), (146, 197, 222), (50, 120, 190), (20, 40, 110),
@@ -89,27 +89,27 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], 
     was, now = effect.before, effect.after
     both = _flames(was) & _flames(now)
     maps = {
-        "arrival on the map as it was": _drawn(canvas, was.arrival, was.burned, arrival, effect),
-        "arrival on the map as it is; outlined: its fuel has changed": _drawn(
+        "Fire arrival time with the previous map": _drawn(canvas, was.arrival, was.burned, arrival, effect),
+        "Fire arrival time with the updated map. Outlined: cells whose fuel changed.": _drawn(
             canvas, now.arrival, now.burned, arrival, effect
         ),
-        "flame length on the map as it was": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
-        "flame length on the map as it is": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
-        "what the update changes in the arrival": _drawn(canvas, values, known, DIFFERENCE, effect),
-        "what it changes in the flames, where both burn": _drawn(
+        "Flame length with the previous map": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
+        "Flame length with the updated map": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
+        "Change of the arrival time by the update": _drawn(canvas, values, known, DIFFERENCE, effect),
+        "Change of the flame length, where both burn": _drawn(
             canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
         ),
     }
     if effect.probability is not None:
         count = len(effect.members)
-        maps[f"probability to burn, of {count} landscapes drawn from what is known of the fuel"] = _drawn(
+        maps[f"probability to burn, of {count} landscapes drawn from the fuel probabilities"] = _drawn(
             canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
         )
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])
 
 
 def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:
-    """Return the arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
+    """Return the arrival with the updated map, (n H, n W, 3), as an overlay, and its legend."""
     arrival = arrival_scale(effect.hours)
     colors = label_colors(arrival.classes(effect.after.arrival, effect.after.burned), arrival)
     heights = terrain_of(landscape).elevation

@@ -236,15 +236,15 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) ->
     which the last two are not known, as of an earlier date, the first two alone."""
     known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
     maps = {
-        "life form; paler: less sure; outlined: no longer the prior map's": canvas.life_forms(layers, palette),
-        "surface fuel model; outlined: no longer the prior map's": canvas.codes(layers.code, layers.changed),
+        "Life form. Paler: less certain. Outlined: differs from the prior map.": canvas.life_forms(layers, palette),
+        "Surface fuel model. Outlined: differs from the prior map.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():
         maps |= {
-            "doubt about the life form: entropy, 0 certain to 1 nothing known": canvas.scaled(
+            "Uncertainty of the life form: entropy, 0 certain to 1 unknown": canvas.scaled(
                 layers.entropy, known, DOUBT
             ),
-            "cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
+            "Number of cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
         }
     return _sheet(maps)
 
@@ -273,11 +273,11 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
     """
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
-        maps[f"{name}: frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
+        maps[f"{name}: number of frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
             seen.frames, seen.frames > 0, FRAMES
         )
         known = np.isfinite(seen.footprint)
-        maps[f"{name}: ground under a pixel, at best"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
+        maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
     return _sheet(maps)
 
 
@@ -292,7 +292,7 @@ def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbIma
     }
     if len(maps) > 1:
         count = np.sum(list(by_camera.values()), axis=0)
-        maps["cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
+        maps["Number of cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
     return _sheet(maps)
 
 

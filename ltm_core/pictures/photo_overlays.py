@@ -123,7 +123,7 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
             drawn[hidden] = (0.45 * drawn[hidden] + 0.55 * color).astype(np.uint8)
         outlines, _ = cv2.findContours(hidden.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(drawn, outlines, -1, color.tolist(), max(2, photo.shape[1] // 500))
-        # The number stands in the thickest place, clear of the picture's edge.
+        # The number is in the thickest place, clear of the picture's edge.
         depth = cv2.distanceTransform(np.pad(hidden.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
         v, u = np.unravel_index(int(np.argmax(depth)), depth.shape)
         u_text = float(np.clip(u, size, photo.shape[1] - size))

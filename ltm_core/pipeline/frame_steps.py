@@ -207,8 +207,8 @@ class LabellingStep:
     ) -> tuple[Segmentation, SceneView]:
         """Label an image (H, W, 3) RGB. Return its labels and the scene view.
 
-        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
-        nobody knows. `in_order`: images come as they were taken, so that smoke is detected by comparison with
+        `looking`: viewing direction; None: only the mask of all views is used. `stamp_ns`: time of the image; None:
+        unknown. `in_order`: images arrive in the order of their times, so that smoke is detected by comparison with
         previous ones; a single image shows no smoke.
         """
         view = self._scene.look(photo, looking, stamp_ns)

@@ -40,7 +40,7 @@ _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bea
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
     """Return the schema of the store of a site's map; `geometry`: the fuel grid in the map frame.
 
-    The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
+    It does not depend on the rules of fusion: evidence is stored, and weighted when the map is read.
     """
     return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 

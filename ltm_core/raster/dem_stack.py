@@ -7,7 +7,7 @@ would otherwise hold 400 MB a node.
 
 Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
 
-Fire cameras look at ridges tens of kilometres away, where nobody has, or needs, a raster of 1 m. A stack holds rasters
+Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds rasters
 of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how they
 are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
 """
@@ -37,8 +37,7 @@ _lock = threading.Lock()
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
     """Return the result of `read` for the files at `paths`, shared while it is in use and no file has changed.
 
-    `way`: all else that the result depends on. Nobody may write to a terrain that is shared. Errors
-    are those of `read`.
+    `way`: all other inputs of the result. A shared terrain must not be modified. Errors are those of `read`.
     """
     with _lock:
         try:
@@ -84,8 +83,8 @@ class DemStack(Dem):
         """Open the finest raster as `Dem.open` does, and around it, out to REACH, the (path, CRS or None) of coarser
         ones. These may be in another CRS, in degrees too: they are warped, bilinearly, to that of the finest.
 
-        Heights of all levels count as one datum's: mend a datum shift of more than a few metres beforehand (gdalwarp
-        with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
+        All levels must have the same vertical datum: correct a datum shift of more than a few metres beforehand
+        (gdalwarp with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
         """
         finest = Dem.open(path, crs)
         x_min, y_min, x_max, y_max = finest.geometry.bounds

@@ -139,7 +139,7 @@ class _Wkb:
         return found
 
     def _count(self, order: str, least: int) -> int:
-        """Of what follows, at least so many bytes each: a damaged count asks for no memory."""
+        """Read the count of items of at least `least` bytes each; a damaged count must not allocate memory."""
         (count,) = self._take(f"{order}I")
         if count * least > len(self._blob) - self._at:
             raise ValueError("a geometry is shorter than it states")

@@ -6,8 +6,8 @@ does not look at. It is made by `write_heights`, in one step, and belongs to exa
 of which that consists, each with its inode, size and times. `ctime`, which no program can set, is among these: a file
 that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
 state, or was written by another version, counts as absent; and so does one of an owner who is neither this process's,
-nor the raster's, nor root: whoever may write into the folder could else put heights under a raster that he may not
-write. Nobody may read it who may not read the raster.
+nor the raster's, nor root: otherwise, users with access to the folder could replace the heights of a raster that they may not
+write. Its read permissions are those of the raster.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def own_copy(heights: Float32Array) -> Float32Array:
 
 
 def _stale_makes_room(path: Path, raster: Path | str) -> None:
-    """Remove what another state of the raster was prepared as: nobody believes it any more."""
+    """Remove prepared files of another state of the raster, which are never used again."""
     with contextlib.suppress(OSError):
         with path.open("rb") as file:
             ours = file.read(len(_MARK)) == _MARK
@@ -104,7 +104,7 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
     """Prepare `source`, the open dataset of `raster`; return the file, or None if it exists already or is not needed.
 
     `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
-    cannot be written; what was there before is left then, unless it is of another state and stands in the way.
+    cannot be written; the previous file is kept then, unless it is of another state.
     """
     cells, path = source.height * source.width, heights_path(raster)
     if map_heights(raster, source) is not None:

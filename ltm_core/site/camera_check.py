@@ -43,7 +43,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
-        yield SiteFinding("cameras", name, SiteVerdict.OK, f"{' and '.join(topics)} come as topics")
+        yield SiteFinding("cameras", name, SiteVerdict.OK, f"{' and '.join(topics)} are read from topics")
         return
     x, y, z = (float(v) for v in pose.position)
     ground = float(dem.elevation_at(x, y))
@@ -51,7 +51,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         covered = dem.levels[-1].geometry.translated(*site.origin).described()
         doubt: str | None = f"stands at ({config.pose.x:g}, {config.pose.y:g}) beside the DEM, which covers {covered}"
     elif config.pose.height_above_ground is not None:
-        tall = f"height_above_ground {z - ground:g} m is more than masts have: if these are feet, write metres"
+        tall = f"height_above_ground {z - ground:g} m is higher than masts: if it is in feet, write metres"
         doubt = tall if z - ground > TALLEST_MAST else None
     else:
         doubt = doubt_of_height(z, ground)
@@ -59,7 +59,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
     width = "" if camera is None else f", {camera.hfov_deg:.0f} deg wide"
     found = f"{z - ground:.1f} m above the ground, looks {_WINDS[round(azimuth / 45) % 8]} ({azimuth:g} deg), "
     found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
-    found += "; calibration comes as topic" if camera is None else ""
+    found += "; calibration is read from a topic" if camera is None else ""
     yield (
         SiteFinding("cameras", name, SiteVerdict.OK, found)
         if doubt is None
@@ -81,17 +81,17 @@ def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
     except LtmError as error:
         yield SiteFinding.of("cameras", called, error)
         return
-    found = "polygons, drawn when the calibration comes as topic"
+    found = "polygons, drawn when the calibration is read from a topic"
     doubts = []
     if mask is not None:
         found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
         if mask.share > _MUCH_MASKED:
-            doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+            doubts.append("little is left; non-zero pixels of a PNG are masked, so it may be inverted")
     turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
     if config.mount is not None and not turning:
         doubts.append(
             "the PTZ head turns, and the mask hides the same pixels in every view: only what turns with it belongs "
-            "into it, such as corners of the lens and captions; the others belong into view_masks"
+            "into it, such as corners of the lens and captions; put the others into view_masks"
         )
     verdict = SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK
     yield SiteFinding("cameras", called, verdict, ": ".join([found, *doubts]))
@@ -113,13 +113,11 @@ def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
         looking = Looking(view.azimuth_deg, view.pitch_deg, width or 1.0)
         doubts = []
         if lens is not None and width is None:
-            doubts.append(
-                "the lens zooms, and the view says not how wide it is: give hfov_deg, or it hides at any zoom"
-            )
+            doubts.append("the lens zooms, but the view has no field of view: give hfov_deg, or it applies at any zoom")
         others = [other for other in config.view_masks if other is not view]
         double = [o.name for o in others if looking.off_deg(o) <= min(view.within_deg, o.within_deg)]
         if double:
-            doubts.append(f"{', '.join(double)} looks there too; the nearer one is taken")
+            doubts.append(f"{', '.join(double)} has that direction too; the nearer one is used")
         found = f"azimuth {view.azimuth_deg:g}, pitch {view.pitch_deg:g}, within {view.within_deg:g} deg"
         if size is not None:
             try:
@@ -130,7 +128,7 @@ def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
             share = 0.0 if hidden is None else float(hidden.mean())
             found += f": hides {share:.1%} of {size.width} x {size.height} pixels"
             if share > _MUCH_MASKED:
-                doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+                doubts.append("little is left; non-zero pixels of a PNG are masked, so it may be inverted")
         yield SiteFinding(
             "cameras", called, SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK, "; ".join([found, *doubts])
         )
@@ -152,7 +150,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
     worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
     if not mount.calibrated:
         doubt = (
-            f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
+            f"its mount is not calibrated: directions are uncertain by {worst:.1f} deg; `ltm pose --site SITE --camera "
             f"{name}` calibrates it (docs/cameras.md)"
         )
         return SiteFinding.of("cameras", name, doubt, SiteVerdict.DOUBTFUL)

@@ -97,7 +97,7 @@ def _terrain(site: Site, dem: Dem) -> Iterator[SiteFinding]:
     )
     away = geometry.distance_to(0.0, 0.0)
     if away > _FAR_ORIGIN:
-        said = f"{away / 1000:.0f} km from the DEM: coordinates lose their millimetres; take a corner of the DEM"
+        said = f"{away / 1000:.0f} km from the DEM: coordinates lose millimetres; use a corner of the DEM"
         yield SiteFinding(area, "origin", SiteVerdict.DOUBTFUL, said)
     for level, config in zip(dem.levels[1:], site.coarser, strict=True):
         heights, others = _sampled(dem, geometry), _sampled(level, geometry)
@@ -143,7 +143,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
         yield SiteFinding.of(area, "climate and label errors", error)
     yield from _growth(site, check)
     if site.fuel.prior is None:
-        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: nothing is known of a cell before it is seen")
+        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: cells are unknown until they are seen")
     elif check.dem is not None:
         grid = site.in_crs(site.fuel_geometry(check.dem))
         try:
@@ -157,7 +157,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
             own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
             doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
             if doubt is not None:
-                verdict = SiteVerdict.WRONG if "its heights are feet" in doubt else SiteVerdict.DOUBTFUL
+                verdict = SiteVerdict.WRONG if "its heights are in feet" in doubt else SiteVerdict.DOUBTFUL
                 yield SiteFinding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
 
 
@@ -176,9 +176,9 @@ def _prior(prior: FuelPrior, grid: GridGeometry) -> SiteFinding:
     share = float((prior.codes != NODATA).mean())
     found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
     if prior.contradicting:
-        found += f"; in {prior.contradicting} cells its FBFM13 is of another fuel type (`own_fbfm13` of the prior)"
+        found += f"; in {prior.contradicting} cells its FBFM13 has another fuel type (`own_fbfm13` of the prior)"
     if share < 0.5:
-        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
+        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: check that it covers the site")
     return SiteFinding("fuel", "prior", SiteVerdict.OK, found)
 
 
@@ -197,7 +197,7 @@ def _networks(site: Site) -> Iterator[SiteFinding]:
         else:
             yield SiteFinding("networks", key, SiteVerdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
             if key == "model" and model.manifest.heads_of and site.depth_model == f"{model.manifest.heads_of}_depth":
-                told = f"{site.depth_model} shares an encoder with the labels of heads alone: {name}_depth costs less"
+                told = f"{site.depth_model} shares an encoder only with label heads: {name}_depth costs less"
                 yield SiteFinding("networks", "depth_model", SiteVerdict.DOUBTFUL, told)
     yield from _heads(site)
 
@@ -217,7 +217,7 @@ def _heads(site: Site) -> Iterator[SiteFinding]:
                 found, content = read_label_head(file, manifest)
                 doubt = f"it was {found.doubt}" if found.doubt else ""
                 if content.one_view and len(names) > 1:
-                    doubt = "it was taught by one view and is for that alone; teach one for each"
+                    doubt = "it was trained on one view and is for that only; train one for each"
         except LtmError as error:
             yield SiteFinding.of("networks", f"label head {head}", error)
         else:

@@ -226,7 +226,7 @@ def checked(
             line = line_of(item["loc"])
             at = "" if line is None else f", line {line}"
             if item["type"] == "extra_forbidden":
-                lines.append(f"  {key}: unknown key{at}" + (f"; known are {known}" if len(item["loc"]) == 1 else ""))
+                lines.append(f"  {key}: unknown key{at}" + (f"; known keys: {known}" if len(item["loc"]) == 1 else ""))
             elif item["type"] == "missing":
                 lines.append(f"  {key}: missing")
             else:

@@ -60,8 +60,8 @@ def free_bytes(path: Path) -> int:
 class SpaceFloor:
     """Whether a disk has less free space than `floor` bytes.
 
-    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer shall not stop
-    and start with every file that somebody else removes.
+    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer must not stop
+    and start with every file that other programs remove.
     """
 
     def __init__(self, path: Path, floor: int) -> None:
@@ -166,7 +166,7 @@ def _why_not_into(folder: Path) -> str | None:
     """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
     there = folder_that_exists(folder.expanduser())
     if not is_folder(there):
-        return f"{there} is no folder"
+        return f"{there} is not a folder"
     try:
         with tempfile.TemporaryFile(dir=there):
             return _why_no_name(folder)

@@ -92,7 +92,7 @@ class TileStore:
         """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
-        a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or the
+        a file is not changed. Raises StoreError where another process writes it, the folder cannot be written or the
         disk is full.
         """
         path = Path(path)
@@ -274,7 +274,7 @@ class TileStore:
                 raise
             with _lent(reserve, self._db):
                 self._write(packed, frames, changes)
-            self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
+            self.strain = f"{error}; this was written to reserved space, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
             self._hold()

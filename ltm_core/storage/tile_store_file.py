@@ -186,10 +186,10 @@ def wants_room(error: StoreError) -> bool:
 
 
 _REMEDIES = {
-    "SQLITE_FULL": "make room on the disk",
+    "SQLITE_FULL": "free space on the disk",
     "SQLITE_READONLY": "make the file and its folder writable",
-    "SQLITE_CANTOPEN": "make its folder writable, and room on the disk",
-    "SQLITE_BUSY": "another process holds it",
+    "SQLITE_CANTOPEN": "make its folder writable, and free space on the disk",
+    "SQLITE_BUSY": "another process uses it",
     "SQLITE_IOERR": "check the disk",
 }
 

@@ -224,7 +224,7 @@ def compressed(content: bytes) -> bytes:
 def decompressed(content: bytes, most: int) -> bytes:
     """Decompress. Raises ConfigError for damaged bytes, or if they state more than `most`."""
     try:
-        # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
+        # The library allocates the size that a frame states before it reads the content, whatever bound is given.
         stated = zstandard.frame_content_size(content)
         if not 0 <= stated <= most:
             raise ConfigError(

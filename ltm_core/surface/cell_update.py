@@ -250,7 +250,7 @@ def update_cell(
         e.c_dz = dz
         e.c_looks = 1
         c.c_weight = 1 / variance
-        # What is off its stand tells of its own cell only.
+        # A deviation from the stand is evidence for the own cell only.
         c.c_relative_variance = max(variance, relative_variance)
         c.c_pose_variance = pose
         c.c_first = c.c_last = seconds

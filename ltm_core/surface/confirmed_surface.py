@@ -246,7 +246,7 @@ class SurfaceManifest(StrictModel):
             kept = "none is kept"
             if self.history:
                 since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
-                kept = f"{KEPT} are kept, the first of {since} UTC; ask for a later moment"
+                kept = f"{KEPT} are kept, the first of {since} UTC; give a later time"
             raise StoreError(
                 f"the surface used at that time is not kept: {kept}, or export bare earth as given with a site file "
                 "without terrain.trace_confirmed"

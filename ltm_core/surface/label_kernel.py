@@ -1,7 +1,7 @@
 """Uses each label of an image as evidence whether vegetation of the reference still stands; compiled.
 
-Where something stands in the reference, a pixel's label is evidence on the cell that it would see: that the cell is as
-high as it was, or as low as bare earth. Whatever is surely seen in front of it hides it.
+If the reference has an object in a cell, a pixel's label is evidence that the cell is still as high, or as low as bare
+earth. Certain objects in front of the cell hide it.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ class SurfaceLayers:
 
     `bare`, `reference`: metres, as they were given. `height`: the updated surface: the reference (with the canopy that
     the first views found, where no surface raster was given), moved where change was accepted. `estimate`: what the
-    cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN where nobody has
-    looked. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
+    cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN in unseen
+    cells. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
     how many. `last_seen`: s, 0 never. `since`: s, when an accepted change had been seen, else 0. `by`: the mask of the
     cameras that agreed on it. `label`: class last seen, 255 none.
     """

@@ -262,7 +262,7 @@ def observe(
                 _carve(ground, ray, max(expected, before), end, -limits.carve_below, r, sigma, sums)
             if math.isinf(r) or r > limits.max_range:
                 continue
-            # What is seen where the terrain ends may stand beyond, on ground that nobody has told of.
+            # A point at the terrain's edge may be beyond it, on unknown ground.
             if math.isinf(expected) and _leaves_known(ground, ray, r, r + sigma):
                 continue
             first, last = (expected, math.inf) if farther else (0.0, expected)

@@ -106,7 +106,9 @@ class SurfaceVersions:
                 self.folder.rename(aside)
             except OSError as broken:
                 raise StoreError(f"{error}; it could not be moved away ({broken.strerror or broken})") from broken
-            return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
+            return SurfaceManifest(
+                site=self.site
+            ), f"{error}; it was moved to {aside}, and the list of surfaces starts afresh"
 
     def file(self, version: str) -> Path:
         """Return the path of a version of the manifest."""

@@ -17,8 +17,8 @@ __all__ = ["RangeImage", "TerrainTracer"]
 
 
 def __getattr__(name: str) -> object:
-    """Return the tracer when somebody asks for it: a site's configuration needs no more than `possible_ground`, and the
-    tracer loads numba with all its kernels."""
+    """Import the tracer on first use: a site's configuration needs only `possible_ground`, and the tracer loads numba
+    with all its kernels."""
     if name == "TerrainTracer":
         from ltm_core.tracing.tracer import TerrainTracer
 

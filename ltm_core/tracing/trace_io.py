@@ -76,7 +76,7 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
     if ground != ground:
         covered = dem.levels[-1].geometry
         beside = (
-            f"camera at {config.pose.described(frame)}, beside the DEM's known ground ({covered.described()} in "
+            f"camera at {config.pose.described(frame)}, outside the DEM's known ground ({covered.described()} in "
             f"{frame.crs}): check position and crs"
         )
     doubts = (doubt_of_radians([config.pose.azimuth_deg]), doubt_of_height(z, ground), beside)

@@ -161,8 +161,8 @@ class TerrainTracer:
             way: "profile" or "pyramid" forces one and keeps no frame; where a profile cannot serve (a camera that is
                 not over known ground of the finest raster), all go by the pyramid.
 
-        Raises PoseError when the pose is not finite, the camera is not above the ground (by how much is said), or it
-        stands in an enclosed hole of the DEM, below the ground around it.
+        Raises PoseError when the pose is not finite, the camera is not above the ground, or it is in an
+        enclosed hole of the DEM, below the ground around it.
         """
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None

@@ -8,8 +8,9 @@ half goes, then of what is left again: the longer ago, the fewer frames, and the
 
 SQLite file of the votes that a tower has not yet been told are in its region's map.
 
-A frame that `put` has returned from is in the file, also after a power cut, and stays until `acknowledge` is told of
-it or until there is no room: then the oldest evidence is thinned (`thinning`), and what is older than `max_age_s` goes.
+A frame that `put` has returned from is in the file, also after a power cut, and stays until it is given to
+`acknowledge`, or until there is no room: then the oldest evidence is thinned (`thinning`), and frames older than
+`max_age_s` are dropped.
 """
 
 from __future__ import annotations
@@ -250,7 +251,7 @@ class Outbox:
                 self._path.replace(aside)
             except OSError as failed:
                 raise StoreError(f"{self._path}: cannot be moved away ({failed.strerror}); check the disk") from failed
-            self.damage = f"{error}; it lies in {aside} now, what waited in it was not sent, and a new one has begun"
+            self.damage = f"{error}; it was moved to {aside}; its queued frames were not sent. A new outbox was created"
             return _connect(self._path)
 
 
@@ -259,7 +260,7 @@ class _DamagedError(ConfigError):
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Raise _DamagedError, ConfigError for a file of another program, which stays as it is, StoreError."""
+    """Raise _DamagedError, ConfigError for a file of another program, which is not changed, StoreError."""
     try:
         if path.exists() and path.stat().st_size:
             _check_header(path)

@@ -23,7 +23,7 @@ MOST_CELLS: Final = 4_000_000
 class VoteTransfer:
     """Transfer by nearest cell, as `GridTransfer`; exact if both grids have one CRS and coinciding cells.
 
-    What a frame shows of a cell is told of each cell of the region whose centre lies in it, so between two CRSs a cell
+    The evidence of a cell goes to each cell of the region whose centre lies in it, so between two CRSs a cell
     may count twice or not at all: evidence moves by half a cell at most. Bearings are turned from one grid north to the
     other.
 

@@ -157,7 +157,7 @@ def doubt_of_photographs(calibration: Calibration | None) -> str:
     """Return a warning for a network or label head that was not tested on photos; empty otherwise."""
     if calibration is None:
         return "never scored"
-    return "never scored on photographs" if calibration.on_renderings_alone else ""
+    return "not tested on photos" if calibration.on_renderings_alone else ""
 
 
 def calibration_path(manifest_path: Path) -> Path:

@@ -247,7 +247,7 @@ class NetworkManifest(StrictModel):
         """Return the network used by a camera with this label head: itself, or the one whose heads it uses
         (`heads_of`).
 
-        Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
+        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is missing.
         """
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 

@@ -55,7 +55,7 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
     small = [np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), np.uint8) for frame in frames]
     count = "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
     found = [
-        Proposal("lens", _at(corner.hidden, shape), f"smooth corner cut off by an arc, in {count}")
+        Proposal("lens", _at(corner.hidden, shape), f"smooth corner bounded by an arc, in {count}")
         for corner in lens_corners(small)
     ]
     return found + [

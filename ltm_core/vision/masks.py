@@ -226,7 +226,7 @@ def packed(mask: CameraMask) -> MakeMask:
     bits: UInt8Array = np.packbits(mask.hidden)
 
     def make(width: int, height: int) -> CameraMask:
-        # A size that does not fit is told by the mask itself.
+        # The mask itself reports a wrong size.
         whole = CameraMask(np.unpackbits(bits, count=size[0] * size[1]).reshape(size[::-1]).astype(np.bool_), place)
         whole.check_size(width, height)
         return whole

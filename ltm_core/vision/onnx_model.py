@@ -134,7 +134,7 @@ class OnnxModel:
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
         """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
-        `part`: of an image, or another size of it, which nobody else will ask for. Raises ModelError where the file
+        `part`: of an image, or another size of it, which no other user requests. Raises ModelError where the file
         gives something else by such a name.
         """
         names = [self._output_name, *maps]
@@ -220,7 +220,7 @@ class OnnxModel:
     def _wrong(self, what: str, expected: object, found: object) -> ModelError:
         return ModelError(
             f"model {self.manifest.name!r} ({self.path}): {what}: expected {expected}, found {found}; "
-            "mend the manifest or use the network that it describes"
+            "correct the manifest, or use the network that it describes"
         )
 
 

@@ -66,7 +66,7 @@ class SceneFilter:
 
     `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
     beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
-    and latitude of the site, radians, by which it is told how high the sun stood; None: that is not asked.
+    and latitude of the site, radians, for the sun's elevation; None: it is not used.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class SceneFilter:
         if self._views is None or looking is None:
             return ""
         view = self._views.at(looking)
-        return f"view {view.name}" if view is not None else f"no view of the site file looks to {looking}"
+        return f"view {view.name}" if view is not None else f"no view of the site file has the direction {looking}"
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:

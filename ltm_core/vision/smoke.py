@@ -5,8 +5,8 @@ view. The land's pattern comes back under any exposure; in a cloud of smoke it d
 stays, a felled stand, say, looks like smoke too at first, but it has a pattern that comes back: from one remembered
 image of it on, it is land again.
 
-Images of another view, or of another light, do not agree with the present one and are left out; where none agrees,
-nothing is told.
+Images of another view, or of another light, do not agree with the present one and are ignored; if none agrees,
+no smoke is reported.
 The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/masks.md).
 """
 
@@ -219,7 +219,7 @@ def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
 
 
 def _newest_and_others(could: list[_Kept]) -> list[_Kept]:
-    """At most so many that each image stays cheap: the newest, and others spread over the rest."""
+    """Return at most as many images as stay cheap: the newest, and others spread over the rest."""
     if len(could) <= 2 * COMPARED:
         return could
     places = np.linspace(0, len(could) - 1, 2 * COMPARED).round().astype(int)

@@ -74,12 +74,12 @@ class Usability:
 
 
 _SAID = {
-    Unusable.BLANK: "blank: the picture is of one colour",
-    Unusable.NIGHT: "night: the picture is too dark",
-    Unusable.DUSK: "dusk: the sun is low and the picture dim",
-    Unusable.GLARE: "glare: too much of the picture is burnt out",
-    Unusable.FOG: "fog: the picture shows no contrast anywhere",
-    Unusable.BLUR: "blur: the picture has no fine detail; out of focus, or a wet or dirty lens",
+    Unusable.BLANK: "blank: the image has one colour",
+    Unusable.NIGHT: "night: the image is too dark",
+    Unusable.DUSK: "dusk: the sun is low and the image dim",
+    Unusable.GLARE: "glare: too much of the image is overexposed",
+    Unusable.FOG: "fog: the image has no contrast anywhere",
+    Unusable.BLUR: "blur: the image has no fine detail; out of focus, or a wet or dirty lens",
 }
 
 

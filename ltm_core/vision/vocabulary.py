@@ -108,7 +108,7 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
         label = vocabulary.label_of.get(phrase)
         classes = tuple(name for name in manifest.classes if label is not None and manifest.mapping.get(name) == label)
         if classes:
-            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} knows no finer word")
+            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} has no finer word")
         if label is not None:
             raise ConfigError(f"{query!r} means {label}, for which {manifest.name} has no class")
     known = sorted(vocabulary.label_of)

@@ -484,7 +484,7 @@ def test_pictures_that_show_nothing_are_passed_over(
     sample = Sample.parsed("2/day")
     planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
     assert {frame.camera for frame in planned.frames} == {"mast"}
-    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES, REPEATED: FRAMES - 1}
+    assert planned.passed_over == {"blank: the image has one colour": FRAMES, REPEATED: FRAMES - 1}
 
 
 def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:

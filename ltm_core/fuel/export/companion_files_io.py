@@ -71,7 +71,7 @@ def _renderer(kind: str, **attributes: str) -> Element:
 
 def _write(path: Path, renderer: Element) -> Path:
     if path.is_file() and _MARK not in path.read_bytes()[:500]:
-        return path  # somebody's own style
+        return path  # the user's own style
     root = Element("qgis", version="3.22", styleCategories="Symbology")
     SubElement(root, "pipe").append(renderer)
     indent(root)

@@ -61,6 +61,8 @@ def write_kmz(
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
         f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
         f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
+        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
+        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
         f"<LatLonBox><north>{north:.9f}</north><south>{south:.9f}</south><east>{east:.9f}</east>"
         f"<west>{west:.9f}</west></LatLonBox></GroundOverlay>"
         "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"
@@ -165,7 +167,7 @@ def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) ->
     if made is not None:
         header.generating_software = made.software[:32]
         told = made.line().encode("ascii", "replace")[:32_000]
-        header.vlrs.append(laspy.VLR("LTM", 1, "what the map says of itself"[:32], told))
+        header.vlrs.append(laspy.VLR("LTM", 1, "description of the map"[:32], told))
     header.add_extra_dim(laspy.ExtraBytesParams("fuel_code", "int16", "surface fuel model"))
     cloud: Any = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = points.xyz.T

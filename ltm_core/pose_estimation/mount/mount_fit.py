@@ -86,7 +86,7 @@ def fit_mount(
     sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
     starts = _proposals(pictures)
     if not starts:
-        return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
+        return _stated(pictures, "no_skyline", "no image shows a skyline or a ridge of the DEM", sigma)
     costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
     order = np.argsort(costs)
     fits = []
@@ -148,7 +148,7 @@ def fit_ptz_mount(
     return replace(
         ptz,
         covariance=ptz.covariance * wider,
-        reason=f"{ptz.reason}, with the tilt axis read {math.degrees(ptz.tilt_zero):+.2f} deg off its zero",
+        reason=f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg",
     )
 
 

@@ -162,7 +162,7 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
 
 
 def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
-    """Nobody's slip would ever be seen against sigmas that are no numbers."""
+    """Reject sigmas that are not finite, against which no slip could be detected."""
     joint = np.empty((4, 4))
     joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
     values = np.linalg.eigvalsh((joint + joint.T) / 2)

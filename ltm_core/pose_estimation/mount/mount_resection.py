@@ -97,7 +97,7 @@ def resect_mount(
     notes = []
     if best != stated:
         axes = [name for name, x, y in zip(("pan", "tilt"), best, stated, strict=True) if x != y]
-        notes.append(f"{' and '.join(axes)} runs opposite to what was stated: the landmarks fit only so")
+        notes.append(f"{' and '.join(axes)} has the opposite sign of the stated one: only so do the landmarks fit")
     _, model, state = fits[best]
     return problem.solved(model, state, notes)
 
@@ -199,7 +199,7 @@ class _Adjustment:
             span = _span_deg(self._points.readings[used, 0])
             notes = [
                 *notes,
-                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is open by "
+                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is uncertain by "
                 f"{worst[1]:.2f} deg; mark some there",
             ]
         return MountResection(

@@ -75,20 +75,20 @@ def judge_mount(
     the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
     apart = _alone_apart(pictures, found, config.mount_sharp_deg)
     if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
-        return "ambiguous", f"the pictures leave the mount open by {turns_deg.max():.2f} deg"
+        return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
     if gap < _gap_asked(pictures, seen, config):
         return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     if seen.support < config.least_support:
-        return "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
+        return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
     if max(apart, default=0.0) > config.mount_apart_deg:
-        return "ambiguous", f"a picture that is sure of itself lies {max(apart):.1f} deg from where the mount puts it"
+        return "ambiguous", f"an image accepted by itself is {max(apart):.1f} deg from the mount's pose"
     if seen.open > config.open_share and not _told_alone(pictures, found, config):
         return (
             "ambiguous",
-            "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount",
+            "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount",
         )
     if away > config.contradiction:
-        return "contradicts_prior", f"the mount is {away:.1f} sigmas from where it is said to be"
+        return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
     return "accepted", f"{len(pictures)} pictures agree"
 
 

@@ -82,7 +82,7 @@ class MountWatch:
         self._terrain, self._config, self._search = terrain, config, picture_config
         self.correction = PoseCorrection(np.zeros(3), None)
         self.state = MountState.STATED
-        self.reason = "too few clear pictures yet"
+        self.reason = "too few clear images so far"
         """Reason for the state, in words."""
         self.slips = 0
         """Number of slips reported for the mount."""
@@ -142,8 +142,8 @@ class MountWatch:
         if len(self._contradictions) >= self._config.gather:
             azimuth, pitch, roll = np.median(self._contradictions, axis=0)
             reason = (
-                f"{len(self._contradictions)} clear pictures show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
-                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
+                f"{len(self._contradictions)} clear images show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
+                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which exceeds its sigmas: correct "
                 "one of them"
             )
             self._become(MountState.CONTRADICTED, self._nowhere(), reason)
@@ -215,7 +215,7 @@ class MountWatch:
         azimuth, pitch, roll = np.median(elsewhere, axis=0)
         self.slips += 1
         reason = (
-            f"{len(elsewhere)} of the last {len(self._tracked)} clear pictures say that the camera has turned by "
+            f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
             f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
         )
         self._become(MountState.SLIPPED, self._nowhere(), reason)

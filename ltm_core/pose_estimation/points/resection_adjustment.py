@@ -252,7 +252,7 @@ def unbearable(
             excess = own / limit
             reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
             if _in_line(points.places[fit.used]):
-                reason += "; the points lie in one line"
+                reason += "; the points are on one line"
         if name not in forced and excess > 1 and (worst is None or excess > worst[0]):
             worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image"
     if worst is not None:

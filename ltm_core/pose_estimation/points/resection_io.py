@@ -137,12 +137,12 @@ def _numbers(
 
 
 def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
-    """Write a pose file that `ltm trace` reads; how it was found stands in its comments."""
+    """Write a pose file for `ltm trace`, with the method in its comments."""
     lengths = result.residual_px
     notes = [
         f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
         "Standard deviations: " + ", ".join(f"{name} {value:.3g}" for name, value in result.sigmas.items()),
-        *(f"{name} was held: {reason}" for name, reason in result.held.items()),
+        *(f"{name} was fixed: {reason}" for name, reason in result.held.items()),
     ]
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
@@ -165,7 +165,7 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
     notes = []
     median = float(np.median(result.residual_px))
     for name, reason in result.held.items():
-        note = f"{name} is held: {reason}"
+        note = f"{name} is fixed: {reason}"
         rejected = result.rejected.get(name)
         if rejected is not None:
             values = ", ".join(
@@ -177,7 +177,7 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
                 values += f" ({away:.1f} m from the given place)"
             note += (
                 f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
-                f"{median:.2f} px; --force {name} takes it"
+                f"{median:.2f} px; --force {name} fits it anyway"
             )
         notes.append(note)
     return notes

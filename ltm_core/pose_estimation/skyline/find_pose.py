@@ -142,14 +142,14 @@ def _decided(
     if not _may_mislead(seen, config):
         if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
-        reason = "it hangs on hardly more than one crest, and ridges alone do not lie there"
+        reason = "it rests on a single ridge, and the other ridges do not confirm it"
         return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
     if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
         return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
             return other
-    return by_skyline.doubted("land beyond the DEM may look like its horizon, and ridges alone do not lie there")
+    return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
 
 
 def _settled(

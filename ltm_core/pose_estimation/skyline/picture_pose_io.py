@@ -98,7 +98,7 @@ def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | N
     rows = np.arange(len(sky))
     if rows @ sky.sum(axis=1) / sky.sum() < rows @ land.sum(axis=1) / land.sum():
         return None
-    return "the sky lies below the land: the photo seems to be upside down; turn it, or mend its orientation tag"
+    return "the sky is below the land: the photo seems to be upside down; turn it, or correct its orientation tag"
 
 
 def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseResult:
@@ -115,9 +115,9 @@ def write_result(
     path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
 ) -> None:
     """Write the pose file of a result, with the verdict at the top."""
-    notes = [f"Pose from the picture: {word} ({reason})."]
+    notes = [f"Pose from the photo: {word} ({reason})."]
     if not result.accepted:
-        notes.append("It was not taken: this is the pose that was given.")
+        notes.append("The result was rejected: this is the given pose.")
     write_pose_file(path, result.camera, result.pose, sigma_keys(result.pose, result.covariance), guess, frame, notes)
 
 

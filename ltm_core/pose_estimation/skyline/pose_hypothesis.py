@@ -165,7 +165,7 @@ def judge(
     nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:
         return PoseVerdict(
-            "no_skyline", "neither a skyline nor a ridge of the DEM is in the picture", 0.0, None, nowhere, 0.0
+            "no_skyline", "the photo shows neither a skyline nor a ridge of the DEM", 0.0, None, nowhere, 0.0
         )
     best = hypotheses[0]
     sigma = azimuth, pitch, roll = best.refined.sigma_deg
@@ -187,33 +187,39 @@ def judge(
     if open_view:
         most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
-        known = "what ridges are in the picture" if by_ridges else "the skyline"
+        known = "the ridges in the photo" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
-        return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
+        return verdict(
+            word, f"{known} determines azimuth, pitch, roll only to {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg"
+        )
     veiled, variance = best.refined.skyline.veiled, best.refined.skyline.variance
     least = v.gap_asked(veiled, variance)
     if by_ridges:
         least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
         if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
-            return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
+            return verdict(
+                "ambiguous", f"the edges on ridges are only {best.ridge_score:.1f} times as strong as by chance"
+            )
         if variance > v.ridges_variance:
             return verdict(
-                "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
+                "ambiguous", f"the photo's skyline contradicts it: the variance of its misfits is {variance:.1f}"
             )
     elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
-        doubt = "may be of land beyond the DEM" if open_view else "leaves an angle unsure"
-        return verdict("ambiguous", f"the skyline {doubt}, and its misfits' variance on the horizon is {variance:.1f}")
+        doubt = "may be land beyond the DEM" if open_view else "leaves an angle uncertain"
+        return verdict(
+            "ambiguous", f"the skyline {doubt}, and the variance of its misfits on the horizon is {variance:.1f}"
+        )
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""
         return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
     asked = v.least_support if open_view else v.support_asked(max(sigma))
     if not by_ridges and support < (asked if gap_by_ridges is None else v.sharp_support):
-        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
+        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline fits the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
-        return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
+        return verdict("contradicts_prior", f"the photo's {name} is {away_by.max():.1f} sigmas from the stated one")
     return verdict(
         "accepted", f"the next best azimuth costs {gap:.1f} more" if math.isfinite(gap) else "no alternative"
     )

@@ -50,7 +50,7 @@ def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None
 def test_no_place_to_write(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="export_path"):
         write_fuel_map("", CLASSES, GRID, LABELS)
-    with pytest.raises(ConfigError, match=r"absent does not exist; make it first"):
+    with pytest.raises(ConfigError, match=r"absent does not exist; create it first"):
         write_fuel_map(tmp_path / "absent/fuel.tif", CLASSES, GRID, LABELS)
     (tmp_path / "folder.tif").mkdir()
     with pytest.raises(ConfigError, match=r"folder\.tif: the fuel map cannot be written"):

@@ -8,7 +8,7 @@ from scipy.special import log_softmax, softmax
 
 from ltm_core.fuel.cell_appearance_model import SEEN, USUAL, CellAppearanceModel, what_is_seen
 from ltm_core.fuel.evidence_kernel import spread
-from ltm_core.fuel.frame_evidence import log_normalised, normalised, shown_forms, form_by_appearance
+from ltm_core.fuel.frame_evidence import form_by_appearance, log_normalised, normalised, shown_forms
 from ltm_core.fuel.life_form import FORMS
 
 pytestmark = pytest.mark.kernel

@@ -157,7 +157,7 @@ def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(
         store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
         disk.fill(spare_pages=1)
         for _ in range(3):
-            with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*make room"):
+            with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*free space"):
                 store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
         assert store.keys() == [(0, 0)]
         assert not store.counted("a", 2)

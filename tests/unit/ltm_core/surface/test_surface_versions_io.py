@@ -70,7 +70,7 @@ def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: Surfa
         manifest, told = versions.manifest_of_writer()
         aside = versions.folder.with_name(f"surfaces.{number}")
         assert manifest.current == ""
-        assert f"put aside as {aside}" in told
+        assert f"moved to {aside}" in told
         assert (aside / versions.file(entry.version).name).is_file()
     assert versions.manifest_of_writer() == (versions.manifest(), "")
     versions.add(felled(101.0), 1_000, 9)
@@ -167,7 +167,7 @@ def test_an_unknown_key_does_not_excuse_damage(versions: SurfaceVersions) -> Non
     content["stie"] = content.pop("site")  # as bytes that were spoiled
     path.write_text(json.dumps(content))
     _, told = versions.manifest_of_writer()
-    assert "it was put aside" in told
+    assert "it was moved" in told
 
 
 def test_old_versions_make_room_but_not_the_one_that_counts(

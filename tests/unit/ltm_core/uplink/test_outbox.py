@@ -96,7 +96,7 @@ def test_a_second_process_is_refused_and_another_programs_file_stays(tmp_path: P
     with pytest.raises(ConfigError, match="not an outbox"):
         Outbox(tmp_path / "other.sqlite", 1, 1.0)
     assert (tmp_path / "other.sqlite").read_bytes() == before
-    with pytest.raises(ConfigError, match="make it first"):
+    with pytest.raises(ConfigError, match="create it first"):
         Outbox(tmp_path / "missing/outbox.sqlite", 1, 1.0)
 
 

@@ -84,7 +84,7 @@ def test_what_is_not_accepted_stays_as_given(files: Path, tmp_path: Path) -> Non
     out = run(files, *arguments, "--labels", str(tmp_path / "fog.png"), "-o", str(tmp_path / "kept.yaml"))
     assert "stays as given" in out
     assert load_picture_config(tmp_path / "kept.yaml").pose.azimuth_deg == pytest.approx(65.5)
-    assert "It was not taken" in (tmp_path / "kept.yaml").read_text()
+    assert "The result was rejected" in (tmp_path / "kept.yaml").read_text()
 
 
 def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
     [
         (lambda: np.full((9, 16), 0.4, np.float32), "same depth everywhere (0.4)"),
         (lambda: np.full((9, 16), np.nan, np.float32), "no depth for 100% of its pixels"),
-        (lambda: -depth_scene().network().values, "runs against the terrain"),
+        (lambda: -depth_scene().network().values, "is opposite to the terrain"),
         (lambda: np.random.default_rng(0).random((90, 160), np.float32), "explains only"),
     ],
 )
