@@ -123,7 +123,7 @@ def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:
 
 
 class SurfaceMoves:
-    """Movement of the surface by cell of the terrain's `grid` (in the map frame), as far as it was received."""
+    """Movement of the surface by cell of the terrain's `grid` (in the map frame), as received so far."""
 
     def __init__(self, grid: GridGeometry) -> None:
         self._grid = grid

@@ -7,9 +7,9 @@ would otherwise hold 400 MB a node.
 
 Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
 
-Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds rasters
-of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how they
-are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds
+rasters of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how
+they are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ does not look at. It is made by `write_heights`, in one step, and belongs to exa
 of which that consists, each with its inode, size and times. `ctime`, which no program can set, is among these: a file
 that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
 state, or was written by another version, counts as absent; and so does one of an owner who is neither this process's,
-nor the raster's, nor root: otherwise, users with access to the folder could replace the heights of a raster that they may not
-write. Its read permissions are those of the raster.
+nor the raster's, nor root: otherwise, users with access to the folder could replace the heights of a raster that they
+may not write. Its read permissions are those of the raster.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class TileStore:
     """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
 
     A store that is written holds some room on its disk. On a full one a transaction is made in that room, which then
-    is held again as far as it is left; its second half is for the last transaction alone (`commit`, `last`).
+    is reserved again if it is left; its second half is for the last transaction alone (`commit`, `last`).
 
     Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
     it, and the call may be made again), and ConfigError where its content is damaged.

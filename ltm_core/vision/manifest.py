@@ -244,10 +244,11 @@ class NetworkManifest(StrictModel):
         return cls.load(path)
 
     def serving(self, head: str) -> NetworkManifest:
-        """Return the network used by a camera with this label head: itself, or the one whose heads it uses
+        """Return the network used by a camera with this label head: itself, or the network of its heads
         (`heads_of`).
 
-        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is missing.
+        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is
+        missing.
         """
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 

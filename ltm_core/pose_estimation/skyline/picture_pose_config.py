@@ -154,7 +154,7 @@ class SettlingConfig(StrictModel):
     share: float = Field(0.6, ge=0, le=1)
     """Share of the variance of the cover on a ridge that plants of a stand have in common."""
     stand: float = Field(150.0, gt=0)
-    """Correlation length of stands in metres."""
+    """Correlation length in metres of the stand part."""
     plant: float = Field(5.0, gt=0)
     """Correlation length in metres of the remaining variance, the shape of single plants."""
     doubt: float = Field(2.0, gt=0)

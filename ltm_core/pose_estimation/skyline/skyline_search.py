@@ -197,7 +197,7 @@ def _search(
         ordered = np.sort(error[used])
         best = np.inf
         for begin in range(len(_STARTS) + 1):
-            # Pitch brings a skyline up by about as much as it is turned.
+            # A change of pitch moves the skyline by about the same angle.
             a = 0.0 if begin == len(_STARTS) else -ordered[int(_STARTS[begin] * (len(used) - 1))]
             if abs(a) > 4 * pitch_sigma:
                 continue

@@ -51,7 +51,7 @@ def test_room_for_what_is_kept(
     (room,) = [one for one in found if one.name == "state"]
     assert room.verdict is verdict
     assert f"{free / 1e9:.1f} GB free" in room.said
-    assert ("free space" in room.said) is (verdict is not SiteVerdict.OK)
+    assert ("make room" in room.said) is (verdict is not SiteVerdict.OK)
 
 
 def test_a_port_of_health_that_is_taken_keeps_no_tower_from_starting(tmp_path: Path) -> None:
