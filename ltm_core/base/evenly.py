@@ -1,4 +1,4 @@
-"""Some of many, evenly spread."""
+"""Select evenly spaced items."""
 
 from __future__ import annotations
 

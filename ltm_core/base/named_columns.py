@@ -1,4 +1,4 @@
-"""Named columns of equal length: what tables of cells are while they travel, whatever carries them."""
+"""Named columns of equal length, the transport format of tables of cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gives numba's cache of compiled kernels a folder for each state of the source, so that no stale code is loaded.
+"""Give numba's cache of compiled kernels one folder per state of the source, so that no stale code is loaded.
 
 Numba checks only the file of the kernel that it loads. When a kernel *called* by it, or a constant frozen into it, in
 another file, has changed, the old machine code would be loaded and give wrong results silently. So the state is that of

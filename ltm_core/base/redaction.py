@@ -1,4 +1,4 @@
-"""Clean text before anyone reads it: remove passwords, and control characters that a camera sent."""
+"""Clean text for display: remove passwords, and control characters sent by a camera."""
 
 from __future__ import annotations
 

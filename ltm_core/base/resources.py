@@ -1,4 +1,4 @@
-"""Finds the files of `config/`: in a checkout, beside an installed package, or in an ament prefix."""
+"""Find the files of `config/` in a checkout, beside an installed package, or in an ament prefix."""
 
 from __future__ import annotations
 

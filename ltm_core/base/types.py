@@ -1,4 +1,4 @@
-"""Array types by element type, named in this one place. Shapes and units stand where an array is used."""
+"""Array types by element type. Shapes and units are documented where an array is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moments of the calendar and the nanoseconds since 1970 that frames are stamped with, exactly in integers."""
+"""Convert between calendar times and nanoseconds since 1970, exactly in integers."""
 
 from __future__ import annotations
 

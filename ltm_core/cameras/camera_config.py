@@ -1,4 +1,4 @@
-"""How a camera's pose and calibration are written: one set of keys for site files, pose files and CSV columns.
+"""Pose and calibration of a camera: one set of keys for site files, pose files and CSV columns.
 
 A *partial* model holds what is known of a photo, the other what a camera needs.
 """

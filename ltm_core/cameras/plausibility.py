@@ -1,4 +1,4 @@
-"""Tells values that are in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
+"""Detect values in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
 
 An angle off the circle is an error. What may be right is only doubted, in words for the user; each bound says how often
 it doubts what is right.

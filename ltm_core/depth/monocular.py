@@ -1,4 +1,4 @@
-"""Photo -> what one network makes of its depth, in the network's own measure and size."""
+"""Run a depth network on a photo; its depth has the network's own unit and size."""
 
 from __future__ import annotations
 

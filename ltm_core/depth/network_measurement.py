@@ -1,7 +1,7 @@
-"""What a network alone measures, for whoever asks whether the terrain is still what it was.
+"""Depth measured by a network alone, to detect changes of the terrain.
 
-Fused depth holds the terrain's word: it takes one side where the two disagree, and is drawn to it where they do not. A
-map of what has changed must be told what was seen, and how surely, without it.
+Fused depth depends on the terrain: it follows one side where the two disagree, and is pulled towards it elsewhere. A
+change map needs independent measurements with their uncertainty.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where one ridge stands before another, the photo knows better than the DEM where the edge runs.
+"""Move the edges between ridges to where the photo shows them, which is more accurate than the DEM.
 
 What grows on a crest, and a raster that rounds crests off, move the true edge up in the image by some pixels. In this
 strip the terrain's answer is wrong by the whole distance between the two ridges. For every column the pixels above a

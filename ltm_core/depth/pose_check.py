@@ -1,4 +1,4 @@
-"""Whether the terrain lies where the photo has it: traced silhouettes against the photo's edges, and the traced skyline
+"""Check that the terrain matches the photo: traced silhouettes against the photo's edges, and the traced skyline
 against that of the labels.
 
 A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over

@@ -1,4 +1,4 @@
-"""Whether the traced skyline lies where the labels' sky ends.
+"""Check that the traced skyline matches the edge of the labels' sky.
 
 The traced skyline is shifted over the observed one, column by column. Ground that is seen as sky speaks against a
 place, and so does sky that is seen as land, beyond what cover on the crest explains: both in sigmas of the label's

@@ -1,4 +1,4 @@
-"""TopoDepth: traced depth and a network's depth of one photo made one, pixel by pixel, by what each is worth there.
+"""TopoDepth: fuse traced depth and a network's depth of one photo, pixel by pixel, by their uncertainty.
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
 from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's

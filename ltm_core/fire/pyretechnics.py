@@ -1,4 +1,4 @@
-"""Spreads fires with Pyretechnics, which runs in an environment of its own."""
+"""Compute fires with Pyretechnics, which runs in its own environment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spreads fires with Pyretechnics. A program for an interpreter of its own, which knows nothing of this project.
+"""Compute fires with Pyretechnics. This program runs in its own interpreter and does not import the project.
 
 Pyretechnics pins a NumPy that excludes ours, so `ltm_core.fire.pyretechnics` starts this file with the Python of
 another environment, and asks by lines of JSON: {"given": "in.npz", "result": "out.npz"} for a fire, {"rates": {...}}

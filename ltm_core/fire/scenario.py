@@ -1,4 +1,4 @@
-"""What a fire is given: where it starts, wind, moistures, how long it runs."""
+"""Scenario of a fire: ignition, wind, fuel moisture and duration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""How a frame sees each fuel cell: pixel footprint, angle of incidence, and uncertainty of the traced position."""
+"""Visibility of each fuel cell in a frame: pixel footprint, angle of incidence, and uncertainty of the traced
+position."""
 
 from __future__ import annotations
 

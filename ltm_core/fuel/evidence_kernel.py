@@ -1,4 +1,4 @@
-"""Compiled loops that spread one frame's votes over neighbouring cells, add them as evidence and pool looks."""
+"""Spread one frame's votes over neighbouring cells, add them as evidence and pool observations, in compiled loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Define life forms (grass, shrub, tree, bare), and where plants cannot stand.
+"""Define life forms (grass, shrub, tree, bare), and terrain on which plants cannot stand.
 
 Where plants cannot stand, as far as the terrain tells: rock walls, and trees above the tree line.
 

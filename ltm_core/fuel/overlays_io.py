@@ -1,4 +1,4 @@
-"""Read vector layers onto the fuel grid: what does not burn, and what has burned when."""
+"""Read vector layers onto the fuel grid: barriers, and burned areas with their dates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
+"""Read prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
 
 from __future__ import annotations
 

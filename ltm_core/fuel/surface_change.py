@@ -1,4 +1,4 @@
-"""Applies changes of the surface map to the fuel map: which fuel cells they concern, and what stands there now.
+"""Apply changes of the surface map to the fuel map: the affected fuel cells, and their new cover.
 
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
 and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell.

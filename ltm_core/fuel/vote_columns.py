@@ -1,4 +1,4 @@
-"""Votes as named columns of small numbers: the form in which they travel between nodes and lie in archives.
+"""Votes as named columns of small numbers, the form used between nodes and in archives.
 
 One value a cell: x, y, z float32 (its centre on the terrain), and one uint16 column of pixels for each class that the
 frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;

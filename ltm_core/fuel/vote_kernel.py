@@ -1,4 +1,5 @@
-"""Compiled pass over a frame's pixels that forms its votes: each pixel's cell, and sums over each cell's pixels."""
+"""Form the votes of a frame in one compiled pass over its pixels: each pixel's cell, and sums over each cell's
+pixels."""
 
 from __future__ import annotations
 

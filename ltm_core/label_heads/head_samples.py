@@ -1,4 +1,4 @@
-"""Draws from labelled photos what a label head is taught from, and groups the photos so that some judge the head.
+"""Draw training samples of a label head from labelled photos, and group the photos into folds.
 
 A sample is a pixel of known class with the network's scores and decoder maps. Photos of one site are in one group; of a
 single view, its areas are dealt into folds instead.

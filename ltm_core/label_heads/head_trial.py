@@ -1,4 +1,4 @@
-"""Teaches a head and judges it: by sites that did not teach it, by what it forgets elsewhere, by its calibration."""
+"""Train a label head and test it on other sites, on what it forgets elsewhere, and on its calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads frames with their labels, to teach or to score a label network.
+"""Read frames with their labels, to train or to score a label network.
 
 A set is a folder of images `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
 person named in the folder's `polygons.json`. If an image has both, the PNG is used.

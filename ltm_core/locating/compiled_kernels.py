@@ -1,4 +1,4 @@
-"""Makes the machine code of locating before the first region needs it."""
+"""Compile the kernels of locating before the first region needs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Locates what is marked in the images of one or several cameras: from sightings to a posterior over the map.
+"""Locate marks in the images of one or several cameras: from sightings to a posterior over the map.
 
 For a place x, camera c and its marked direction m_c (`sight_likelihood`), with the chance that a plume is higher than
 h, S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) = 1 / (1 + (r / detection_range)^2):

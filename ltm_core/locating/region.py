@@ -1,4 +1,4 @@
-"""Describe regions that are marked in photos, and what locating assumes."""
+"""Regions marked in photos, and the settings of locating."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sighting: one mark in one image; and the terrain around its direction, with what the mark says of it."""
+"""Sighting: one mark in one image, the terrain around its direction, and the likelihood of places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What marks say of a camera that is turned about the vertical: their probability density by the angle of it.
+"""Evidence of marks for a turn of a camera about the vertical: their probability density by the angle.
 
 One fire cannot always tell which camera is turned. The directions of three cameras make a triangle on the map, and at
 each of its corners two agree and the third one is off by some angle: only slopes, and that small turns are likelier,

@@ -1,4 +1,4 @@
-"""Name the camera of a site that is turned, from the marks of several fires.
+"""Find the turned camera of a site from the marks of several fires.
 
 The images of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
 the result counts here: the cameras whose pose is no longer known are `lost`.

@@ -1,4 +1,4 @@
-"""Maps of a fire over relief: when it comes, how long its flames are, and what an update of the map changes in that."""
+"""Draw fires over relief: arrival time, flame length, and their change by an update of the map."""
 
 from __future__ import annotations
 

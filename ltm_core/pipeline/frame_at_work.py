@@ -1,4 +1,4 @@
-"""A frame in the steps of its camera, for whoever has a frame and no graph: its votes, and what the terrain takes."""
+"""Run the steps of a camera's frame without a graph: its votes, and its measurements for the terrain."""
 
 from __future__ import annotations
 

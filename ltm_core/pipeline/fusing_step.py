@@ -1,6 +1,5 @@
-"""The step from a frame's traced depth, photo and labels to fused depth and what the network measures, made once for a
-camera. The node `topodepth` is this step with messages around it, and an archive's frames go through the same one.
-"""
+"""Fuse a frame's traced depth, photo and labels; one object per camera. The node `topodepth` adds messages to this
+step, and archives use the same one."""
 
 from __future__ import annotations
 

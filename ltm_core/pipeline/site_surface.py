@@ -1,4 +1,5 @@
-"""Make the surface map of a site, the terrain that its cameras have confirmed, and what poses are compared with."""
+"""Create the surface map of a site, the terrain that its cameras have confirmed, and the terrain for pose
+estimation."""
 
 from __future__ import annotations
 

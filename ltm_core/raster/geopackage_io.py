@@ -1,4 +1,4 @@
-"""Reads the lines and areas of a GeoPackage layer.
+"""Read the lines and areas of a GeoPackage layer.
 
 A GeoPackage is an SQLite file whose geometries are blobs: a header, then well-known binary (OGC 12-128r19, clause
 2.1.3; OGC 06-103r4, clause 8). GDAL is not used for it: rasterio offers rasters only, and another GDAL beside it ends

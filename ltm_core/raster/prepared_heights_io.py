@@ -1,4 +1,4 @@
-"""Heights of a large raster as they lie in memory, in a file beside it that all processes of a site map.
+"""Decoded heights of a large raster in a file beside it that all processes of a site map into memory.
 
 A raster of 10,000 x 10,000 cells takes 400 MB in each process that opens it, and seconds to decode. Its prepared file
 `<raster>.ltm-heights` holds the decoded heights; who maps it shares their pages with all others, and reads none that it

@@ -1,4 +1,4 @@
-"""Checks the cameras of a site file before anything runs: where they stand, what they look at, what hides it."""
+"""Check the cameras of a site file before a run: position, view and masks."""
 
 from __future__ import annotations
 

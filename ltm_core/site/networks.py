@@ -1,4 +1,4 @@
-"""Open what a site file says about networks and masks of its cameras: segmenters, scene filters, label errors."""
+"""Open the networks and masks of a site's cameras: segmenters, scene filters, label errors."""
 
 from __future__ import annotations
 

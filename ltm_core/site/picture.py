@@ -1,4 +1,4 @@
-"""Picture of a site: what its cameras see of the terrain, and the fuel map that it starts from."""
+"""Draw a site: the terrain that its cameras see, and the prior fuel map."""
 
 from __future__ import annotations
 

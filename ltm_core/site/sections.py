@@ -1,4 +1,4 @@
-"""The sections of a site file, one typed class each: what a site states of its rasters, cameras, limits and nodes."""
+"""Sections of a site file, one typed class each: rasters, cameras, limits and nodes."""
 
 from __future__ import annotations
 

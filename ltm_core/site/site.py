@@ -1,4 +1,4 @@
-"""Typed configuration of one site. Defaults stand here and in the sections, and nowhere else."""
+"""Typed configuration of one site. Defaults are defined here and in the sections, and nowhere else."""
 
 from __future__ import annotations
 

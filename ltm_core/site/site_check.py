@@ -1,4 +1,4 @@
-"""Checks a site file before anything runs: terrain, cameras, prior fuel map and networks, each with a remedy.
+"""Check a site file before a run: terrain, cameras, prior fuel map and networks, each with a remedy.
 
 What the graph's nodes would reject one after the other, again at each start, is found here at once, by the code that
 they read it with.

@@ -1,4 +1,4 @@
-"""Configure how a camera is queried: the sections `source` and `ptz` of a camera in a site file."""
+"""Configure the connection to a camera: the sections `source` and `ptz` of a camera in a site file."""
 
 from __future__ import annotations
 

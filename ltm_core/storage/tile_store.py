@@ -1,4 +1,4 @@
-"""SQLite file that holds the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
+"""SQLite file with the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
 
 The nodes `fuel_map` and `terrain` keep their maps in it. A transaction is in the file whole or not at all, also after a
 power cut: what `commit` has returned from is kept. Frames may be committed before the tiles that hold their effect:

@@ -1,4 +1,4 @@
-"""Make, lock, open and check the SQLite file of a tile store, and remember which frames it has counted."""
+"""Create, lock, open and check the SQLite file of a tile store, and record which frames it has counted."""
 
 from __future__ import annotations
 

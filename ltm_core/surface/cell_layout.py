@@ -1,4 +1,4 @@
-"""Lay out the cells of a surface map in memory, and the sums of one frame's observations over them.
+"""Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
 Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
 

@@ -1,4 +1,4 @@
-"""Detects surface change: cells where independent views agree that the surface differs from the reference."""
+"""Detect surface change: cells where independent views agree that the surface differs from the reference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes the machine code of a terrain map's kernels before the first frame needs it."""
+"""Compile the kernels of a terrain map before the first frame needs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Configure the living terrain of a site, and the errors of poses."""
+"""Configure the updated terrain of a site, and the errors of poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expected view of the reference surface: range, cell and slope for each pixel, before any image is seen.
+"""Expected view of the reference surface: range, cell and slope for each pixel, without an image.
 
 None of it depends on the image, so it is kept, and a camera that stands still pays for it once.
 """

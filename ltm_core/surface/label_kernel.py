@@ -1,4 +1,4 @@
-"""Uses each label of an image as evidence whether vegetation of the reference still stands; compiled.
+"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled.
 
 If the reference has an object in a cell, a pixel's label is evidence that the cell is still as high, or as low as bare
 earth. Certain objects in front of the cell hide it.

@@ -1,4 +1,4 @@
-"""Turns depth images into observations of surface heights."""
+"""Convert depth images to observations of surface heights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compares each pixel of a depth image with the reference surface and forms an observation of a cell; compiled.
+"""Compare each pixel of a depth image with the reference surface and form an observation of a cell; compiled.
 
 A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
 

@@ -1,4 +1,4 @@
-"""Hold the reference surface: heights, cells and slopes of the DEM and of what stands on it."""
+"""Reference surface: heights, cells and slopes of the DEM and of objects on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Registers a frame to the reference: corrects its rotation, within the pose's covariance, by its stable ground.
+"""Register a frame to the reference: correct its rotation, within the pose's covariance, by stable ground.
 
 A pose that is off by half a degree moves a kilometre's points by 8.7 m, all of them together: what the frame says of
 unchanged ground tells the error. To first order, turning the camera by the small rotation w about the map's axes moves

@@ -1,4 +1,4 @@
-"""Writes a surface map as GeoTIFF files."""
+"""Write a surface map as GeoTIFF files."""
 
 from __future__ import annotations
 

@@ -247,7 +247,7 @@ class ConfirmedTerrain:
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
     has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: what is to be told of it.
+    version; None: not known. `note`: remark for the user.
     """
 
     version: SurfaceVersion | None

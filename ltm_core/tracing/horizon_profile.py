@@ -1,4 +1,4 @@
-"""Horizon profile of a camera position: how far a ray in each direction certainly flies before it can meet the ground.
+"""Horizon profile of a camera position: a lower bound of the range at which a ray in each direction meets the ground.
 
 Directions are cut into wedges. Each ray has a *major* axis, the grid axis that it mostly follows, and moves `t` (at
 most 1 either way) cells along the other, *minor*, axis for each cell along the major; a wedge is a small interval of

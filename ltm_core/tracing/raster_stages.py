@@ -1,4 +1,4 @@
-"""Splits the path of rays over a stack of DEM rasters into stages, one raster each, for the tracing kernels.
+"""Split the path of rays over a stack of DEM rasters into stages, one raster each, for the tracing kernels.
 
 A single raster is one stage. In a stack each raster lies within the next coarser one, so a ray's way over raster k is
 one interval, which contains that over raster k - 1: it goes from the raster that the camera stands over inwards to the

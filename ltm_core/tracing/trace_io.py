@@ -1,4 +1,4 @@
-"""Read what is known of the pose of a photo, and write the files of `ltm trace`."""
+"""Read the pose file of a photo, and write the files of `ltm trace`."""
 
 from __future__ import annotations
 

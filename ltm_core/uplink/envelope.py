@@ -1,4 +1,4 @@
-"""What goes over the wire between towers, their region's map and those who follow it: a header, a body, and who signed.
+"""Messages between towers, their region's map and its subscribers: header, body and signature.
 
     magic (4 bytes) | header, certificate: uint16 length; body: uint32 length | header | certificate | body | signature
 

@@ -1,4 +1,4 @@
-"""Takes votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
+"""Transfer votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Installs a model (`ltm models add`): checks and tries its files and copies them where models are found by name."""
+"""Install a model (`ltm models add`): check and test its files and copy them where models are found by name."""
 
 from __future__ import annotations
 

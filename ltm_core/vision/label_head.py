@@ -40,8 +40,8 @@ from ltm_core.vision.manifest import (
 class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
-    `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
-    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged.
+    `withdraw`: thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`:
+    name and checksum, for `labels/info`. `doubt`: warning about how it was tested.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The label taxonomy: what the ids in a label image mean, how they are drawn, which count as ground cover.
+"""Label taxonomy: the meaning and colour of the ids in a label image, and which count as ground cover.
 
 Ids travel in label images and bags, so the seven built-in ones are fixed here; `config/labels.yaml` gives their
 colours and their part in fuel votes, and may append further classes.

@@ -1,4 +1,4 @@
-"""Finds the corners of images that a lens's hood covers: smooth, of one colour, cut off by an arc, in all frames.
+"""Find image corners covered by a lens hood: smooth, of one colour, bounded by an arc, in all frames.
 
 Of a single frame a dark slope in the corner looks alike, or a piece of sky; over frames in other light the hood alone
 keeps its edge. What is found is proposed, and a person confirms it.

@@ -1,4 +1,4 @@
-"""Proposes what a camera's mask may hide, from several of its images: corners of the lens and captions.
+"""Propose areas for a camera's mask from several of its images: lens corners and captions.
 
 A caption is a row of letters along the upper or lower edge in all images. The text changes with the time, the strip
 does not. The image above and below it must be smooth: over the texture of near ground no caption is proposed.

@@ -1,4 +1,4 @@
-"""What of a camera's image shows the landscape: the one place that decides it, for labels, depth, poses and votes."""
+"""Decide which part of a camera's image shows the landscape, for labels, depth, poses and votes."""
 
 from __future__ import annotations
 

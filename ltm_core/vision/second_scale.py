@@ -1,4 +1,4 @@
-"""Runs a network on a photo at a second scale: the whole of it coarser, and on request distant slopes finer, in tiles.
+"""Run a network on a photo at a second scale: the whole image coarser, and on request distant slopes finer, in tiles.
 
 At half the size, the network sees twice as much of a slope's surroundings, and noise and the traces of compression are
 gone. On photographs the two scales err in different places, so their mean is right more often, and less sure where they

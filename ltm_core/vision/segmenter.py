@@ -1,4 +1,4 @@
-"""Segments photos of any size into label images with the network of a manifest."""
+"""Segment photos of any size into label images with the network of a manifest."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Tells smoke before the land: where a camera saw the land's own pattern a while ago, and now something pale without.
+"""Detect smoke in front of the land: pixels that showed the land's pattern earlier and are now pale without it.
 
 Smoke looks as a cloud or a pale slope does in one image, so each image is compared with earlier ones of the same
 view. The land's pattern comes back under any exposure; in a cloud of smoke it does not. What is new on the land and

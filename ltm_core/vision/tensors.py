@@ -1,4 +1,4 @@
-"""Upsamples class probabilities to the photo's resolution: the winning class of each pixel and its probability."""
+"""Upsample class probabilities to the photo's resolution: the winning class of each pixel and its probability."""
 
 import numba
 import numpy as np

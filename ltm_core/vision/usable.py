@@ -1,4 +1,4 @@
-"""Judges whether an image shows enough of the landscape to be used, and where it does not, cheaply.
+"""Judge at low cost whether an image shows enough of the landscape to be used, and in which parts.
 
 By night, at dusk, in fog, in glare, with a blank or a blurred image, a network names what it was taught to see. Such
 an image does not vote. The judgement is of one image, reduced to some 480 columns, and of how high the sun stood: a

@@ -1,4 +1,4 @@
-"""Maps words of a user to classes of a network: the open-vocabulary query of the paper.
+"""Map words of a user to classes of a network: the open-vocabulary query of the paper.
 
 A network of kind `embeddings` answers words that its text file holds. Any other network knows a few classes; a word is
 then read as one of them through `config/vocabulary.yaml`, and the reading says so.

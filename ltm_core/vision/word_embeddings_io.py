@@ -1,4 +1,4 @@
-"""Reads word embeddings that are compared with pixel embeddings, for open-vocabulary networks such as LSeg."""
+"""Read word embeddings that are compared with pixel embeddings, for open-vocabulary networks such as LSeg."""
 
 from __future__ import annotations
 

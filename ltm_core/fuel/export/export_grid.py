@@ -1,4 +1,4 @@
-"""Transfers a site's fuel map and terrain to the grid and CRS of an exported file."""
+"""Transfer a site's fuel map and terrain to the grid and CRS of an exported file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an exported fuel map says of itself: of which site and when, how much of it was seen, what it came from."""
+"""Provenance of an exported fuel map: its site and date, the share that was seen, and its sources."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Provenance:
     """`as_of`: ISO 8601 UTC of the newest frame that had a say, or of the moment asked for; NOTHING_SEEN where no frame
     had, WITHOUT_DATES of a map that does not tell. `seen`, `changed`: shares of the cells with a code; None where it is
     not known. `prior_version`: LANDFIRE's where its name tells it, and a digest of the codes on the fuel grid.
-    `terrain`, `surface`: what is to be told of heights, empty where they are the site's own.
+    `terrain`, `surface`: notes about heights, empty for the site's own.
     """
 
     site: str

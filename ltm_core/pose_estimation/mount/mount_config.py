@@ -1,4 +1,4 @@
-"""How the mount of a PTZ head is written in a site file; `ltm pose` writes it."""
+"""The mount of a PTZ head in a site file, as written by `ltm pose`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One correction for several images of one mount: presets of a PTZ head, or days of a fixed camera.
+"""Fit one correction to several images of one mount: presets of a PTZ head, or days of a fixed camera.
 
 An image's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,

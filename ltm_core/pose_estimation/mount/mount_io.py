@@ -1,4 +1,4 @@
-"""Read landmarks and photos of a mount's presets; keep what the photos say of a mount across restarts.
+"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts.
 
 Keeps what a camera's images have told of its mount, in a file, over a restart.
 

@@ -1,4 +1,4 @@
-"""A PTZ head's mount from landmarks that are marked in images of several presets.
+"""Calibrate a PTZ mount from landmarks marked in images of several presets.
 
 Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed

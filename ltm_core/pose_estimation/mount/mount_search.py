@@ -1,4 +1,4 @@
-"""Where the fit of a PTZ head's mount begins: mounts in closed form, from pairs of landmarks and each sign of the axes.
+"""Find starts for the fit of a PTZ mount: mounts in closed form, from pairs of landmarks and each sign of the axes.
 
 The directions to the landmarks in the PTZ head's axes are turned onto those on the map (Wahba's problem, Kabsch 1976).
 """

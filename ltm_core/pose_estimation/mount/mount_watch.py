@@ -1,4 +1,4 @@
-"""Keeps the pose of a mounted camera: corrects what is stated of it by its images, and notices when it has slipped.
+"""Maintain the pose of a mounted camera: correct the stated pose by its images, and detect slips.
 
 A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
 zero. It is found in several clear images together (`mount_fit`), so that one wrong skyline moves nothing, and fog

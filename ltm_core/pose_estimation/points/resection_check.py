@@ -1,4 +1,4 @@
-"""Checks a resection against the terrain: traces the marked pixels and compares with the surveyed points."""
+"""Check a resection against the terrain: trace the marked pixels and compare with the surveyed points."""
 
 from __future__ import annotations
 

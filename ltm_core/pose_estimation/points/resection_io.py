@@ -1,4 +1,4 @@
-"""Reads and writes the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
+"""Read and write the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the terrain's occluding contours lie on a photo's edges, for many poses at once."""
+"""Score how well the terrain's occluding contours match a photo's edges, for many poses at once."""
 
 from __future__ import annotations
 

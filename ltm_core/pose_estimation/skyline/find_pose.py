@@ -1,4 +1,4 @@
-"""Finds a camera's pose in its image: the terrain's horizon and ridges are laid on the photo's skyline and edges.
+"""Find a camera's pose in its image by matching the terrain's horizon and ridges with the photo's skyline and edges.
 
 1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
    (`contour_scores`).

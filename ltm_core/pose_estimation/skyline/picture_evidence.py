@@ -1,4 +1,4 @@
-"""Prepares a photo for the search of its pose: undistorted, in a working size, its skyline and edges found."""
+"""Prepare a photo for the search of its pose: undistort and resize it, and find its skyline and edges."""
 
 from __future__ import annotations
 

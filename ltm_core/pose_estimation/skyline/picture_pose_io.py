@@ -1,4 +1,4 @@
-"""Sets up the search of an image's pose from a guess file, and writes what came of it."""
+"""Set up the search of an image's pose from a guess file, and write the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hold a pose that a photo may have, and decide whether it is accepted."""
+"""Hold a candidate pose of a photo, and decide whether it is accepted."""
 
 from __future__ import annotations
 

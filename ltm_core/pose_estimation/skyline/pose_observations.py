@@ -1,4 +1,4 @@
-"""Where a photo's skyline and edges lie beside those that terrain predicts from a pose, linearised about it.
+"""Differences between a photo's skyline and edges and those predicted by the terrain from a pose, linearised about it.
 
 Unknowns: shifts along the map's x, y, z (m), rotations about them (rad), the logarithm of the focal length. Weights are
 those of `skyline_search`.

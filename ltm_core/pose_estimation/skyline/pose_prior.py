@@ -1,4 +1,4 @@
-"""What is known of a pose before its image is looked at."""
+"""Prior knowledge of a pose before its image is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compares a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
+"""Compare a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
 
 A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
 The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
