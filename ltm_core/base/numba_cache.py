@@ -3,7 +3,7 @@
 Numba checks only the file of the kernel that it loads. When a kernel *called* by it, or a constant frozen into it, in
 another file, has changed, the old machine code would be loaded and give wrong results silently. So the state is that of
 all files that kernels may depend on: those that name numba, and what these import of the same package, at any depth. An
-edit elsewhere compiles nothing anew.
+edit elsewhere recompiles nothing.
 
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
 changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process

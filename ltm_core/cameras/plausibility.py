@@ -1,7 +1,7 @@
 """Detect values in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
 
-An angle off the circle is an error. What may be right is only doubted, in words for the user; each bound says how often
-it doubts what is right.
+An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
+false warnings.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
 def doubt_of_height(z: float, ground: float) -> str | None:
     """Return why a camera's height `z` over `ground`, in metres, may be in feet or wrong; None if it is plausible.
 
-    Doubted are cameras TALLEST_MAST or more above the ground, and those under it. NaN ground says nothing.
+    Warns of cameras TALLEST_MAST or more above the ground, and under it. NaN ground gives no warning.
     """
     above = z - ground
     if math.isnan(above) or 0.0 < above <= TALLEST_MAST:

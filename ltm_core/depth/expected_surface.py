@@ -97,7 +97,7 @@ def _expect(
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Return the row by row in short loops without branches, which compilers turn into vector code."""
+    """Process row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
     far, none = np.float32(1e9), np.float32(np.nan)
     focal, angle_sigma, dem_sigma = rules.focal, rules.angle_sigma, rules.dem_sigma

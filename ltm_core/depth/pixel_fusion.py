@@ -197,7 +197,7 @@ def _fuse(
     labels: LabelView,
     rules: DecisionRules,
 ) -> None:
-    """Return the row by row (see `fusion_rows`): only the pixels where terrain and network disagree are looked at one
+    """Fuse row by row (see `fusion_rows`): only the pixels where terrain and network disagree are examined one
     by one."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape

@@ -50,7 +50,7 @@ class DepthSource(IntEnum):
 
 
 class FusionVerdict(StrEnum):
-    """Whether an image's fused depth can be relied on."""
+    """Verdict on the reliability of an image's fused depth."""
 
     OK = "ok"
     POSE_SUSPECTED = "pose_suspected"

@@ -1,6 +1,6 @@
 """Compare fires on the previous and the updated map, with fuel maps drawn from what is uncertain.
 
-Draws fuel maps from what is known of each cell: what the doubt about fuel means for a fire.
+Draws fuel maps from the probabilities of each cell, to propagate the uncertainty of fuel to a fire.
 
 The shares of life forms in a cell have a Dirichlet distribution (`docs/fuel_map.md`); a draw takes them from it, and
 the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees

@@ -62,7 +62,7 @@ def _views(source: str, frame: FrameEvidence) -> Int64Array:
 
 
 def _directions(bearing: Float64Array) -> Int64Array:
-    """Of bearings, radians, which of the views they are."""
+    """Return the view of each bearing in radians."""
     return np.floor(bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
 
 

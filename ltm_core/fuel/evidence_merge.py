@@ -39,7 +39,7 @@ from ltm_core.storage.tile_store_schema import Key, Tile
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _add_capped(sums: Any, more: Any) -> None:
-    """To each number of a row, which ends at the largest there is."""
+    """Add to each number of a row, clipped at the largest value."""
     ceiling = np.uint64(np.iinfo(np.uint32).max)
     for k in range(sums.size):
         sums[k] = np.uint32(min(np.uint64(sums[k]) + np.uint64(more[k]), ceiling))

@@ -1,6 +1,6 @@
 """Compute the evidence for the life form of each cell from the votes of one frame.
 
-Compiled loops over the cells of one frame: what life form each looks like, and which one it shows.
+Compiled loops over the cells of one frame: the life form by appearance, and the one that it shows.
 
 A frame has some hundred cells of seven forms: of the same as NumPy expressions, most of the time goes by between them.
 `cell_appearance_model` has the looks as such expressions, which teach the model.

@@ -166,7 +166,7 @@ class LabelErrors:
         return errors._for_photographs(calibration)
 
     def _for_photographs(self, calibration: Calibration) -> LabelErrors:
-        """With the step from renderings to photos, where no photo had a part in the calibration."""
+        """Return the errors with the factor from renderings to photos, if no photo was used for the calibration."""
         if not calibration.on_renderings_alone:
             return self
         about = f"{self.source}; not tested on photos, so assumed to be {PHOTO_STEP:g} times as large"
@@ -211,7 +211,7 @@ def _shares(rows: dict[str, dict[str, float]]) -> Float64Array:
 
 
 def _calibration(model: str) -> Calibration | None:
-    """That of a network; None for one without, and for names that are no network's."""
+    """Return the calibration of a network; None for one without, and for unknown names."""
     try:
         manifest = NetworkManifest.find(model)
     except ModelError:

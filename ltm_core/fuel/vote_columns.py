@@ -176,7 +176,7 @@ def _visibility(columns: Columns, what: str) -> CellVisibility | None:
 
 
 def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
-    """Rounded and clipped to an unsigned integer type; what is not a number counts as the greatest."""
+    """Round and clip to an unsigned integer type; NaN counts as the maximum."""
     most = np.iinfo(dtype).max
     return np.clip(np.rint(np.nan_to_num(values * factor, nan=most)), 0, most).astype(dtype)
 

@@ -64,7 +64,7 @@ class SiteFrame:
         return np.asarray(x) - self.x_origin, np.asarray(y) - self.y_origin
 
     def to_lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Return the map (x, y) to WGS 84 degrees."""
+        """Convert map (x, y) to WGS 84 degrees."""
         lon, lat = _from_wgs84(self.crs).transform(
             np.asarray(x, np.float64) + self.x_origin,
             np.asarray(y, np.float64) + self.y_origin,

@@ -63,13 +63,13 @@ class GridGeometry:
         return math.hypot(max(self.x_min - x, x - self.x_max, 0.0), max(self.y_min - y, y - self.y_max, 0.0))
 
     def to_grid(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Return the map coordinates to fractional (row, col); integers fall on cell centres."""
+        """Convert map coordinates to fractional (row, col); integers fall on cell centres."""
         col = (np.asarray(x, np.float64) - self.x_min) / self.resolution - 0.5
         row = (self.y_max - np.asarray(y, np.float64)) / self.resolution - 0.5
         return row, col
 
     def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Return the fractional (row, col) to map coordinates (x, y)."""
+        """Convert fractional (row, col) to map coordinates (x, y)."""
         x = self.x_min + (np.asarray(col, np.float64) + 0.5) * self.resolution
         y = self.y_max - (np.asarray(row, np.float64) + 0.5) * self.resolution
         return x, y

@@ -200,7 +200,7 @@ def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float6
 
 
 def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> LabelAgreement:
-    """With the exponent that makes it the share of right labels."""
+    """Return the agreement with the exponent that makes it the share of right labels."""
     return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(surety), 3)})
 
 

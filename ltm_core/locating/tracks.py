@@ -212,7 +212,7 @@ class Tracks:
         return next((one for one in self.tracks if seen in one.sightings), track)
 
     def _reunite(self, fire: int, wrong: str) -> None:
-        """Return a turned camera in between lets right ones mark a fire apart: with it one of them agrees by chance,
+        """Merge tracks of one fire that a turned camera separated: with it one of them agrees by chance,
         the other then does not. What they have marked becomes one track where they agree, what the wrong one has marked
         another."""
         open_ones = [track for track in self.tracks if track.fire == fire and not track.closed]

@@ -80,7 +80,7 @@ FOOTPRINT: Final = Scale.of(
 
 @dataclass(frozen=True)
 class CameraMark:
-    """Where a camera stands, in the frame of the map, metres."""
+    """Position of a camera in the frame of the map, metres."""
 
     name: str
     x: float

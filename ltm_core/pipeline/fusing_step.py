@@ -122,7 +122,7 @@ class FusingStep:
             return seen, None, str(error)
 
     def _settings(self, covariance: Float64Array | None) -> FusionSettings:
-        """With the camera's direction as sure as its pose's covariance says, where that is given."""
+        """Return the settings with the sigma of the camera's direction from its pose's covariance, if given."""
         known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self._config.angle_sigma_deg)
         return FusionSettings(

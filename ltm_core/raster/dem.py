@@ -135,7 +135,7 @@ def _read(
 
 
 def _fill(elevation: Float32Array, source: Any, row0: int, col0: int, scaling: tuple[float, float]) -> None:
-    """Return the strip after strip, so that nothing but the result is ever held whole."""
+    """Reduce strip by strip, so that only the result is held as a whole."""
     from rasterio.windows import Window
 
     (height, width), (scale, offset) = elevation.shape, scaling

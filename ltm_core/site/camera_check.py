@@ -135,7 +135,7 @@ def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
 
 
 def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFinding:
-    """Of a camera on a PTZ head."""
+    """Check a camera on a PTZ head."""
     try:
         model = mount.model(dem, site.frame)
         lens = mount.lens

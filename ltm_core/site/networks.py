@@ -22,7 +22,7 @@ def site_label_errors(site: Site) -> LabelErrors:
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
-    """Return the label errors of cameras with a label head of their own, which errs otherwise than what it corrects.
+    """Return the label errors of cameras with their own label head, which differ from those of the network.
 
     Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
     """

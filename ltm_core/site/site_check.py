@@ -162,7 +162,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
 
 
 def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
-    """Return a tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
+    """Check the tree line: in feet, or of another place, it would withdraw no tree of the site or all of them."""
     line = site.fuel.growth.tree_line_m
     if line is None or check.dem is None:
         return

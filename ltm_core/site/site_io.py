@@ -58,7 +58,7 @@ def load_site(path: Path | str) -> Site:
 
 
 def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
-    """With the masks' files beside the site file. Raises ConfigError."""
+    """Resolve the masks' files against the site file's folder. Raises ConfigError."""
     place = f"{site}: cameras.{name}"
     changes: dict[str, object] = {}
     if isinstance(camera.mask, Path):
@@ -74,7 +74,8 @@ def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
 
 
 def _mask_file(path: Path, place: str, folder: Path) -> Path:
-    """Return a site may come from elsewhere: it names no file outside its folder. Raises ConfigError."""
+    """Check that a site, which may be from an untrusted source, names no file outside its folder. Raises
+    ConfigError."""
     try:
         file = (folder / path).resolve()
         inside = file.is_relative_to(folder)
@@ -86,7 +87,7 @@ def _mask_file(path: Path, place: str, folder: Path) -> Path:
 
 
 def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
-    """With the paths of its source and of its head below the site file's folder."""
+    """Resolve the paths of a camera's source and PTZ head against the site file's folder."""
     found: dict[str, object] = {}
     for name, section in (("source", camera.source), ("ptz", camera.ptz)):
         changes: dict[str, object] = {}

@@ -53,8 +53,8 @@ else:
 
 
 class _Bounds(_AnyLoader):
-    """Before a loader: rejects a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera
-    perhaps), and what is nested too deep or repeated too often."""
+    """Mixin of a loader that rejects repeated keys (PyYAML would drop all but the last, perhaps a whole camera), too
+    deep nesting and too many repetitions."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)

@@ -58,7 +58,7 @@ def free_bytes(path: Path) -> int:
 
 
 class SpaceFloor:
-    """Whether a disk has less free space than `floor` bytes.
+    """Check whether a disk has less free space than `floor` bytes.
 
     Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer must not stop
     and start with every file that other programs remove.

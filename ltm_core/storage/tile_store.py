@@ -280,7 +280,7 @@ class TileStore:
             self._hold()
 
     def _hold(self) -> None:
-        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        """Half of the reserve is for the last transaction, which may write every tile once more."""
         if self._reserve is not None:
             with contextlib.suppress(OSError):
                 self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))

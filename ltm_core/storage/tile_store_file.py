@@ -79,7 +79,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
         partial.replace(path)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)  # the name, too, shall survive a power cut
+            os.fsync(folder)  # the name, too, must survive a power cut
         finally:
             os.close(folder)
     except OSError as error:
@@ -128,7 +128,7 @@ def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
 
 
 def _check_header(path: Path) -> None:
-    """Before SQLite touches a file, which may change it: is it ours? Raises ConfigError, StoreError."""
+    """Check that a file is ours before SQLite opens and perhaps changes it. Raises ConfigError, StoreError."""
     try:
         with path.open("rb") as file:
             header = file.read(100)
@@ -282,7 +282,7 @@ def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
 
 
 def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) -> None:
-    """Return the bound what is remembered of a source: the newest `bounds.frames`, and those within `KEPT_NS` of the
+    """Limit the stamps kept of a source to the newest `bounds.frames`, and those within `KEPT_NS` of the
     newest, up to `bounds.most`.
 
     Not by age alone: a camera whose clock was once set to another year shall neither be rejected from then on nor

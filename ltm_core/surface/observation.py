@@ -222,7 +222,7 @@ def block_maxima(surface: Float32Array) -> Float32Array:
 
 
 def _least_around(depth: Float32Array) -> Float32Array:
-    """Of each pixel and its eight neighbours, as far as they are known."""
+    """Return the minimum of each pixel and its eight neighbours where known."""
     known = np.where(np.isnan(depth), np.float32(np.inf), depth)
     return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
 

@@ -50,7 +50,7 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """How the frame of a camera of `stamp_ns` with this pose was turned; None: it was not."""
+    """Turn of the frame of a camera of `stamp_ns` with this pose; None: it was not turned."""
 
     pose: Pose
     covariance: Float64Array
@@ -236,8 +236,8 @@ class SurfaceMap:
         )
 
     def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
-        """Return a camera that has not moved keeps its turn for a time: one image more would add little, and its
-        reference is traced already."""
+        """Return the turn of a camera, which is kept for a time while it does not move: one more image would add
+        little, and its reference is traced already."""
         kept = self._turns.get(frame.source)
         period = int(self.config.independent_after * 1e9)
         if (

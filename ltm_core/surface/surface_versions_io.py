@@ -195,7 +195,7 @@ class SurfaceVersions:
         self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
 
     def _write(self, path: Path, content: bytes) -> None:
-        """Return the whole or not at all, also where the power fails."""
+        """Write the file completely or not at all, even if the power fails."""
         partial = path.with_name(f".{path.name}.partial")
         try:
             self.folder.mkdir(exist_ok=True)

@@ -206,7 +206,7 @@ def _lowered(
     straight: np.float32,
     diagonal: np.float32,
 ) -> bool:
-    """Return the lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; whether
+    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether
     any fell.
 
     Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance

@@ -197,7 +197,7 @@ def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> float:
-    """Return the bound on the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
+    """Return an upper bound of the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
     highest = -np.inf
     if level == 0:
         step, across = (ground.width, 1) if along_x else (1, ground.width)

@@ -76,7 +76,7 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) -> None:
-    """Return the level LEAF: the bound of a block of cells from its nodes."""
+    """Compute the level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
     flat = nodes.ravel()
     size = 1 << LEAF
@@ -97,7 +97,7 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) -> None:
-    """Return the level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
+    """Compute the level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
     n_rows, n_cols = nodes.shape
     flat = nodes.ravel()
     size = 1 << LEAF

@@ -63,7 +63,7 @@ def load_picture_config(path: Path | str) -> PictureConfig:
 
 
 def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
-    """Return the place the camera of `config` on `dem`, which is in a CRS.
+    """Place the camera of `config` on `dem`, which is in a CRS.
 
     Raises PoseError for a camera under the ground, and where the ground under one that is given above it is not known;
     ConfigError for a CRS that is none.

@@ -6,7 +6,7 @@ kept.
 Frames of one view of one camera, taken shortly after each other, say nearly the same. So every other one of the older
 half goes, then of what is left again: the longer ago, the fewer frames, and the first of each view stays.
 
-SQLite file of the votes that a tower has not yet been told are in its region's map.
+SQLite file of the votes whose delivery to the region's map is not confirmed yet.
 
 A frame that `put` has returned from is in the file, also after a power cut, and stays until it is given to
 `acknowledge`, or until there is no room: then the oldest evidence is thinned (`thinning`), and frames older than

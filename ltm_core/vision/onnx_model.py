@@ -226,7 +226,7 @@ class OnnxModel:
 
 @cache
 def _share_arena() -> None:
-    """Return one heap for the tensors within all networks of this process.
+    """Use one heap for the tensors within all networks of this process.
 
     Else each session keeps as much as its runs at once took, though a thread runs one network after the other. With the
     same blocks for all, and taken as each tensor comes instead of one block for a run, two networks of 640 x 352 keep

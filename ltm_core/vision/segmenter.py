@@ -124,7 +124,7 @@ class Segmenter:
         return self._model.path
 
     def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
-        """Return the label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
+        """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
         strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for

@@ -102,7 +102,7 @@ class _Kept:
 
 
 class _Places:
-    """Memory for `REMEMBERED` images, taken with the first one and used in turn: a camera shall need in three hours
+    """Memory for `REMEMBERED` images, taken with the first one and used in turn: a camera must need in three hours
     what it needs at once. 2.9 MB where images are 16 to 9, 3.8 MB at 4 to 3."""
 
     def __init__(self) -> None:
@@ -159,7 +159,7 @@ class SmokeMemory:
         return np.asarray(cv2.resize(found.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
     def _is_new(self, now: _SmokeFrame) -> bool:
-        """By views, for a patrol that comes round in five minutes would else be remembered in one of them alone."""
+        """Return whether an image is new for its view; a patrol would otherwise be remembered in one view only."""
         if not self._seen or now.at_s - self._seen[-1].at_s < AT_LEAST_APART_S:
             return not self._seen
         return not any(_of_one_view(s, now) for s in self._seen if now.at_s - s.at_s < APART_S)

@@ -123,7 +123,7 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
 
 
 class _Cells:
-    """Means over the cells of the grid, of what is seen (h, w)."""
+    """Means of the visible image (h, w) over the cells of the grid."""
 
     def __init__(self, seen: BoolArray) -> None:
         self._share = _to_grid(seen.astype(np.float32))

@@ -188,7 +188,7 @@ def write_layers(
     tags: Mapping[str, str] | None = None,
     palette: LabelSet | None = None,
 ) -> None:
-    """Return every layer as a Cloud Optimized GeoTIFF of its name, with its unit and a QGIS style; `palette`: of life
+    """Write every layer as a Cloud Optimized GeoTIFF with its name, with its unit and a QGIS style; `palette`: of life
     forms.
 
     Raises ConfigError where it cannot be written.

@@ -200,7 +200,7 @@ def _deviation(state: Float64Array) -> Float64Array:
 
 
 def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
-    """Of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
+    """Return the cost of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
     away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:

@@ -111,7 +111,7 @@ def _alone_apart(
 
 
 def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: VerdictConfig) -> float:
-    """Of a mount as of an image (`pose_verdict.judge`): more where ridges alone tell."""
+    """Return the minimum gap of a mount as of an image (`pose_verdict.judge`): more if only ridges are used."""
     evidences = [p.search.evidence for p in pictures]
     if any(evidence.skyline is not None for evidence in evidences):
         return config.gap_asked(seen.veiled, seen.variance)

@@ -44,7 +44,7 @@ class ResectionSetup:
 
 
 def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> ResectionSetup:
-    """Return the place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
+    """Place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
 
     Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
     """

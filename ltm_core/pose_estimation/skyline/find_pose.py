@@ -161,8 +161,8 @@ def _settled(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> _JudgedPose:
-    """Return an open view's pose settled on its ridges alone, whose errors go together by what grows there; as it was
-    where ridges leave it open."""
+    """Return an open view's pose settled on its ridges alone, whose errors are correlated by what grows there; as it
+    was where ridges leave it open."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
     kept = terrain.above([replace(best, refined=refined)])

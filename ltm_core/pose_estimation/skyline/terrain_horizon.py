@@ -207,7 +207,7 @@ def terrain_horizon(
 
 
 def _read_only(elevation: Float32Array) -> Float32Array:
-    """Return the rasters of a stack are of one type for compiled code, whichever of them are shared."""
+    """Check that the rasters of a stack are of one type for compiled code, whichever of them are shared."""
     view = elevation.view()
     view.flags.writeable = False
     return view
