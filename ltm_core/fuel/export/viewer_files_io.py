@@ -60,9 +60,6 @@ def write_kmz(
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
         f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
-        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
-        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
-        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
         f"<LatLonBox><north>{north:.9f}</north><south>{south:.9f}</south><east>{east:.9f}</east>"
         f"<west>{west:.9f}</west></LatLonBox></GroundOverlay>"
         "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"

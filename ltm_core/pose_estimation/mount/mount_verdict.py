@@ -89,7 +89,7 @@ def judge_mount(
         )
     if away > config.contradiction:
         return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
-    return "accepted", f"{len(pictures)} pictures agree"
+    return "accepted", f"{len(pictures)} images agree"
 
 
 def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config: VerdictConfig) -> bool:
