@@ -74,7 +74,7 @@ _MODULES = {
     "LabelSet": "vision.labels",
     "Locator": "locating.locator",
     "LtmError": "base.errors",
-    "MajorityFuelMap": "fuel.cell_counts",
+    "MajorityFuelMap": "fuel.class_map",
     "PointVisibility": "visibility.point_visibility",
     "Pose": "geometry.pose",
     "RangeImage": "geometry.range_image",

@@ -105,7 +105,7 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
             width, height = source.size
         turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(
-            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned}, but the pose file's camera has "
+            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned} but the pose file's camera has "
             f"{camera.width} x {camera.height}; give the calibration of "
             + ("the upright image" if turned else "this image size")
         )

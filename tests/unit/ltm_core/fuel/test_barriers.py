@@ -74,7 +74,7 @@ def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
     for barrier, message in (
         (
             BarrierConfig(path=path, layer="rivers", kind="water"),
-            r"a.gpkg: no layer is called .rivers.; it has the layers lakes",
+            r"a.gpkg: no layer .rivers.; it has the layers lakes",
         ),
         (BarrierConfig(path=add_layer(tmp_path / "d.gpkg", "a", [], -1), kind="road"), r"d.gpkg: .* no known CRS"),
         (BarrierConfig(path=arcs, kind="road"), r"e.gpkg: .*geometry type 8"),

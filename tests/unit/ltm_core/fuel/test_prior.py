@@ -80,7 +80,7 @@ def test_unknown_codes_are_refused_or_taken_for_unknown(tmp_path: Path, system: 
     codes = CODES.copy() if system == "fbfm40" else np.where(CODES > 100, CODES % 13 + 1, CODES).astype(np.int16)
     codes[0, 1], codes[2, 0] = 256, 256
     path = write(tmp_path / f"{system}.tif", codes)
-    with pytest.raises(RasterError, match=rf"{system} does not have: 256 \(2 cells\).*unknown_codes: nodata"):
+    with pytest.raises(RasterError, match=rf"{system} does not define: 256 \(2 cells\).*unknown_codes: nodata"):
         load_prior(PriorConfig(path=path), GRID)
     prior = load_prior(PriorConfig(path=path, unknown_codes="nodata"), GRID)
     assert prior.system == system

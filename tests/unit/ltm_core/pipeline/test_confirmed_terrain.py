@@ -65,7 +65,7 @@ def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> N
     one, other = (confirmed_terrain(small.site, versions, entry.version) for _ in range(2))
     assert one.ground is other.ground
     assert one.top is other.top
-    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff' there"):
+    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff'"):
         confirmed_terrain(small.site, versions, "f" * 16)
 
 

@@ -131,7 +131,7 @@ def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
         ({"maps": {"mean": [[0.0, 1.0, 2.0]] * 4 + [[0.0, 1.0]]}}, "as many numbers"),
         ({"maps": {"s9": [[0.0]] * 5}}, "reads map s9"),
         ({"bias": [0.0] * 4}, "bias has 4 values"),
-        ({"classes": ["a", "b", "c", "d", "e"]}, "is of classes a, b"),
+        ({"classes": ["a", "b", "c", "d", "e"]}, "has the classes a, b"),
         ({"temperature": 0.0}, "temperature"),
         ({"bias": [0.0, 0.0, 0.0, 0.0, 1e9]}, "bias"),
         ({"name": "landscape"}, "network's own label head"),

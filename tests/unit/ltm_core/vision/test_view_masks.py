@@ -112,7 +112,7 @@ def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
     twice = [view("a", 10.0, good), view("a", 40.0, good)]
     for number, (camera, views, said) in enumerate(
         (
-            ("tower", twice, "a stands there twice"),
+            ("tower", twice, "a is repeated"),
             ("mast", [view("a", 10.0, good)], "one with a pose looks one way"),
             ("tower", [view("a", 400.0, good)], "azimuth is 0 to 360"),
             ("tower", [view("a", 10.0, good, within=1)], "within"),
@@ -134,7 +134,7 @@ def test_the_check_tells_a_file_that_is_not_there_and_a_size_that_is_wrong(tmp_p
     path = site_with(tmp_path, [view("a", 10.0, "small.png")], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
     assert found.verdict is SiteVerdict.WRONG
-    assert "30 x 20 pixels, the camera's pictures have 320 x 180" in found.said
+    assert "30 x 20 pixels, but the camera's images have 320 x 180" in found.said
     path = site_with(tmp_path, [view("a", 10.0, [rectangle(0, 0, 90, 320)])], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: mask of view a")
     assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (SiteVerdict.OK, True)
