@@ -133,7 +133,7 @@ class SceneFilter:
         if self._views is None or looking is None:
             return ""
         view = self._views.at(looking)
-        return f"view {view.name}" if view is not None else f"no view of the site file has the direction {looking}"
+        return f"view {view.name}" if view is not None else f"no view of the site file has this direction: {looking}"
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:

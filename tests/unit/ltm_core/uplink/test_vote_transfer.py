@@ -114,5 +114,5 @@ def test_a_crs_that_has_no_north_where_the_region_is_is_refused() -> None:
     assert len(taken.votes(replace(sent, visibility=None))) > 0
     with pytest.raises(MessageError, match="EPSG:2099 is not defined"):
         taken.votes(sent)
-    with pytest.raises(MessageError, match="nothing leads from EPSG:26911 to the tower's ESRI:54101"):
+    with pytest.raises(MessageError, match="no transformation from EPSG:26911 to the tower's ESRI:54101"):
         VoteTransfer(replace(far, crs="ESRI:54101"), TOWER, in_map(TOWER, ORIGIN))

@@ -121,7 +121,7 @@ def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -
     manifest = NetworkManifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
     segmenter, readings = open_vocabulary(manifest, parse_queries("dry grass,  Cabin house, cloud, meadow"))
     assert [reading.classes for reading in readings] == [("lime", "olive"), ("red",), ("blue",), ()]
-    assert readings[0].how == "is read as grass by its last word: colors knows no finer word"
+    assert readings[0].how == "is read as grass by its last word: colors has no finer word"
     assert readings[3].how.endswith("so is 'dry grass', and all of it is reported as 'dry grass'")
     photo = np.zeros((20, 30, 3), np.uint8)
     photo[:, :10] = (0, 255, 0)
@@ -135,7 +135,7 @@ def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
     manifest = NetworkManifest.load(write_classifier(tmp_path))
     with pytest.raises(ConfigError, match=r"unknown word 'medow'; similar words: meadow"):
         read_queries(["medow"], manifest, Vocabulary.load())
-    with pytest.raises(ConfigError, match=r"'chaparral' is shrub, of which colors knows no class"):
+    with pytest.raises(ConfigError, match=r"'chaparral' means shrub"):
         read_queries(["chaparral"], manifest, Vocabulary.load())
     with pytest.raises(ConfigError, match=r"each once"):
         parse_queries("oak, Oak")
