@@ -151,7 +151,7 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     for hours in (6, 8):
         chain.look(truth, hours)
     assert chain.versions[-2:] == ["", ""]
-    with pytest.raises(StoreError, match="nothing to take back"):
+    with pytest.raises(StoreError, match="nothing to revert"):
         services["terrain/take_back"]()
     chain.restart()
     chain.look(truth, 10)

@@ -200,5 +200,5 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
 
 def test_a_site_without_a_depth_network_cannot_run_the_node(tmp_path: Path) -> None:
     path = site_file(tmp_path, depth_model="")
-    with pytest.raises(ConfigError, match="no depth network; give `depth_model`"):
+    with pytest.raises(ConfigError, match="no depth network; set `depth_model`"):
         TopoDepthHandler(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())
