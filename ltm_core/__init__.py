@@ -1,4 +1,5 @@
-"""The algorithms of LTM on NumPy arrays: terrain tracing, depth fusion, fuel map, terrain update. Knows no ROS.
+"""Algorithms of LTM on NumPy arrays: terrain tracing, depth fusion, fuel map, terrain update. They do not depend on
+ROS.
 
 The names below are the public ones: `from ltm_core import Dem, Camera, Pose, SiteFrame, TerrainTracer`. Each is loaded
 when it is first used, so that a program pays only for what it needs.

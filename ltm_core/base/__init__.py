@@ -1,1 +1,1 @@
-"""What all folders build on: errors, array types, and small tools without a subject of their own."""
+"""Common base of all folders: errors, array types and small tools."""

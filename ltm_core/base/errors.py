@@ -7,64 +7,64 @@ from enum import StrEnum
 
 
 class LtmError(Exception):
-    """Bad input. The message holds the value, the place it came from and what would be right."""
+    """Report invalid input. The message has the value, the place it came from and the remedy."""
 
 
 class ConfigError(LtmError):
-    """A site, scenario or parameter file that cannot be taken."""
+    """A site, scenario or parameter file is invalid."""
 
 
 class RasterError(LtmError):
-    """A DEM or fuel raster that cannot be taken."""
+    """A DEM or fuel raster is invalid."""
 
 
 class CameraError(LtmError):
-    """A camera calibration that cannot be taken."""
+    """A camera calibration is invalid."""
 
 
 class PoseError(LtmError):
-    """A camera pose that cannot be taken."""
+    """A camera pose is invalid."""
 
 
 class ImageError(LtmError):
-    """An image, depth image or label image that cannot be taken."""
+    """An image, depth image or label image is invalid."""
 
 
 class RegionError(LtmError):
-    """A pixel or region of a picture that cannot be located on the map."""
+    """A pixel or region of an image cannot be located on the map."""
 
 
 class MessageError(LtmError):
-    """A message whose fields contradict each other or the contract of its topic."""
+    """The fields of a message contradict each other or the contract of its topic."""
 
 
 class ModelError(LtmError):
-    """A network or its manifest that cannot be taken."""
+    """A network or its manifest is invalid."""
 
 
 class RecordingError(LtmError):
-    """A bag or photo folder that cannot be read or written."""
+    """A bag or photo folder cannot be read or written."""
 
 
 class StoreError(LtmError):
-    """A store that cannot be read or written just now: disk full, read-only, in use by another process."""
+    """A store cannot be read or written at present: disk full, read-only, or in use by another process."""
 
 
 class ArchiveError(LtmError):
-    """An archive of recordings that cannot be worked again as asked."""
+    """An archive of recordings cannot be reprocessed as requested."""
 
 
 class SiteVerdict(StrEnum):
     OK = "ok"
     DOUBTFUL = "doubtful"
-    """It runs, but may not be what is meant."""
+    """It runs, but the setting may not be intended."""
     WRONG = "wrong"
     """It cannot work."""
 
 
 @dataclass(frozen=True)
 class SiteFinding:
-    """One thing that was looked at. `said`: what was found, and the remedy where something is amiss; one line."""
+    """Result of one check of a site. `said`: the result, and the remedy if there is a problem; one line."""
 
     area: str
     name: str
@@ -73,5 +73,5 @@ class SiteFinding:
 
     @classmethod
     def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> SiteFinding:
-        """Of an error or a doubt; its lines become one."""
+        """Return the finding of an error or a warning; its lines are joined into one."""
         return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))

@@ -1,4 +1,4 @@
-"""Some of many, evenly spread."""
+"""Select evenly spaced items."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def evenly(items: Sequence[T], most: int) -> list[T]:
-    """At most so many of the items, in their order, evenly spread from the first to the last."""
+    """Return at most `most` of the items, in order and evenly spaced from the first to the last."""
     if len(items) <= most:
         return list(items)
     return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]

@@ -11,7 +11,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 ONE_LAUNCH = threading.Lock()
-"""Held around every call of a kernel that was compiled with `parallel=True`."""
+"""Lock held around every call of a kernel that was compiled with `parallel=True`."""
 
 
 def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:
@@ -31,7 +31,7 @@ def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 def _nothing(array: Any, index: Any) -> None:
-    """What plain Python can do."""
+    """Do nothing: the fallback in plain Python."""
 
 
 prefetch: Any = _nothing if config.DISABLE_JIT else intrinsic(_prefetch)

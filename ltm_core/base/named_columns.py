@@ -1,4 +1,4 @@
-"""Named columns of equal length: what tables of cells are while they travel, whatever carries them."""
+"""Named columns of equal length, the transport format of tables of cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def take(columns: Columns, name: str, dtype: Any, what: str) -> NDArray[Any]:
-    """The column `name`, which must be there with that dtype. Raises MessageError naming what is there."""
+    """Return the column `name`, which must be there with that dtype. Raises MessageError naming what is there."""
     if name not in columns:
         raise MessageError(f"{what} lacks the field {name!r}; it has {', '.join(columns)}")
     column = columns[name]

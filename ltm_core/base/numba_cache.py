@@ -1,13 +1,13 @@
-"""Gives numba's cache of compiled kernels a folder for each state of the source, so that no stale code is loaded.
+"""Give numba's cache of compiled kernels one folder per state of the source, so that no stale code is loaded.
 
 Numba checks only the file of the kernel that it loads. When a kernel *called* by it, or a constant frozen into it, in
 another file, has changed, the old machine code would be loaded and give wrong results silently. So the state is that of
 all files that kernels may depend on: those that name numba, and what these import of the same package, at any depth. An
-edit elsewhere compiles nothing anew.
+edit elsewhere recompiles nothing.
 
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
-changed meanwhile may have mixed two states: it marks its folder, and nobody is given it again. (One that is killed
-marks nothing: edit, kill, undo the edit to the byte, and only deleting `ltm_core/__pycache__` helps.)
+changed meanwhile may have mixed two states: it marks its folder, which is never used again. (A killed process
+marks nothing: after edit, kill and an exact undo of the edit, only deleting `ltm_core/__pycache__` helps.)
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from pathlib import Path
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PREFIX = "ltm-kernels-"
 _MIXED = "mixed"
-"""A file in a folder that may hold kernels of more than one state."""
+"""Name of a file that marks a folder whose kernels may be from more than one state."""
 _KEPT = 3
-"""Folders of former states of the source that stay, for processes that still run them."""
+"""Number of folders of earlier source states to keep, for processes that still run them."""
 _IMPORT = re.compile(rb"^\s*(?:import\s+([\w.]+)|from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*))", re.MULTILINE)
 _NAME = re.compile(rb"\w+")
 
 
 def use_own_cache(source: Path) -> Path | None:
-    """Point numba to the cache of this state of `source`; the folder, or None where not ours.
+    """Point numba to the cache of this state of `source`. Return the folder, or None if it is not our own.
 
-    Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
-    A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to. What lies
-    there is run as it is, so outside the source a place must be our own: elsewhere anybody could have put it there.
+    Numba reads the variable when it is imported; if it was imported before, as by pytest, its setting is changed too.
+    A NUMBA_CACHE_DIR that the user has set is kept; without a writable place nothing changes. Cached code is executed,
+    so a folder outside the source must belong to us.
     """
     given = os.environ.get(_VARIABLE)
     if given and not Path(given).name.startswith(_PREFIX):
@@ -89,7 +89,7 @@ def _module_name(file: Path, source: Path) -> bytes:
 
 
 def _imports(text: bytes) -> Iterator[bytes]:
-    """All names that a module may import; a name within a package may be a module or not."""
+    """Return all names that a module may import; a name within a package may be a module or not."""
     for direct, package, names in _IMPORT.findall(text):
         yield direct or package
         for name in _NAME.findall(names):
@@ -103,8 +103,8 @@ def _mark_if_changed(source: Path, state: str, folder: Path) -> None:
 
 
 def _own(folder: Path) -> bool:
-    """Make a folder where there is none; whether it is ours and nobody else gets at what lies in it. A link is not: it
-    may lead elsewhere tomorrow."""
+    """Create a missing folder; return whether it is ours and inaccessible to other users. A link is not accepted,
+    because its target may change."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
@@ -118,7 +118,8 @@ def _forget_former(parent: Path, current: Path) -> None:
 
 
 def _age(folder: Path) -> float:
-    """Time of the last change; 0 where another process, which starts just now too, has deleted the folder."""
+    """Return the time of the last change; 0 where another process, which starts just now too, has deleted the
+    folder."""
     try:
         return folder.stat().st_mtime
     except FileNotFoundError:

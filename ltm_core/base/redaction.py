@@ -1,4 +1,4 @@
-"""Clean text before anyone reads it: remove passwords, and control characters that a camera sent."""
+"""Clean text for display: remove passwords, and control characters sent by a camera."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 SECRET_KEYS = ("password", "passwd", "pass", "pwd", "token", "secret", "api_key", "apikey", "auth", "loginpas")
-"""Names under which cameras and people write a password into a URL or a file; compared without regard to case."""
+"""Names of parameters that hold a password in URLs and files; case is ignored."""
 HIDDEN = "***"
 
 _USER_INFO = re.compile(r"(?<=://)[^/\s'\"<>]*@")
@@ -15,12 +15,12 @@ _PARAMETER = re.compile(rf"(?i)\b({'|'.join(SECRET_KEYS)})(\s*[=:]\s*)(?!\{{)[^\
 
 
 def redacted(text: str) -> str:
-    """`text` without the user part of URLs, and without the values of parameters that are named like a password."""
+    """Return `text` without the user part of URLs and without the values of password-like parameters."""
     return _PARAMETER.sub(rf"\1\2{HIDDEN}", _USER_INFO.sub(f"{HIDDEN}@", text))
 
 
 def shown(value: Any, keys: Sequence[int | str] = (), length: int = 80) -> str:
-    """A configuration's wrong value as an error may show it: `keys` say where it stands."""
+    """Return an invalid value of a configuration as an error may show it; `keys` is its place in the file."""
     if any(_secret(key) for key in keys):
         return HIDDEN
     return redacted(f"{_masked(value)!r:.{length}}")
@@ -38,7 +38,7 @@ def _masked(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     # Whole, for what is cut off afterwards could end before the sign by which a user part is known; and to the last
-    # such sign, for a password that nobody has quoted may hold any.
+    # such sign, because an unquoted password may contain it.
     scheme, found, rest = value.partition("://")
     if found and "@" in rest:
         value = f"{scheme}://{HIDDEN}@{rest.rpartition('@')[2]}"
@@ -46,5 +46,5 @@ def _masked(value: Any) -> Any:
 
 
 def plain(text: str, most: int = 1000) -> str:
-    """`text` so that it cannot write to a terminal but letters; at most so many."""
+    """Return at most `most` characters of `text` without control characters."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:most])

@@ -1,4 +1,4 @@
-"""Finds the files of `config/`: in a checkout, beside an installed package, or in an ament prefix."""
+"""Find the files of `config/` in a checkout, beside an installed package, or in an ament prefix."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from ltm_core.base.errors import ConfigError
 
 
 def config_path(name: str) -> Path:
-    """The file `config/<name>` that ships with the project. Raises ConfigError naming the folders searched."""
+    """Return the file `config/<name>` that ships with the project. Raises ConfigError naming the folders searched."""
     return project_path(f"config/{name}")
 
 
 def project_path(name: str) -> Path:
-    """A file or folder that ships with the project, such as `bags/demo`. Raises ConfigError, as `config_path` does."""
+    """Return a file or folder that ships with the project, such as `bags/demo`. Raises ConfigError, as `config_path`
+    does."""
     prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     roots = [Path(__file__).parents[2], *(Path(prefix) / "share/ltm" for prefix in (sys.prefix, *prefixes))]
     for root in roots:

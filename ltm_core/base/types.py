@@ -1,4 +1,4 @@
-"""Array types by element type, named in this one place. Shapes and units stand where an array is used."""
+"""Array types by element type. Shapes and units are documented where an array is used."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ IndexArray = NDArray[np.intp]
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 RgbImage = UInt8Array
-"""(H, W, 3), 0 to 255."""
+"""RGB image, (H, W, 3), 0 to 255."""
 RecordArray = NDArray[np.void]
-"""An array of a structured dtype."""
+"""Array of a structured dtype."""

@@ -1,4 +1,4 @@
-"""Moments of the calendar and the nanoseconds since 1970 that frames are stamped with, exactly in integers."""
+"""Convert between calendar times and nanoseconds since 1970, exactly in integers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def stamp_of_moment(moment: datetime) -> int:
-    """Nanoseconds since 1970, negative before; a moment that names no time zone is one of UTC."""
+    """Return nanoseconds since 1970, negative before; a time without a zone is UTC."""
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
     return since // timedelta(microseconds=1) * 1000
 
 
 def moment_of_stamp(stamp_ns: int) -> datetime:
-    """In UTC, to the microsecond below. Raises OverflowError outside of the years 1 to 9999."""
+    """Return the UTC time, rounded down to microseconds. Raises OverflowError outside the years 1 to 9999."""
     return _EPOCH + timedelta(microseconds=stamp_ns // 1000)

@@ -1,1 +1,1 @@
-"""How a camera is described in files: calibration, pose, sensors and mount, with checks of units."""
+"""Description of cameras in files: calibration, pose, sensors and mount, with checks of units."""

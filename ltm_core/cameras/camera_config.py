@@ -1,4 +1,4 @@
-"""How a camera's pose and calibration are written: one set of keys for site files, pose files and CSV columns.
+"""Pose and calibration of a camera: one set of keys for site files, pose files and CSV columns.
 
 A *partial* model holds what is known of a photo, the other what a camera needs.
 """
@@ -24,20 +24,20 @@ from ltm_core.raster.dem import Dem
 
 
 class PartialCalibration(StrictModel):
-    """What is known of a camera's calibration, in pixels of the upright image."""
+    """Known part of a camera's calibration, in pixels of the upright image."""
 
     width: int | None = Field(None, gt=0)
     height: int | None = Field(None, gt=0)
     hfov_deg: float | None = Field(None, gt=0, lt=180)
-    """Between the image's outer edges; instead of fx."""
+    """Horizontal field of view in degrees between the image's outer edges; instead of fx."""
     fx: float | None = Field(None, gt=0)
-    """Focal length; fy is the same unless given."""
+    """Focal length in pixels; fy is the same unless given."""
     fy: float | None = Field(None, gt=0)
     cx: float | None = None
-    """Principal point; the image's centre unless given."""
+    """Column of the principal point in pixels; default: the image's centre (cy likewise)."""
     cy: float | None = None
     k1: float = 0.0
-    """Distortion after Brown and Conrady, as are k2, p1, p2, k3: CameraInfo's plumb_bob."""
+    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3 (plumb_bob of CameraInfo)."""
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
@@ -55,11 +55,11 @@ class PartialCalibration(StrictModel):
 
     @property
     def distortion(self) -> tuple[float, float, float, float, float]:
-        """(k1, k2, p1, p2, k3)."""
+        """Return (k1, k2, p1, p2, k3)."""
         return self.k1, self.k2, self.p1, self.p2, self.k3
 
     def camera_of(self, width: int, height: int, fx: float) -> Camera:
-        """Of an image of this size; `fx`: where neither fx nor hfov_deg is stated."""
+        """Return the camera of an image of this size; `fx` applies if neither fx nor hfov_deg is stated."""
         if self.hfov_deg is not None:
             fx = Camera.from_fov(width, height, self.hfov_deg).fx
         fx = self.fx if self.fx is not None else fx
@@ -75,7 +75,7 @@ class PartialCalibration(StrictModel):
 
 
 class CalibrationConfig(PartialCalibration):
-    """A whole calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
+    """Complete calibration: the image's size, and either `hfov_deg` or fx (and fy, cx, cy if known)."""
 
     width: int = Field(gt=0, le=MOST_A_SIDE)
     height: int = Field(gt=0, le=MOST_A_SIDE)
@@ -83,7 +83,7 @@ class CalibrationConfig(PartialCalibration):
     @model_validator(mode="after")
     def _one_focal_length(self) -> Self:
         if self.hfov_deg is None and self.fx is None:
-            raise ValueError("give either hfov_deg or fx, not neither")
+            raise ValueError("give either hfov_deg or fx")
         return self
 
     def camera(self) -> Camera:
@@ -101,33 +101,33 @@ _PARTS = (
     (("pitch_deg",), ("pitch_sigma_deg",)),
     (("roll_deg",), ("roll_sigma_deg",)),
 )
-"""Keys of a pose that are known together, and those of their standard deviations."""
+"""Keys of a pose that are given together, and those of their standard deviations."""
 
 
 class PartialPose(StrictModel):
-    """What is known of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
+    """Known part of a camera's pose. Angles in degrees, lengths in metres, sigmas are standard deviations."""
 
     x: float | None = None
-    """In `crs` (not minus an origin), as is y."""
+    """Easting in `crs`, in metres, without subtracting an origin; y is the northing."""
     y: float | None = None
     crs: str | None = None
-    """Of x and y; default that of the site, or of the DEM. In EPSG:4326 they are longitude and latitude."""
+    """CRS of x and y; default: that of the site or of the DEM. In EPSG:4326, x and y are longitude and latitude."""
     lon: float | None = Field(None, ge=-180, le=180)
-    """WGS 84, as is lat; instead of x and y."""
+    """Longitude in WGS 84 degrees, instead of x; lat is the latitude."""
     lat: float | None = Field(None, ge=-90, le=90)
     z: float | None = None
-    """In the DEM's vertical datum."""
+    """Height in metres in the DEM's vertical datum."""
     height_above_ground: float | None = Field(None, ge=0)
-    """Above the DEM (mast, tripod); instead of z."""
+    """Height in metres above the DEM (mast, tripod), instead of z."""
     azimuth_deg: AzimuthDeg | None = None
-    """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
+    """Azimuth of the optical axis in degrees, clockwise from the north that `azimuth_ref` names."""
     azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
     pitch_deg: PitchDeg | None = None
-    """Up from the horizon."""
+    """Pitch in degrees, up from the horizon."""
     roll_deg: RollDeg | None = None
-    """Of the camera, clockwise about its viewing direction."""
+    """Roll in degrees, clockwise about the viewing direction."""
     position_sigma: float | None = Field(None, gt=0)
-    """Of x and of y."""
+    """Standard deviation of x and of y in metres."""
     height_sigma: float | None = Field(None, gt=0)
     azimuth_sigma_deg: float | None = Field(None, gt=0)
     pitch_sigma_deg: float | None = Field(None, gt=0)
@@ -144,7 +144,7 @@ class PartialPose(StrictModel):
         return self
 
     def over(self, other: PartialPose | None) -> PartialPose:
-        """This, with what it leaves out (place, height, azimuth, pitch, roll, each with its sigma) from another."""
+        """Return this pose, completed (place, height, azimuth, pitch, roll, each with its sigma) from another one."""
         if other is None:
             return self
         taken: dict[str, Any] = {}
@@ -157,7 +157,7 @@ class PartialPose(StrictModel):
         return PartialPose.model_validate(self.model_dump() | taken)
 
     def covariance(self, pose: Pose, position: float, angle_deg: float) -> Float64Array | None:
-        """(6, 6) as in `pose_covariance`, from the sigmas that are stated; None where none is.
+        """Return the (6, 6) covariance as in `pose_covariance` from the stated sigmas; None if there are none.
 
         `pose`: this one, in the map frame. `position`, `angle_deg`: sigmas where some are stated and others not.
         """
@@ -172,7 +172,7 @@ class PartialPose(StrictModel):
         )
 
     def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
-        """Its place in the map frame; None where it is not known.
+        """Return the position in the map frame; None if it is not known.
 
         Raises ConfigError for a CRS that is none, PoseError for a place that has none in the frame's.
         """
@@ -185,7 +185,7 @@ class PartialPose(StrictModel):
         return x - frame.x_origin, y - frame.y_origin
 
     def lonlat(self) -> tuple[float, float] | tuple[None, None]:
-        """WGS 84 degrees; None where the place is not known without a frame. Raises as `xy` does."""
+        """Return the position in WGS 84 degrees; None if it is not known without a frame. Raises as `xy` does."""
         if self.lon is not None and self.lat is not None:
             return self.lon, self.lat
         if self.x is None or self.y is None or self.crs is None:
@@ -193,7 +193,7 @@ class PartialPose(StrictModel):
         return _transformed(self.x, self.y, self.crs, "EPSG:4326")
 
     def grid_azimuth_deg(self, frame: SiteFrame, place: tuple[float, float, float], on: date | None) -> float | None:
-        """From grid north at a map place. Raises ConfigError for a magnetic one without the day it was read on."""
+        """Return the azimuth from grid north at a map place. Raises ConfigError for a magnetic one without a date."""
         azimuth = self.azimuth_deg
         if azimuth is None or self.azimuth_ref == "grid":
             return azimuth
@@ -202,25 +202,25 @@ class PartialPose(StrictModel):
             return frame.true_to_grid_deg(azimuth, x, y)
         if on is None:
             raise ConfigError(
-                f"azimuth_deg {azimuth:g} is magnetic, and which day it was read on is not known: give it from true "
+                f"azimuth_deg {azimuth:g} is magnetic, and the day of the reading is not known: give it from true "
                 "north (azimuth_ref: true) or from grid north"
             )
         return frame.magnetic_to_grid_deg(azimuth, x, y, on, z)
 
 
 class PlacedPose(PartialPose):
-    """A pose whose place is known: x, y or lon, lat, and z or `height_above_ground`."""
+    """Pose with a known place: x, y or lon, lat, and z or `height_above_ground`."""
 
     @model_validator(mode="after")
     def _a_place(self) -> Self:
         if self.x is None and self.lon is None:
             raise ValueError("give x and y, or lon and lat")
         if self.z is None and self.height_above_ground is None:
-            raise ValueError("give either z or height_above_ground, not neither")
+            raise ValueError("give either z or height_above_ground")
         return self
 
     def described(self, frame: SiteFrame) -> str:
-        """The place as it is stated, and where that is another, as what it is in the frame's CRS. Raises as `xy`."""
+        """Return the place as stated, with its coordinates in the frame's CRS if these differ. Raises as `xy`."""
         stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
         given = f"({stated[0]:.10g}, {stated[1]:.10g})"
         if crs is None or crs == frame.crs:
@@ -229,7 +229,8 @@ class PlacedPose(PartialPose):
         return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
 
     def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
-        """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
+        """Return the position in the map frame. Raises PoseError if the ground under a camera with a relative height is
+        unknown."""
         place = self.xy(frame)
         assert place is not None  # nosec B101 # tells the type checker what holds
         if self.z is not None:
@@ -245,14 +246,13 @@ class PlacedPose(PartialPose):
 
 
 class PoseConfig(PlacedPose):
-    """A whole pose. Pitch and roll are 0 unless given."""
+    """Complete pose. Pitch and roll are 0 unless given."""
 
     azimuth_deg: AzimuthDeg
 
     def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """In the map frame. Raises PoseError for a camera under the ground, and what `position` and `grid_azimuth_deg`
-        raise.
-        """
+        """Return the pose in the map frame. Raises PoseError for a camera under the ground, and as `position` and
+        `grid_azimuth_deg`."""
         place = self.position(dem, frame)
         ground = float(dem.elevation_at(*place[:2]))
         if place[2] <= ground:
@@ -271,5 +271,7 @@ def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, f
         raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
     moved = transformer.transform(x, y)
     if not np.isfinite(moved).all():
-        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
+        raise PoseError(
+            f"position ({x}, {y}) in {source} cannot be converted to {target}; with EPSG:4326 give longitude first"
+        )
     return float(moved[0]), float(moved[1])

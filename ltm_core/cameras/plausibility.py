@@ -1,7 +1,7 @@
-"""Tells values that are in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
+"""Detect values in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
 
-An angle off the circle is an error. What may be right is only doubted, in words for the user; each bound says how often
-it doubts what is right.
+An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
+false warnings.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pydantic import AfterValidator
 from ltm_core.base.types import Float32Array, Float64Array
 
 FOOT = 0.3048
-"""Metres."""
+"""One foot in metres."""
 TALLEST_MAST = 150.0
-"""Metres above the ground beyond which a camera's height is doubted: fire-watch towers and masts stand lower, aircraft
-and cameras at the brink of a cliff that a coarse DEM rounds off do not."""
+"""Height in metres above the ground above which a camera is suspicious. Fire-watch towers and masts are lower;
+aircraft, and cameras at a cliff edge that a coarse DEM smooths, are not."""
 _SLACK = 10.0
-"""Metres by which a height in feet may still come out under the ground: surveyed places and DEMs differ by as much."""
+"""Metres by which a height in feet may still be below the ground; surveyed positions and DEMs differ by as much."""
 _DEEP = 50.0
-"""Metres under the ground that no datum and no coarse DEM explains."""
+"""Metres below the ground that no datum and no coarse DEM explains."""
 
 
 def _azimuth(value: float) -> float:
@@ -53,7 +53,7 @@ RollDeg = Annotated[float, AfterValidator(_roll)]
 
 
 def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
-    """Why the azimuths of one file may be radians; None where nothing says so.
+    """Return why the azimuths of a file may be in radians; None if they are plausible.
 
     They are doubted where all lie within 2 pi and one at least is no whole number. Of right azimuths, spread evenly,
     2 pi / 360 = 1.7 % lie there: one camera in 57 is doubted, of files with two cameras one in 3,300.
@@ -72,9 +72,9 @@ def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
 
 
 def doubt_of_height(z: float, ground: float) -> str | None:
-    """Why a camera's height `z` over `ground`, both metres, may be in feet or wrong; None where it is plausible.
+    """Return why a camera's height `z` over `ground`, in metres, may be in feet or wrong; None if it is plausible.
 
-    Doubted are cameras TALLEST_MAST or more above the ground, and those under it. NaN ground says nothing.
+    Warns of cameras TALLEST_MAST or more above the ground, and under it. NaN ground gives no warning.
     """
     above = z - ground
     if math.isnan(above) or 0.0 < above <= TALLEST_MAST:
@@ -98,19 +98,19 @@ def doubt_of_height(z: float, ground: float) -> str | None:
 
 
 HIGHEST, LOWEST = 8_900.0, -500.0
-"""Metres: no ground is higher or lower."""
+"""Highest and lowest ground on Earth in metres."""
 _STEEP = 0.8
-"""Rise per metre along rows that half the ground has at most: half the Alps' slopes rise by less than 0.45; in feet, by
-1.5."""
+"""Maximum median slope along rows, in metres per metre. Half of the slopes in the Alps are below 0.45; with heights in
+feet, below 1.5."""
 _LEAST_CELLS = 50
 _ALIKE = 0.08
-"""Share by which a ratio of heights may miss that of feet to metres."""
+"""Relative tolerance of a ratio of heights around that of feet to metres."""
 _FAR_OFF = 50.0
-"""Metres by which two rasters of one ground differ in the median: more than datums do on land, trees included."""
+"""Median difference in metres between two rasters of the same ground that no land datum explains, trees included."""
 
 
 def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
-    """Why a DEM's heights, (H, W) metres, may be in feet by themselves; None where they are plausible.
+    """Return why a DEM's heights (H, W) in metres may be in feet; None if they are plausible.
 
     Only mountains show it: hills in feet are as steep as mountains in metres.
     """
@@ -125,24 +125,23 @@ def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
     if resolution < 5.0 or not np.isfinite(rise).any() or float(np.nanmedian(rise)) <= _STEEP:
         return None
     return (
-        f"half the ground is steeper than {math.degrees(math.atan(float(np.nanmedian(rise)))):.0f} degrees: if its "
+        f"half of the ground is steeper than {math.degrees(math.atan(float(np.nanmedian(rise)))):.0f} degrees: if its "
         "heights are feet, convert them to metres"
     )
 
 
 def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str) -> str | None:
-    """Why heights, metres, do not go with those of another raster of the same places, called `name`; None where they
-    do, or too few are known of both.
-    """
+    """Return why heights in metres do not match those of another raster of the same places, called `name`; None if they
+    do, or if too few are known in both."""
     known = np.isfinite(heights) & np.isfinite(others) & (np.abs(others) > 20) & (np.abs(heights) > 20)
     if known.sum() < _LEAST_CELLS:
         return None
     ratio = float(np.median(heights[known] / others[known]))
     apart = float(np.median(np.abs(heights[known] - others[known])))
     if abs(ratio * FOOT - 1) < _ALIKE:
-        return f"stands {ratio:.2f} times as high as {name}: its heights are feet, convert them to metres"
+        return f"is {ratio:.2f} times as high as {name}: its heights are feet, convert them to metres"
     if abs(ratio / FOOT - 1) < _ALIKE:
-        return f"stands {ratio:.2f} times as high as {name}, whose heights may be feet: convert them to metres"
+        return f"is {ratio:.2f} times as high as {name}, whose heights may be feet: convert them to metres"
     if apart > _FAR_OFF:
         return f"is {apart:.0f} m off {name} in the median: check place, unit and datum of both"
     return None

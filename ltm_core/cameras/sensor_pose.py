@@ -34,18 +34,18 @@ from ltm_core.raster.dem import Dem
 
 ENU_FROM_ENU = np.eye(3)
 ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Apple's CoreMotion with x to the north and z up."""
+"""Rotation from the world of Apple's CoreMotion (x north, z up) to east, north, up."""
 ENU_FROM_EUS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""ARKit with `gravityAndHeading`: x east, y up, z south."""
+"""Rotation from ARKit's world with `gravityAndHeading` (x east, y up, z south) to east, north, up."""
 OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
-"""Camera axes x right, y up, z backward (ARKit, OpenGL) from the optical frame's x right, y down, z forward."""
+"""Rotation from the optical frame (x right, y down, z forward) to ARKit and OpenGL axes (x right, y up, z backward)."""
 
 
 def phone_camera(turned_deg: float = 0.0) -> Float64Array:
-    """(3, 3): the optical frame of an upright photo of the back camera to the phone's axes.
+    """Return the rotation (3, 3) from the optical frame of an upright photo of the back camera to the phone's axes.
 
-    `turned_deg`: by how much the phone was turned counter-clockwise, as the one who holds it sees it, from portrait: 90
-    for landscape with the top to the left.
+    `turned_deg`: counter-clockwise turn of the phone from portrait, as its user sees it: 90 for landscape with the top
+    to the left.
     """
     t = math.radians(turned_deg)
     cosine, sine = (round(v, 12) if turned_deg % 90 == 0 else v for v in (math.cos(t), math.sin(t)))
@@ -54,9 +54,8 @@ def phone_camera(turned_deg: float = 0.0) -> Float64Array:
 
 
 def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
-    """`phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape allows,
-    as the picture stands most upright. Without an attitude (None) the first of them.
-    """
+    """Return `phone_camera` for the way the phone was held: by `turned_deg`, or by the image's shape so that the image
+    is as upright as possible. Without an attitude (None), the first candidate."""
     allowed = turned_deg or ((0.0,) if portrait else (90.0, 270.0))
     mounts = [phone_camera(angle) for angle in allowed]
     if enu_from_phone is None or len(mounts) == 1:
@@ -65,7 +64,7 @@ def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: 
 
 
 def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
-    """Azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
+    """Return the azimuth from the world's north, pitch and roll of a camera, as used by `Pose.from_angles`.
 
     Raises PoseError on a matrix that is no rotation.
     """
@@ -73,36 +72,36 @@ def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, fl
 
 
 class SensorsConfig(StrictModel):
-    """How a camera's pose comes from its fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
+    """Settings for poses from fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
 
     mount: Literal["phone", "phone_sensor"] | tuple[float, float, float, float] = "phone"
-    """How the camera lies in the frame of the attitude: as a phone's back camera, whose images its app turns upright
-    (`phone`) or sends as the sensor reads them, always landscape (`phone_sensor`); or the quaternion (x, y, z, w) of
-    the optical frame in it, as tf has it."""
+    """Orientation of the camera in the attitude's frame: a phone's back camera whose app turns images upright (`phone`)
+    or sends them as read, always landscape (`phone_sensor`), or the quaternion (x, y, z, w) of the optical frame as in
+    tf."""
     north: Literal["magnetic", "true"] = "magnetic"
-    """Which north the attitude's world has: Android's magnetic, iOS' true."""
+    """North of the attitude's world: magnetic (Android) or true (iOS)."""
     geoid_undulation: float | None = None
-    """Metres of the geoid above the ellipsoid, from which fixes count heights; None: the terrain tells the height."""
+    """Height in metres of the geoid above the ellipsoid of the fixes; None: the height comes from the terrain."""
     height_above_ground: float = Field(1.6, ge=0)
-    """Where no altitude tells it."""
+    """Height in metres above the ground, if no altitude is available."""
     fix_age: float = Field(15.0, gt=0)
-    """Seconds by which a fix may miss its image."""
+    """Maximum time difference in seconds between a fix and its image."""
     attitude_age: float = Field(0.1, gt=0)
-    """Seconds by which an attitude may miss its image."""
+    """Maximum time difference in seconds between an attitude and its image."""
     gps_sigma: float = Field(5.0, gt=0)
-    """Metres, of fixes that state no covariance."""
+    """Standard deviation in metres of fixes that state no covariance."""
     altitude_sigma: float = Field(10.0, gt=0)
     ground_sigma: float = Field(1.0, gt=0)
-    """Metres, of a height above the terrain."""
+    """Standard deviation in metres of a height above the terrain."""
     compass_sigma_deg: float = Field(8.2, gt=0)
-    """Of attitudes that state no covariance."""
+    """Standard deviation in degrees of the heading of attitudes that state no covariance."""
     tilt_sigma_deg: float = Field(1.0, gt=0)
 
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """`altitude`: metres above the WGS 84 ellipsoid, NaN where not known. `covariance`: (3, 3) of east, north, up in
-    m^2, None where not known."""
+    """Position fix. `altitude`: metres above the WGS 84 ellipsoid, NaN if unknown. `covariance`: (3, 3) of east, north,
+    up in m^2, None if unknown."""
 
     stamp_ns: int
     lon: float
@@ -113,8 +112,8 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """`rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations about these in rad^2,
-    None where not known."""
+    """Attitude of a device. `rotation`: (3, 3), the device's axes to east, north, up. `covariance`: (3, 3) of rotations
+    about these in rad^2, None if unknown."""
 
     stamp_ns: int
     rotation: Float64Array
@@ -130,7 +129,7 @@ def sensed_pose(
     dem: Dem,
     config: SensorsConfig,
 ) -> tuple[Pose, Float64Array]:
-    """Pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
+    """Return the pose of an image of `size` (width, height) and its covariance (6, 6), as in `pose_covariance`.
 
     Raises PoseError where fix or attitude are of another time, and where the ground is needed and not known.
     """
@@ -141,7 +140,7 @@ def sensed_pose(
         if abs(stamp - stamp_ns) > age * 1e9:
             raise PoseError(
                 f"the nearest {what} is {(stamp - stamp_ns) / 1e9:+.2f} s from the image of stamp {stamp_ns} ns, at "
-                f"most {age:g} s are taken: publish it more often, with stamps of the images' clock"
+                f"most {age:g} s are allowed: publish it more often, stamped by the clock of the images"
             )
     x, y = (float(v) for v in frame.from_lonlat(fix.lon, fix.lat))
     position_sigma, altitude_sigma = config.gps_sigma, config.altitude_sigma
@@ -185,7 +184,7 @@ def _height(
             return z, altitude_sigma
     if not np.isfinite(ground):
         raise PoseError(
-            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies beside the DEM, and its height is not known: give "
+            f"the fix at lon {fix.lon:.6f}, lat {fix.lat:.6f} lies outside the DEM, so its height is not known: give "
             "`geoid_undulation` under the camera's `sensors` in the site file"
         )
     return ground + config.height_above_ground, config.ground_sigma

@@ -30,9 +30,9 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 
 OCTAVES = 28
-"""Half octaves of depth, from 4 m on."""
+"""Number of half octaves of depth, starting at 4 m."""
 FIRST = 4.5
-"""2 log2 of the first half octave's middle, metres."""
+"""2 log2 of the middle of the first half octave in metres."""
 _FARTHEST = 40_000.0
 _STEPS = 4096  # of each of three tables of logarithms
 _NEAR, _MIDDLE, _FAR = (
@@ -42,7 +42,8 @@ _NEAR, _MIDDLE, _FAR = (
 
 
 class ErrorTables(NamedTuple):
-    """An `ErrorModel` as compiled code takes it. `least_said`: of the true inverse depth that a network says."""
+    """Compiled form of an `ErrorModel`. `least_said`: minimum of a network's value as a share of the true inverse
+    depth."""
 
     shift: Float32Array
     factor: Float32Array
@@ -51,7 +52,7 @@ class ErrorTables(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Where the true inverse depth is x, the network says x - shift x, with a sigma of factor x.
+    """Error model: at true inverse depth x, the network gives x - shift x, with a sigma of factor x.
 
     `tables`: shift and factor, (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they
     differ over the photo.
@@ -62,12 +63,12 @@ class ErrorModel:
 
     @classmethod
     def none(cls) -> ErrorModel:
-        """In place of a network that is not there."""
+        """Return the model used without a network."""
         plain = np.zeros((1, 1, OCTAVES), np.float32)
         return cls(ErrorTables(plain, plain + 1, np.float32(1.0)), False)
 
     def standardized(self, read: Float64Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
-        """True less read inverse depth at samples (N,), in sigmas of both network and terrain."""
+        """Return true minus measured inverse depth at samples (N,), in sigmas of both network and terrain."""
         shift, factor, _ = self.tables
         rows = samples.rows * shift.shape[0] // size[0]
         cols = samples.cols * shift.shape[1] // size[1]
@@ -77,14 +78,14 @@ class ErrorModel:
 
 
 def octaves(depth: NDArray[np.floating]) -> IndexArray:
-    """The half octave that each depth, metres, is in."""
+    """Return the half octave of each depth in metres."""
     places = np.rint(2.0 * np.log2(depth) - FIRST)
     return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _place(depth: np.float32) -> np.float32:
-    """Where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
+    """Return where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
     if depth < np.float32(_STEPS / 16):
         return np.float32(_NEAR[int(depth * np.float32(16.0))])
     if depth < np.float32(_STEPS):
@@ -94,7 +95,7 @@ def _place(depth: np.float32) -> np.float32:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
-    """By how much less than the true `inverse` depth the network says in a cell of the tables, and its sigma, 1/m."""
+    """Return the bias of the network at the true `inverse` depth in a cell of the tables, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
     shift, factor = tables.shift, tables.factor
@@ -108,7 +109,8 @@ def expected_prediction(row: int, col: int, inverse: np.float32, tables: ErrorTa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def interpolation_table(tables: ErrorTables) -> Float32Array:
-    """Both tables (R, C, D) side by side, (R, C * D, 4): each value, and by how much the next half octave's is more."""
+    """Return both tables (R, C, D) side by side, (R, C * D, 4): each value, and its difference to the next half
+    octave."""
     shift, factor = tables.shift, tables.factor
     rows, cols, count = shift.shape
     both = np.zeros((rows, cols * count, 4), np.float32)
@@ -133,8 +135,8 @@ def expected_predictions(
     less: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """`expected_prediction` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of
-    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,), to work in.
+    """Compute `expected_prediction` for a row of pixels (W,) into `less` and `sigma`. `tables`: (C * D, 4), one row of
+    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,) work arrays.
 
     The logarithm is taken from the numbers' own bits, so that no table is looked up: log2(2^e (1 + m)) is
     e + m + 0.3438 m (1 - m) but for 0.009.
@@ -161,7 +163,7 @@ def expected_predictions(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[np.float32, np.float32]:
-    """The true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
+    """Return the true inverse depth for the network's value `read`, and its sigma, 1/m."""
     plain = np.float32(1.0)
     less, sigma = expected_prediction(row, col, read, tables)
     if read > 0:
@@ -170,14 +172,14 @@ def invert(row: int, col: int, read: np.float32, tables: ErrorTables) -> tuple[n
 
 
 REGIONS = (9, 16)
-"""Rows and columns in which samples are gathered."""
+"""Rows and columns of the regions in which samples are collected."""
 _FINE = 4  # cells of the tables in one region, each way
 
 
 def estimate_errors(
     read: Float64Array, samples: GroundSamples, size: tuple[int, int], config: FusionConfig
 ) -> ErrorModel:
-    """From what the network said (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
+    """Estimate a network's errors from its values (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
     rules = config.error_model
     usable = read * samples.depth < rules.nearer
     samples, read = samples.part(usable), read[usable]
@@ -198,7 +200,8 @@ def estimate_errors(
 def _by_depth(
     octave: IndexArray, less: Float64Array, terrain: Float64Array, region: IndexArray, config: FusionConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
+    """Return the middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the
+    terrain's.
 
     Both are drawn towards those of all samples by a region's worth of belief. Samples side by side are no evidence
     of an error that goes with depth: they may all lie on one hill, or on one thing that stands there since.
@@ -232,15 +235,15 @@ def _by_depth(
 
 
 def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> tuple[float, float]:
-    """Middle and spread of the densest part of `less` (N,): what stands before the ground in most of the places where
-    its range is seen draws a median along, and its own spread into that of the network."""
+    """Return the middle and spread of the densest part of `less` (N,): what stands before the ground in most of the
+    places where its range is seen draws a median along, and its own spread into that of the network."""
     ordered = np.sort(less)
     densest = config.error_model.densest
     count = max(2, math.ceil(densest * len(ordered)))
     widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     start = int(np.argmin(widths))
     middle = float(np.median(ordered[start : start + count]))
-    # Of a normal distribution, that part lies within so many sigmas.
+    # The number of sigmas that contain this part of a normal distribution.
     wide = float(widths[start]) / (2.0 * NormalDist().inv_cdf(0.5 + 0.5 * densest))
     return middle, max(wide**2 - float(np.median(terrain)) ** 2, config.scale.relative_floor**2) ** 0.5
 
@@ -248,7 +251,8 @@ def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> 
 def _by_region(
     off: Float64Array, samples: GroundSamples, size: tuple[int, int], config: FusionConfig
 ) -> tuple[Float32Array, Float32Array]:
-    """Mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C, D).
+    """Return the mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C,
+    D).
 
     Means are taken over the regions of a checkerboard and judged on the others: what they say of ground that they have
     not seen is what they will say of trees.
@@ -278,7 +282,7 @@ def _by_region(
 
 
 def _regions(samples: GroundSamples, size: tuple[int, int]) -> IndexArray:
-    """The region (N,) that each sample of a photo of `size` is in, row by row."""
+    """Return the region (N,) that each sample of a photo of `size` is in, row by row."""
     rows = np.minimum(samples.rows * REGIONS[0] // size[0], REGIONS[0] - 1)
     cols = np.minimum(samples.cols * REGIONS[1] // size[1], REGIONS[1] - 1)
     return np.asarray(rows * REGIONS[1] + cols, np.intp)
@@ -287,14 +291,15 @@ def _regions(samples: GroundSamples, size: tuple[int, int]) -> IndexArray:
 def _means(
     index: IndexArray, off: Float64Array, belief: float, config: FusionConfig, prior: float = 0.0
 ) -> Float32Array:
-    """Smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief` says."""
+    """Return the smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief`
+    says."""
     totals, counts = _sums(index, off - prior, config)
     return np.asarray(prior + totals / (counts + belief), np.float32)
 
 
 def _sums(index: IndexArray, off: Float64Array, config: FusionConfig) -> tuple[Float64Array, Float64Array]:
-    """Smoothed sums and counts by region and depth, of a unit of belief's height: a lone cell still counts with all
-    its samples."""
+    """Return the smoothed sums and counts by region and depth, of a unit of belief's height: a lone cell still counts
+    with all its samples."""
     cells, rules = (*REGIONS, OCTAVES), config.error_model
     totals = np.bincount(index, off, np.prod(cells)).reshape(cells)
     counts = np.bincount(index, minlength=int(np.prod(cells))).reshape(cells).astype(np.float64)
@@ -305,6 +310,6 @@ def _sums(index: IndexArray, off: Float64Array, config: FusionConfig) -> tuple[F
 
 
 def _grown(table: Float32Array) -> Float32Array:
-    """A table (R, C, D) at _FINE times the rows and columns."""
+    """Return a table (R, C, D) at _FINE times the rows and columns."""
     size = (table.shape[1] * _FINE, table.shape[0] * _FINE)
     return np.ascontiguousarray(cv2.resize(table, size, interpolation=cv2.INTER_LINEAR), np.float32)

@@ -2,7 +2,7 @@
 
 What the terrain lets expect of a pixel: the depth of the visible surface and how sure it is.
 
-Traced depth is that of bare ground. Where a label says that something grows, the camera looks at its top: the ray that
+Traced depth is that of bare ground. Where a label shows vegetation, the camera sees its top: the ray that
 meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels further down the
 image. So the raised surface's depth is found in the traced image itself, exactly where the slope goes on, and never
 across a silhouette (that is `occlusion_boundaries`' work).
@@ -51,7 +51,7 @@ def expected_surface(
     dem_sigma: float,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
-    """Depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in `ground`.
+    """Return depth and sigma of the visible surface, (H, W) float32 metres; +inf and NaN are those of `ground`.
 
     Args:
         ground: traced depth along the optical axis (H, W).
@@ -97,7 +97,7 @@ def _expect(
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Row by row in short loops without branches, which compilers turn into vector code."""
+    """Process row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
     far, none = np.float32(1e9), np.float32(np.nan)
     focal, angle_sigma, dem_sigma = rules.focal, rules.angle_sigma, rules.dem_sigma
@@ -176,9 +176,9 @@ def _cover(
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
-    terrain's heights, metres. label_columns: of the network that made the labels, whose edges are no finer; 0: they
-    are the photo's own."""
+    """Standard deviations of the inputs. angle_sigma: camera direction, radians, in addition to its pose's covariance.
+    dem_sigma: terrain heights, metres. label_columns: width of the network that made the labels, which limits their
+    resolution; 0: the photo's own."""
 
     angle_sigma: float = float(np.radians(0.03))
     dem_sigma: float = 1.0
@@ -186,8 +186,8 @@ class FusionSettings:
 
 
 class Expectation(NamedTuple):
-    """What is known of a photo's pixels before any of them is decided: depth and sigma (H, W) that the terrain lets
-    expect; the network's fit, its view of the photo, and what may stand before the ground, None without a network."""
+    """Expectation of a photo's pixels before fusion: depth and sigma (H, W) from the terrain; the network's fit, its
+    view of the photo, and the occlusion prior, None without a network."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -205,7 +205,7 @@ def expect(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> Expectation:
-    """What `fuse` decides by; arguments as there."""
+    """Return the inputs of the decisions of `fuse`; arguments as there."""
     if network is None:
         return Expectation(*_surface(traced, labels, classes, settings, config), None, None, None)
     expected, sigma, fit = fitted(traced, network, labels, classes, settings, config)
@@ -223,7 +223,7 @@ def _surface(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
-    """What the terrain lets expect: bare ground, with the height of what grows there."""
+    """Return what the terrain lets expect: bare ground, with the height of what grows there."""
     sigmas = settings.angle_sigma, settings.dem_sigma
     return expected_surface(traced.depth(), labels, classes.cover, traced.camera, traced.pose, *sigmas, config)
 
@@ -236,7 +236,7 @@ def fitted(
     settings: FusionSettings,
     config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array, ScaleFit]:
-    """Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there;
+    """Return the network's scale from trustworthy ground (pixel sampling and RANSAC regression) and its errors there,
     with depth and sigma of the expected surface."""
     expected, sigma = _surface(traced, labels, classes, settings, config)
     samples = ground_samples(expected, sigma, labels, classes.ground, traced.camera.fy, config)

@@ -23,22 +23,22 @@ from ltm_core.vision.manifest import FUSION_SUFFIX, NetworkManifest
 
 
 def derived(default: Any, meaning: str, **bounds: float) -> Any:
-    """A constant that follows from something else; `bounds`: of pydantic, as ge=0."""
+    """Declare a constant that follows from others; `bounds` as in pydantic, for example ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
-    """A constant that `ltm-lab train fusion` writes."""
+    """Declare a constant that `ltm-lab train fusion` writes."""
     return Field(default, description=meaning, json_schema_extra={"origin": "fitted"})
 
 
 def chosen(default: Any, meaning: str, **bounds: float) -> Any:
-    """A constant that a person has chosen on development scenarios; `bounds`: of pydantic, as ge=0."""
+    """Declare a constant chosen on the development scenarios; `bounds` as in pydantic, for example ge=0."""
     return Field(default, description=meaning, json_schema_extra={"origin": "chosen"}, **bounds)  # type: ignore[call-overload]
 
 
 class ClassLogOdds(StrictModel):
-    """Log odds by what the labels call a place."""
+    """Log odds by the label of a place."""
 
     grass: float = fitted(..., "grass")
     shrub: float = fitted(..., "shrub")
@@ -50,186 +50,241 @@ class ClassLogOdds(StrictModel):
 
 
 class CoverConfig(StrictModel):
-    """What grows on the ground, by class."""
+    """Vegetation heights by class."""
 
-    grass: float = chosen(0.2, "metres by which the visible surface of grass stands above bare ground", ge=0, lt=100)
+    grass: float = chosen(0.2, "Mean height in metres of the visible surface of grass above bare ground.", ge=0, lt=100)
     shrub: float = chosen(
-        1.0, "the same of shrub, somewhat below the plants' own height: one looks between them too", ge=0, lt=100
+        1.0,
+        "Mean height in metres of the visible surface of shrub, below the plants' own height because of gaps.",
+        ge=0,
+        lt=100,
     )
-    tree: float = chosen(6.0, "the same of trees", ge=0, lt=100)
-    doubt: float = chosen(0.5, "sigma of a cover height as a part of it")
-    crest: float = chosen(3.0, "metres that unlabelled or low cover may rise over a crest")
-    tree_crest: float = chosen(12.0, "metres that a tree may rise over a crest")
-    bare_crest: float = chosen(1.0, "metres that bare ground and water may: the raster rounds crests off")
+    tree: float = chosen(6.0, "Mean height in metres of the visible surface of trees.", ge=0, lt=100)
+    doubt: float = chosen(0.5, "Standard deviation of a cover height, as a share of it.")
+    crest: float = chosen(3.0, "Maximum height in metres of unlabelled or low cover above a crest.")
+    tree_crest: float = chosen(12.0, "Maximum height in metres of a tree above a crest.")
+    bare_crest: float = chosen(
+        1.0, "Maximum height in metres of bare ground and water above a crest, because rasters smooth crests."
+    )
 
 
 class SurfaceConfig(StrictModel):
-    """The depth that the terrain lets expect, and its sigma (`expected_surface`)."""
+    """Expected depth of the terrain and its sigma (`expected_surface`)."""
 
-    jump: float = chosen(1.25, "ratio of depths of neighbouring pixels from which on they lie on two surfaces")
-    most_roll_deg: float = chosen(20.0, "roll of a camera whose columns are still about plumb")
-    most_pitch_deg: float = chosen(60.0, "pitch, up or down, of a camera along whose columns things still stand")
-    pixel_doubt: float = chosen(0.3, "pixels by which an edge may be misplaced at a perfect pose: grid and DEM cells")
-    least_sigma: float = chosen(1e-3, "least relative sigma that is claimed")
+    jump: float = chosen(1.25, "Ratio of depths of neighbouring pixels above which they are on two surfaces.")
+    most_roll_deg: float = chosen(20.0, "Maximum roll in degrees of a camera whose columns count as vertical.")
+    most_pitch_deg: float = chosen(
+        60.0, "Maximum pitch in degrees, up or down, at which objects stand along a camera's columns."
+    )
+    pixel_doubt: float = chosen(0.3, "Displacement of an edge in pixels at a perfect pose, by pixels and DEM cells.")
+    least_sigma: float = chosen(1e-3, "Minimum relative standard deviation.")
 
 
 class SamplingConfig(StrictModel):
-    """Where the terrain can be trusted (`ground_sampling`)."""
+    """Selection of trustworthy terrain samples (`ground_sampling`)."""
 
-    most: int = chosen(6000, "samples that a fit gets at most")
-    crowd: int = chosen(4, "times the places of a middling half octave of ranges that one may have")
-    grazing_deg: float = chosen(4.0, "least angle between ray and ground")
-    unsure: float = chosen(0.3, "relative sigma from which on a depth says nothing of scale")
-    step: int = chosen(6, "pixels between candidates")
-    clear: int = chosen(5, "pixels within which no edge of the terrain may lie")
+    most: int = chosen(6000, "Maximum number of samples of a fit.")
+    crowd: int = chosen(4, "Maximum number of samples of a half octave of ranges, in multiples of the median one.")
+    grazing_deg: float = chosen(4.0, "Minimum angle between ray and ground in degrees.")
+    unsure: float = chosen(0.3, "Relative standard deviation above which a depth is not used for the scale.")
+    step: int = chosen(6, "Distance between candidates in pixels.")
+    clear: int = chosen(5, "Minimum distance in pixels from edges of the terrain.")
 
 
 class RegressionConfig(StrictModel):
-    """The straight line that most samples agree on (`robust_regression`)."""
+    """Straight line through most samples (`robust_regression`)."""
 
-    trials: int = derived(128, "pairs tried: with 45 % outliers one is clean with 0.3, so all fail once in 10^19", ge=1)
-    scored: int = chosen(800, "points, evenly taken, that score the trials; the inliers come from all", ge=8)
-    band: float = chosen(2.5, "robust standard deviations within which a point is an inlier", gt=0)
-    fewest: int = chosen(8, "points below which no line is laid", ge=2)
-    least_run: float = derived(1e-3, "of x's spread: pairs that lie closer give no slope")
-    refined: int = chosen(3, "rounds of least squares over the inliers")
+    trials: int = derived(
+        128, "Number of pairs tried; with 45 % outliers, one is clean with 0.3, so all fail once in 10^19.", ge=1
+    )
+    scored: int = chosen(
+        800, "Number of evenly spaced points that score the trials; inliers are selected from all points.", ge=8
+    )
+    band: float = chosen(2.5, "Robust standard deviations within which a point is an inlier.", gt=0)
+    fewest: int = chosen(8, "Minimum number of points for a line.", ge=2)
+    least_run: float = derived(1e-3, "Minimum distance of a pair in x, as a share of the spread of x.")
+    refined: int = chosen(3, "Number of rounds of least squares over the inliers.")
 
 
 class ScaleConfig(StrictModel):
-    """One scale and shift for a network's depth (`scale_fit`, `robust_regression`)."""
+    """Scale and shift of a network's depth (`scale_fit`, `robust_regression`)."""
 
-    least_samples: int = chosen(50, "of trustworthy ground below which no scale is fitted")
-    least_positive: float = chosen(0.9, "of a relative network's values: below, it has no line without a shift")
-    least_inliers: float = chosen(0.3, "share of samples below which nothing holds together")
-    least_explained: float = chosen(0.1, "part of the ground's spread in inverse depth that a network must explain")
-    like_terrain: float = chosen(0.2, "relative noise below which it is of use even over ground of one depth")
-    shift_gain: float = chosen(0.6, "of the residual: a shift must bring it below, for it rules all that is far")
-    typical_sigma: float = chosen(0.1, "relative sigma of the terrain from which on a sample counts for less")
-    relative_floor: float = chosen(2e-3, "least relative noise of a network that is believed")
-    gross_sigmas: float = chosen(3.0, "joint sigmas beyond which a residual is no noise")
-    covered_gross: float = chosen(0.5, "part of what is seen much too near that is an error, and no missed cover")
-    least_gross: float = chosen(0.003, "least share of gross errors that a network is believed to make")
-    noisy_gross: float = chosen(0.05, "the share that noise alone may raise it to: few places are many samples")
+    least_samples: int = chosen(50, "Minimum number of samples of trustworthy ground for a scale.")
+    least_positive: float = chosen(
+        0.9, "Minimum share of positive values of a relative network for a line without a shift."
+    )
+    least_inliers: float = chosen(0.3, "Minimum share of inliers for a usable fit.")
+    least_explained: float = chosen(
+        0.1, "Minimum share of the ground's spread in inverse depth that a network must explain."
+    )
+    like_terrain: float = chosen(0.2, "Relative noise below which a network is usable even over ground of one depth.")
+    shift_gain: float = chosen(
+        0.6, "Share of the residual that a shift must reach, because a shift determines all far depths."
+    )
+    typical_sigma: float = chosen(
+        0.1, "Relative standard deviation of the terrain above which a sample has less weight."
+    )
+    relative_floor: float = chosen(2e-3, "Minimum relative noise of a network.")
+    gross_sigmas: float = chosen(3.0, "Joint standard deviations above which a residual is a gross error.")
+    covered_gross: float = chosen(0.5, "Share of the much too near pixels that are errors and not missed cover.")
+    least_gross: float = chosen(0.003, "Minimum share of gross errors of a network.")
+    noisy_gross: float = chosen(
+        0.05, "Share of gross errors that noise alone may explain, because samples cluster in few places."
+    )
 
 
 class ErrorModelConfig(StrictModel):
-    """A network's slow errors and noise, by region and depth (`error_model`)."""
+    """Systematic errors and noise of a network by region and depth (`error_model`)."""
 
-    regional: bool = chosen(True, "whether corrections differ over the photo, where held-out regions bear them out")
-    by_depth: bool = chosen(True, "whether bias and spread differ by range")
-    unsampled: float = chosen(4.0, "variance of a region without samples, in that of regions held out")
-    shrink: tuple[float, ...] = chosen((4.0, 16.0, 64.0), "samples' worth of belief in no correction, tried in turn")
-    gain: float = chosen(0.97, "of the held-out error: corrections that do not reach it are left out")
-    winsor: float = chosen(6.0, "sigmas at which residuals are cut off")
-    covered: float = chosen(4.0, "sigmas nearer than the terrain: cover that no label told of, not an error")
-    blur: tuple[float, float, float] = chosen((1.0, 1.0, 1.5), "regions and half octaves over which tables are smooth")
-    peak: float = derived(0.15, "about what a cell smoothed by `blur` keeps of its own")
-    fewest: int = chosen(10, "samples of which a spread is taken")
-    belief: float = chosen(1.0, "regions' worth of it in the spread of all ranges")
-    densest: float = chosen(0.4, "of the samples, that lie closest together: what stands in most places draws a median")
-    least_spread: float = chosen(0.5, "of the spread of all ranges, that of one")
-    nearer: float = chosen(12.0, "times nearer than the ground: no error, but something right before the camera")
-    nearer_far: float = chosen(3.0, "times nearer: far ground of unknown range is seen at some middling one")
-    biased: float = chosen(0.3, "of a range's bias, by which that differs within the half octave")
-    beyond: float = chosen(1.5, "growth of the spread with each half octave beyond all samples")
-    before: float = chosen(1.1, "the same before all samples: what is near is known by what is farther")
-    least_said: float = chosen(0.25, "of the true inverse depth, that a network is taken to say at least")
+    regional: bool = chosen(True, "Whether corrections vary over the photo if held-out regions confirm them.")
+    by_depth: bool = chosen(True, "Whether bias and spread vary with the range.")
+    unsampled: float = chosen(4.0, "Variance of a region without samples, in multiples of that of held-out regions.")
+    shrink: tuple[float, ...] = chosen(
+        (4.0, 16.0, 64.0), "Weights of the prior of no correction, in samples, which are tried in turn."
+    )
+    gain: float = chosen(0.97, "Share of the held-out error that corrections must reach to be used.")
+    winsor: float = chosen(6.0, "Standard deviations at which residuals are clipped.")
+    covered: float = chosen(
+        4.0, "Standard deviations nearer than the terrain above which a sample is unlabelled cover, not an error."
+    )
+    blur: tuple[float, float, float] = chosen(
+        (1.0, 1.0, 1.5), "Width of the smoothing of the tables in regions and half octaves."
+    )
+    peak: float = derived(0.15, "Approximate weight of a cell's own value after smoothing by `blur`.")
+    fewest: int = chosen(10, "Minimum number of samples for a spread.")
+    belief: float = chosen(1.0, "Weight of the spread of all ranges, in regions.")
+    densest: float = chosen(
+        0.4, "Share of the samples in the densest part, which replaces the median, because objects bias it."
+    )
+    least_spread: float = chosen(0.5, "Minimum spread of one range, as a share of the spread of all ranges.")
+    nearer: float = chosen(
+        12.0, "Ratio to the ground's depth above which a sample is an object right in front of the camera."
+    )
+    nearer_far: float = chosen(
+        3.0, "The same ratio for far ground, because networks give unknown far ranges a medium depth."
+    )
+    biased: float = chosen(0.3, "Share of a range's bias by which it varies within the half octave.")
+    beyond: float = chosen(1.5, "Growth factor of the spread for each half octave beyond all samples.")
+    before: float = chosen(1.1, "Growth factor for each half octave nearer than all samples.")
+    least_said: float = chosen(0.25, "Minimum value of a network, as a share of the true inverse depth.")
 
 
 class UpsamplingConfig(StrictModel):
-    """A network's depth drawn to the photo's edges (`guided_filter`)."""
+    """Alignment of a network's depth with the photo's edges (`guided_filter`)."""
 
-    radius: int = chosen(1, "of the windows, pixels of the network")
-    edge: float = chosen(12.0, "contrast in 8-bit steps from which on a change of grey counts as an edge")
+    radius: int = chosen(1, "Radius of the windows in pixels of the network.")
+    edge: float = chosen(12.0, "Contrast in 8-bit steps above which a change of grey is an edge.")
 
 
 class BoundaryConfig(StrictModel):
-    """Where the photo has the edge between two ridges (`occlusion_boundaries`)."""
+    """Location of the edge between two ridges in the photo (`occlusion_boundaries`)."""
 
-    usual_crest: float = chosen(0.25, "metres by which crests are usually raised: a cut's prior falls by e for each")
-    strip_px: int = chosen(60, "most pixels that an edge is raised: a near crest's cover is an object")
-    strip_cells: float = chosen(6.0, "the same in rows of a network's depth, where there is one")
-    sample_rows: int = chosen(8, "rows of a side's colour sample")
-    sample_columns: int = chosen(4, "columns to each side of its middle")
-    color_noise: float = chosen(16.0, "least variance of a colour, squared 8-bit steps")
-    temper: float = chosen(0.6, "of a pixel's colour likelihood: neighbours share texture")
-    most: float = chosen(8.0, "log likelihood that one pixel's colour may carry")
-    network_most: float = chosen(3.0, "the same of its network depth")
-    network_sure: float = chosen(1.0, "log likelihood from which on the network may raise an edge beyond usual cover")
-    need: float = chosen(1.0, "log odds by which a cut must be better than none")
-    blur: tuple[int, int] = chosen((5, 3), "columns and rows over which the photo's colours are averaged")
+    usual_crest: float = chosen(
+        0.25, "Usual rise of crests in metres, over which the prior of a cut falls by a factor e."
+    )
+    strip_px: int = chosen(60, "Maximum rise of an edge in pixels; larger cover of a near crest is an object.")
+    strip_cells: float = chosen(6.0, "Maximum rise of an edge in rows of a network's depth, if there is one.")
+    sample_rows: int = chosen(8, "Number of rows of a side's colour sample.")
+    sample_columns: int = chosen(4, "Number of columns to each side of the middle of the sample.")
+    color_noise: float = chosen(16.0, "Minimum variance of a colour in squared 8-bit steps.")
+    temper: float = chosen(0.6, "Exponent of a pixel's colour likelihood, because neighbours share texture.")
+    most: float = chosen(8.0, "Maximum log likelihood of one pixel's colour.")
+    network_most: float = chosen(3.0, "Maximum log likelihood of one pixel's network depth.")
+    network_sure: float = chosen(1.0, "Log likelihood above which the network may raise an edge beyond usual cover.")
+    need: float = chosen(1.0, "Minimum log odds of a cut against no cut.")
+    blur: tuple[int, int] = chosen((5, 3), "Columns and rows over which the photo's colours are averaged.")
     outline: ClassLogOdds = fitted(
         ClassLogOdds(grass=-0.9, shrub=0.6, tree=1.3, bare=-1.7, water=-1.7, built=1.3, unlabelled=0.4),
-        "log odds that a pixel a metre above a crest, which the colours give to it, belongs to it",
+        "Log odds that a pixel one metre above a crest belongs to it if its colour matches.",
     )
-    toward: float = fitted(1.9, "log odds more where the network sees it as near as the crest, less where as far")
+    toward: float = fitted(
+        1.9, "Increase of the log odds if the network's depth is that of the crest, decrease if it is far."
+    )
 
 
 class OcclusionConfig(StrictModel):
-    """What may stand before the ground (`occlusion_prior`)."""
+    """Objects in front of the ground (`occlusion_prior`)."""
 
     standing: ClassLogOdds = fitted(
         ClassLogOdds(grass=-3.2, shrub=0.2, tree=2.7, bare=-3.2, water=-3.2, built=2.7, unlabelled=0.1),
-        "log odds that a place shows what stands before the ground, where all labels about it are of a class",
+        "Log odds that a place shows an object in front of the ground if all labels around it are of a class.",
     )
-    metre: float = fitted(0.14, "log odds less with each metre of height")
-    highest: float = chosen(30.0, "metres from which on they fall no more")
-    no_foot: float = fitted(1.0, "log odds less where the image ends above the foot")
-    about: int = chosen(7, "cells of the network's depth, the side of the square whose labels count")
+    metre: float = fitted(0.14, "Decrease of the log odds per metre of height.")
+    highest: float = chosen(30.0, "Height in metres above which the log odds do not decrease further.")
+    no_foot: float = fitted(1.0, "Decrease of the log odds if the image ends above the foot.")
+    about: int = chosen(7, "Side of the square whose labels count, in cells of the network's depth.")
 
 
 class DecisionConfig(StrictModel):
-    """Terrain or network, pixel by pixel (`pixel_fusion`, `fusion_rows`)."""
+    """Choice between terrain and network for each pixel (`pixel_fusion`, `fusion_rows`)."""
 
-    disagree: float = chosen(0.4, "squared sigmas from which on a disagreement is looked at")
-    agree: float = chosen(9.0, "squared sigmas up to which both are averaged")
-    torn: float = chosen(0.15, "relative sigma of a terrain that is torn between two surfaces: no mean is there")
-    soft: float = chosen(0.15, "of the range of depths among neighbours: how far off a pixel between them may be")
-    likelihood_weight: float = fitted(0.44, "of the log likelihood of something nearer: errors go on for many pixels")
-    canopy_weight: float = fitted(0.18, "the same of a canopy raster")
+    disagree: float = chosen(0.4, "Squared standard deviations above which a disagreement is examined.")
+    agree: float = chosen(9.0, "Squared standard deviations up to which both depths are averaged.")
+    torn: float = chosen(
+        0.15, "Relative standard deviation above which the terrain is split between two surfaces and not averaged."
+    )
+    soft: float = chosen(0.15, "Tolerance of a pixel between its neighbours, as a share of their range of depths.")
+    likelihood_weight: float = fitted(
+        0.44, "Weight of the log likelihood of a nearer object, because errors extend over many pixels."
+    )
+    canopy_weight: float = fitted(0.18, "The same weight for a canopy raster.")
     canopy: ClassLogOdds = fitted(
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
-        "log odds that a canopy raster, and not bare ground, is what shows where the two differ",
+        "Log odds of a canopy raster against bare ground where the two differ.",
     )
-    open: float = chosen(0.1, "chance from which on a depth counts beside the likelier one; 0.5: none does")
-    elsewhere: float = chosen(4.0, "times a network's variance on ground: that on what stands before it")
-    between: float = chosen(0.3, "of the range of depths among neighbours: sigma of which of them a pixel shows")
-    blurred: float = chosen(0.3, "of a disagreement: what lies between two sides by more is an edge")
-    ranges: float = chosen(3.0, "e-foldings of depth over which what stands may be, each as likely")
-    measured: float = chosen(0.5, "relative sigma from which on a network's own depth measures nothing")
+    open: float = chosen(0.1, "Probability above which the less likely depth also counts; 0.5: never.")
+    elsewhere: float = chosen(4.0, "Variance of a network on objects, in multiples of its variance on ground.")
+    between: float = chosen(
+        0.3, "Standard deviation of a pixel's depth between its neighbours, as a share of their range."
+    )
+    blurred: float = chosen(0.3, "Share of a disagreement above which a value between two sides is an edge.")
+    ranges: float = chosen(3.0, "Number of e-foldings of depth over which an object is equally likely.")
+    measured: float = chosen(0.5, "Relative standard deviation above which a network's depth is no measurement.")
 
 
 class PoseCheckConfig(StrictModel):
-    """Whether the terrain lies where the photo has it (`pose_check`, `skyline_check`)."""
+    """Check that the terrain matches the photo (`pose_check`, `skyline_check`)."""
 
-    enabled: bool = chosen(True, "whether a pose that contradicts the photo stops fusion")
-    reach_deg: float = chosen(2.5, "how far a wrong pose is looked for")
-    cells: int = chosen(480, "columns of the contrast image")
-    least_edges: int = chosen(60, "edges of the terrain below which they say nothing")
-    most_edges: int = chosen(1500, "edges that are looked at")
-    near_deg: float = chosen(0.25, "angle that cover and the DEM's error may move an edge by: nearer ones are left out")
-    allowed_deg: float = chosen(0.13, "turn that is no surprise, beside three sigmas of the direction")
-    cover: float = chosen(1.0, "metres that cover raises a crest by")
-    beside: int = chosen(2, "pixels above an edge where the label of what stands on it is read")
-    as_well: float = chosen(0.8, "of the best contrast over the usual: about as good")
-    clearly: float = chosen(0.6, "of the best contrast that the given pose must miss to be suspected")
-    contrast: float = chosen(1.8, "least contrast at the best place")
-    outstanding: float = chosen(4.0, "spreads by which that is above the usual one")
-    skyline_gain: float = chosen(4.0, "times that the skyline must fit better: labels that err fit better somewhere")
-    skyline_as_well: float = chosen(1.25, "times the skyline's best cost: about as good, with a margin")
-    skyline_margin: float = chosen(0.25, "that margin, mean square of sigmas")
-    columns: int = chosen(480, "columns, about, in which the skyline is looked at")
-    least_share: float = chosen(0.3, "of them with a known skyline beyond near crests: short pieces fit anywhere")
-    edge: float = chosen(0.75, "sigma of the labels' edge, in steps between columns or cells of their network")
-    run: int = chosen(3, "rows of land that end the sky")
-    most: float = chosen(4.0, "sigmas beyond which a column counts no more: labels err, clouds hide")
-    share: float = chosen(0.6, "of the columns that must still be seen after a shift")
-    hopeless: float = chosen(3.0, "mean square of sigmas at the best place: then nothing fits")
-    lucky: float = chosen(0.5, "mean square of sigmas below which a fit is no better but by luck")
+    enabled: bool = chosen(True, "Whether a pose that contradicts the photo stops fusion.")
+    reach_deg: float = chosen(2.5, "Range in degrees of the search for a better pose.")
+    cells: int = chosen(480, "Number of columns of the contrast image.")
+    least_edges: int = chosen(60, "Minimum number of terrain edges for the check.")
+    most_edges: int = chosen(1500, "Maximum number of edges used.")
+    near_deg: float = chosen(
+        0.25, "Maximum displacement in degrees of an edge by cover and DEM errors; nearer edges are ignored."
+    )
+    allowed_deg: float = chosen(
+        0.13, "Tolerated turn in degrees, in addition to three standard deviations of the direction."
+    )
+    cover: float = chosen(1.0, "Height in metres by which cover raises a crest.")
+    beside: int = chosen(2, "Distance in pixels above an edge at which the label of its cover is read.")
+    as_well: float = chosen(0.8, "Share of the best contrast over the usual one above which a pose is about as good.")
+    clearly: float = chosen(0.6, "Share of the best contrast below which the given pose is suspected.")
+    contrast: float = chosen(1.8, "Minimum contrast at the best place.")
+    outstanding: float = chosen(4.0, "Minimum excess of the best contrast over the usual one, in spreads.")
+    skyline_gain: float = chosen(
+        4.0, "Factor by which the skyline must fit better, because wrong labels fit better somewhere."
+    )
+    skyline_as_well: float = chosen(
+        1.25, "Multiple of the skyline's best cost up to which a fit is about as good, plus `skyline_margin`."
+    )
+    skyline_margin: float = chosen(0.25, "Margin of `skyline_as_well` in mean squared standard deviations.")
+    columns: int = chosen(480, "Approximate number of columns of the skyline.")
+    least_share: float = chosen(
+        0.3, "Minimum share of columns with a known skyline beyond near crests; short pieces fit anywhere."
+    )
+    edge: float = chosen(
+        0.75, "Standard deviation of the labels' edge, in steps between columns or cells of their network."
+    )
+    run: int = chosen(3, "Number of rows of land that end the sky.")
+    most: float = chosen(4.0, "Standard deviations above which a column is ignored (label errors, clouds).")
+    share: float = chosen(0.6, "Minimum share of the columns that remain visible after a shift.")
+    hopeless: float = chosen(3.0, "Mean squared standard deviations at the best place above which nothing fits.")
+    lucky: float = chosen(0.5, "Mean squared standard deviations below which better fits are random.")
 
 
 class FusionConfig(StrictModel):
-    """All constants of TopoDepth's fusion. Sigmas of what goes in are `topodepth.FusionSettings`."""
+    """All constants of TopoDepth's fusion. Sigmas of the inputs are in `topodepth.FusionSettings`."""
 
     pose_check: PoseCheckConfig = PoseCheckConfig()
     cover: CoverConfig = CoverConfig()
@@ -244,11 +299,11 @@ class FusionConfig(StrictModel):
     decision: DecisionConfig = DecisionConfig()
 
     def constants(self) -> Iterator[tuple[str, Any, str, str]]:
-        """Dotted name, value, origin and meaning of every constant."""
+        """Iterate over dotted name, value, origin and meaning of every constant."""
         yield from _constants(self, "")
 
     def updated(self, changes: dict[str, Any]) -> FusionConfig:
-        """With other values by dotted name; the types and bounds of all are checked. Raises ValueError."""
+        """Return a copy with other values by dotted name; all types and bounds are checked. Raises ValueError."""
         content = self.model_dump()
         for name, value in changes.items():
             *path, last = name.split(".")
@@ -271,12 +326,12 @@ def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, s
 
 
 def fusion_path(manifest: NetworkManifest) -> Path:
-    """Where the constants that were fitted with a network lie."""
+    """Return the path of the constants fitted with a network."""
     return manifest.folder / f"{manifest.name}{FUSION_SUFFIX}"
 
 
 def load_fusion_config(manifest: NetworkManifest) -> FusionConfig:
-    """The constants beside a manifest; the defaults where there are none. Raises ConfigError for a wrong file."""
+    """Return the constants beside a manifest, or the defaults. Raises ConfigError for an invalid file."""
     path = fusion_path(manifest)
     return load_yaml(path, FusionConfig) if path.is_file() else FusionConfig()
 

@@ -13,7 +13,7 @@ from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig, SamplingCon
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 
 GROUND_CLASSES = ("grass", "bare", "water", "shrub")
-"""Whose depth is that of the terrain but for their cover height: what a network may be fitted to."""
+"""Classes whose depth is that of the terrain plus their cover height; networks are fitted to them."""
 VEGETATION = ("grass", "shrub", "tree")
 
 
@@ -37,7 +37,7 @@ class ClassPriors:
 
     @classmethod
     def of(cls, labels: LabelSet, config: FusionConfig | None = None) -> ClassPriors:
-        """The tables of a label set."""
+        """Return the tables of a label set."""
         config = FusionConfig() if config is None else config
         cover, ground = np.zeros(256, np.float32), np.zeros(256, np.bool_)
         for name in VEGETATION:
@@ -57,7 +57,7 @@ class ClassPriors:
 
 
 class LabelView(NamedTuple):
-    """A label image as compiled code takes it: ids (H, W), whether there are any, and the id of sky."""
+    """Compiled form of a label image: ids (H, W), whether there are any, and the id of sky."""
 
     ids: UInt8Array
     known: bool
@@ -65,7 +65,7 @@ class LabelView(NamedTuple):
 
     @classmethod
     def of(cls, labels: UInt8Array | None, classes: ClassPriors) -> LabelView:
-        """`labels`: (H, W) class ids, or None."""
+        """Return the view of `labels`, (H, W) class ids or None."""
         return cls(np.zeros((1, 1), np.uint8) if labels is None else labels, labels is not None, classes.sky)
 
 
@@ -88,7 +88,8 @@ class _SamplingRules(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroundSamples:
-    """`rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface there."""
+    """Ground samples. `rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface
+    there."""
 
     rows: IndexArray
     cols: IndexArray
@@ -99,7 +100,7 @@ class GroundSamples:
         return len(self.rows)
 
     def part(self, chosen: BoolArray) -> GroundSamples:
-        """Those that `chosen` (N,) names."""
+        """Return the samples selected by `chosen` (N,)."""
         return GroundSamples(self.rows[chosen], self.cols[chosen], self.depth[chosen], self.sigma[chosen])
 
 
@@ -111,7 +112,7 @@ def ground_samples(
     focal: float,
     config: FusionConfig,
 ) -> GroundSamples:
-    """Evenly spread pixels with terrain that is no sky, at no silhouette, not grazed, and of a class that is ground.
+    """Return evenly spread pixels of ground classes on terrain, without sky, silhouettes and grazing views.
 
     `ground`: (256,) which classes are. `focal`: pixels. Where sigma is a large part of the depth is left
     out as well: ground near a low mast is unsure, but a network must not be left without what is near.
@@ -145,7 +146,7 @@ def _candidates(
     ground: BoolArray,
     rules: _SamplingRules,
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """Rows, columns and depth of the pixels of a grid that are fit."""
+    """Return the rows, columns and depth of the pixels of a grid that are fit."""
     height, width = surface.shape
     clear, step = rules.clear, rules.step
     down, across = (height - 2 * clear + step - 1) // step, (width - 2 * clear + step - 1) // step
@@ -174,8 +175,8 @@ def _candidates(
 
 
 def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
-    """Which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no class of
-    ranges gets more than `crowd` times the places of a middling one."""
+    """Return which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no
+    class of ranges gets more than `crowd` times the places of a middling one."""
     if not len(depth):
         return np.empty(0, np.intp)
     octave = np.floor(2.0 * np.log2(depth)).astype(np.intp)
@@ -190,8 +191,8 @@ def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _evenly(kind: IndexArray, share: Float64Array) -> IndexArray:
-    """Which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come row by
-    row."""
+    """Return which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come
+    row by row."""
     chosen, rank, n = np.empty(len(kind), np.intp), np.zeros(len(share), np.intp), 0
     for i in range(len(kind)):
         k = kind[i]

@@ -23,7 +23,8 @@ from ltm_core.depth.scale_fit import ScaleFit
 def guided_coefficients(
     image: Float32Array, grey: UInt8Array, config: UpsamplingConfig
 ) -> tuple[Float32Array, Float32Array]:
-    """Gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W), 0..255.
+    """Return the gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W),
+    0..255.
 
     NaN in `image` spreads by twice the windows' radius.
     """
@@ -72,21 +73,21 @@ class NetworkView(NamedTuple):
 
     @classmethod
     def none(cls) -> NetworkView:
-        """In place of a network that is not there."""
+        """Return the view used without a network."""
         grey, column = np.zeros((1, 1), np.uint8), np.zeros(1, np.int32)
         cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)
         return cls(cells, grey, column, part, ErrorModel.none().tables, np.float32(1.0), False)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the network's depth."""
+        """Return the rows and columns of the network's depth."""
         _, rows, columns = self.cells.shape
         return rows, columns
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
-    """The row of cells above row `v` of a photo, and how far that lies towards the next."""
+    """Return the row of cells above row `v` of a photo, and how far that lies towards the next."""
     at = (v + 0.5) * (rows / height) - 0.5
     row = min(max(int(np.floor(at)), 0), rows - 2)
     return row, np.float32(min(max(at - row, 0.0), 1.0))
@@ -94,9 +95,8 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
-    """What the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown, and the
-    greatest and the least that neighbours see. `row`: (4, w), to work in.
-    """
+    """Compute the network's view of row `v` of the photo into `out` (3, W): inverse depth, 1/m, NaN where unknown, and
+    the maximum and minimum among neighbours. `row`: (4, w) work array."""
     cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):
@@ -120,7 +120,7 @@ def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
-    """The inverse depth, 1/m, that the network sees in one pixel."""
+    """Return the network's inverse depth in one pixel, 1/m."""
     cells, grey = view.cells, view.grey
     top, down = _row(v, cells.shape[1], grey.shape[0])
     x, part = view.columns[u], view.parts[u]

@@ -1,4 +1,4 @@
-"""Photo -> what one network makes of its depth, in the network's own measure and size."""
+"""Run a depth network on a photo; its depth has the network's own unit and size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 
 @dataclass(frozen=True, eq=False)
 class NetworkDepth:
-    """Depth as a network gives it, over the whole field of view of the photo, edge to edge.
+    """Depth of a network over the whole field of view of the photo, edge to edge.
 
     `values`: (h, w) float32 at any size. Of kind `relative_inverse`: inverse depth but for a scale and a shift;
     `affine_invariant`: depth but for a scale and a shift; `metric`: metres along the optical axis. NaN: no answer.
@@ -31,7 +31,7 @@ class NetworkDepth:
 
     def __post_init__(self) -> None:
         if self.kind not in DEPTH_KINDS:
-            raise ImageError(f"network depth of kind {self.kind!r}; kinds are {', '.join(DEPTH_KINDS)}")
+            raise ImageError(f"network depth of kind {self.kind!r}; supported kinds: {', '.join(DEPTH_KINDS)}")
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or min(values.shape) < 2:
             raise ImageError(f"network depth must be an image of 2 x 2 or more numbers, got shape {values.shape}")
@@ -48,7 +48,7 @@ class DepthNetwork:
     def __init__(self, manifest: NetworkManifest, threads: int = 1) -> None:
         if not manifest.output.is_depth:
             raise ModelError(
-                f"model {manifest.name!r} gives {manifest.output.kind} of labels, not depth; "
+                f"model {manifest.name!r} outputs {manifest.output.kind} of labels, not depth; "
                 f"a depth model's output is one of {', '.join(DEPTH_KINDS)}"
             )
         self.manifest = manifest
@@ -57,11 +57,11 @@ class DepthNetwork:
 
     @classmethod
     def open(cls, path_or_name: str | Path, threads: int = 1) -> DepthNetwork:
-        """A network by its manifest's path, or by the name of one in `config/models`."""
+        """Return a network by its manifest's path, or by the name of one in `config/models`."""
         return cls(NetworkManifest.find(path_or_name), threads)
 
     def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
-        """Depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
+        """Return the depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
 
         Metres of a network that answers for one focal length are scaled to the camera's. What is no number, and of
         metres what is not above 0, becomes NaN. Raises ImageError for another shape or dtype, and where camera and

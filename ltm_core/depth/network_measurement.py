@@ -1,7 +1,7 @@
-"""What a network alone measures, for whoever asks whether the terrain is still what it was.
+"""Depth measured by a network alone, to detect changes of the terrain.
 
-Fused depth holds the terrain's word: it takes one side where the two disagree, and is drawn to it where they do not. A
-map of what has changed must be told what was seen, and how surely, without it.
+Fused depth depends on the terrain: it follows one side where the two disagree, and is pulled towards it elsewhere. A
+change map needs independent measurements with their uncertainty.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from ltm_core.depth.scale_fit import ScaleFit
 
 @dataclass(frozen=True, eq=False)
 class NetworkMeasurement:
-    """`depth`, `sigma`: (h, w) float32 metres along the optical axis, at the network's own size, edge to edge over the
-    photo; NaN where nothing is measured."""
+    """Depth measured by a network. `depth`, `sigma`: (h, w) float32 metres along the optical axis, at the network's own
+    size, edge to edge over the photo; NaN where nothing is measured."""
 
     depth: Float32Array
     sigma: Float32Array
 
     @classmethod
     def of(cls, fit: ScaleFit, config: FusionConfig) -> NetworkMeasurement:
-        """From a fit that can be used. What is seen may not be the ground on which the network was fitted, so sigma is
-        that of what stands before it."""
+        """Return the measurement of a usable fit. A pixel may not show the ground on which the network was fitted, so
+        sigma is that of objects in front of it."""
         depth, sigma = np.empty_like(fit.inverse), np.empty_like(fit.inverse)
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
         _measure(seen, fit.error_model.tables, DecisionRules.of(config.decision), sure, depth, sigma)
         return cls(depth, sigma)
 
     def without(self, hidden: BoolArray) -> NetworkMeasurement:
-        """Nothing measured in pixels (h, w) that show something else than the terrain."""
+        """Return a copy without the pixels (h, w) that do not show the terrain."""
         nothing = np.float32(np.nan)
         return NetworkMeasurement(np.where(hidden, nothing, self.depth), np.where(hidden, nothing, self.sigma))
 
     @classmethod
     def none(cls) -> NetworkMeasurement:
-        """Of a photo that no network measures."""
+        """Return the empty measurement."""
         nothing = np.full((1, 1), np.nan, np.float32)
         return cls(nothing, nothing)
 

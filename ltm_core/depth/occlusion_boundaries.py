@@ -1,4 +1,4 @@
-"""Where one ridge stands before another, the photo knows better than the DEM where the edge runs.
+"""Move the edges between ridges to where the photo shows them, which is more accurate than the DEM.
 
 What grows on a crest, and a raster that rounds crests off, move the true edge up in the image by some pixels. In this
 strip the terrain's answer is wrong by the whole distance between the two ridges. For every column the pixels above a
@@ -26,12 +26,12 @@ from ltm_core.depth.occlusion_prior import DepthDiscontinuities, mixture_moments
 from ltm_core.geometry.camera import Camera
 
 _Answer = tuple[np.float32, np.float32, np.float32, np.float32]
-"""True inverse depth, by how much less the network says there, the sigma of that, all 1/m, and its logarithm."""
+"""True inverse depth, the network's bias and its sigma there (all in 1/m), and the logarithm of the sigma."""
 
 
 class BoundaryRules(NamedTuple):
-    """`BoundaryConfig` as compiled code takes it, and more. `highest`: metres that any class may rise over a crest;
-    `focal`: pixels; `jump`: ratio of depths between two surfaces; `open`: as `DecisionRules`."""
+    """Compiled form of `BoundaryConfig`, with further values. `highest`: metres that each class may rise over a crest;
+    `focal`: pixels; `jump`: ratio of depths between two surfaces; `open`: as in `DecisionRules`."""
 
     usual_crest: np.float32
     strip_px: int
@@ -50,7 +50,7 @@ class BoundaryRules(NamedTuple):
     jump: np.float32
     open: np.float32
     sure: np.float32
-    """1 - open."""
+    """The value 1 - open."""
 
     @classmethod
     def of(cls, config: FusionConfig, highest: float, focal: float) -> BoundaryRules:
@@ -87,7 +87,7 @@ def refine_occlusion_boundaries(
     network: NetworkView | None = None,
     edges: DepthDiscontinuities | None = None,
 ) -> Silhouettes:
-    """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
+    """Move the edges of `surface` and `sigma` (H, W), in place, to those of the photo; return the edges found.
 
     `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
     `edges`: of `ground`, where they are known.
@@ -110,7 +110,7 @@ def refine_occlusion_boundaries(
 def _sample(
     color: UInt8Array, top: int, bottom: int, u: int, rules: BoundaryRules, mean: Float32Array, var: Float32Array
 ) -> None:
-    """Mean and variance (3,) of the colours in rows [top, bottom) about column u."""
+    """Return the mean and variance (3,) of the colours in rows [top, bottom) about column u."""
     left, right = max(u - rules.sample_columns, 0), min(u + rules.sample_columns + 1, color.shape[1])
     count = np.float32((bottom - top) * (right - left))
     # In short whole numbers, for speed: floats would have to be added one after the other.
@@ -131,16 +131,15 @@ def _sample(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) -> np.float32:
-    """How far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below (`low`) and
-    surely above (`high`), 1/m. One whose edges are soft, or elsewhere, has little to say here.
-    """
+    """Return how far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below (`low`)
+    and surely above (`high`), 1/m. Soft or displaced edges give values near 0."""
     share = (low - high) / (1 / near - (1 / far if far < 1e9 else np.float32(0.0)))
     return min(share, 1 / share) if share > 0 else np.float32(0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _answer(depth: np.float32, row: int, col: int, errors: ErrorTables) -> _Answer:
-    """What the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
+    """Return what the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
     true = np.float32(1.0) / depth
     less, spread = expected_prediction(row, col, true, errors)
     return true, less, spread, np.log(spread)
@@ -148,7 +147,7 @@ def _answer(depth: np.float32, row: int, col: int, errors: ErrorTables) -> _Answ
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _against(inverse: np.float32, answer: _Answer) -> np.float32:
-    """Log likelihood by which what the network sees, 1/m, speaks against a surface."""
+    """Return the log likelihood by which what the network sees, 1/m, speaks against a surface."""
     true, less, spread, log = answer
     off = (inverse - true + less) / spread
     return np.float32(0.5) * off * off + log
@@ -158,7 +157,7 @@ def _against(inverse: np.float32, answer: _Answer) -> np.float32:
 def _farther(
     inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, errors: ErrorTables, most: np.float32
 ) -> np.float32:
-    """Log likelihood that the network speaks for the far side, of depth `far`, and not for the near one."""
+    """Return the network's log likelihood ratio of the far side, of depth `far`, to the near one."""
     if np.isnan(inverse) or np.isnan(far):
         return np.float32(0.0)
     gain = _against(inverse, near) - _against(inverse, _answer(far, row, col, errors))
@@ -259,7 +258,7 @@ def _cut(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _same(a: np.float32, b: np.float32, jump: np.float32) -> bool:
-    """Whether neighbouring depths are of one surface."""
+    """Return whether neighbouring depths are of one surface."""
     return bool(b < 1e9 and b < jump * a and a < jump * b)
 
 

@@ -4,8 +4,8 @@ How likely something stands before the ground: by the labels about a place, and 
 
 Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
 judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
-sees there, and in a wood a pixel of grass may well be a crown. What stands has its foot on the ground: straight below
-it in the image the terrain is as near as it is, and from there up to the pixel is its height.
+sees there, and in a wood a pixel of grass may well be a crown. An object has its foot on the ground: directly below
+it in the image, the terrain is as near as the object, and its height is the distance from there up to the pixel.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _BLOCK = 64  # columns that are searched at once in a row with edges
 
 @dataclass(frozen=True, eq=False)
 class DepthDiscontinuities:
-    """`rows`, `cols`: (N,) int32, the topmost pixels of the near surfaces, from the lowest in the image up, and from
-    left to right. `jump`: the ratio of depths from which on there is one."""
+    """Depth discontinuities. `rows`, `cols`: (N,) int32, the topmost pixels of the near surfaces, bottom to top and
+    left to right. `jump`: the minimum ratio of depths."""
 
     rows: Int32Array
     cols: Int32Array
@@ -39,7 +39,7 @@ class DepthDiscontinuities:
 
     @classmethod
     def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
-        """Pixels with ground (H, W) above which the next one is `jump` times as far or more, or sky, or unknown."""
+        """Return pixels with ground (H, W) below a pixel that is at least `jump` times as far, sky or unknown."""
         rows, cols = _edges(ground, np.float32(jump))
         return cls(rows, cols, jump)
 
@@ -71,7 +71,7 @@ def _edges(ground: Float32Array, jump: np.float32) -> tuple[Int32Array, Int32Arr
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _count(here: Float32Array, above: Float32Array, jump: np.float32) -> np.int32:
-    """How many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
+    """Return how many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
     count = np.int32(0)
     for u in range(len(here)):
         count += np.int32((here[u] < np.float32(1e9)) & (not above[u] < jump * here[u]))
@@ -82,7 +82,7 @@ _STEP = 4  # rows of the photo between those of `feet`
 
 
 class OcclusionRules(NamedTuple):
-    """`OcclusionConfig` as compiled code takes it."""
+    """Compiled form of `OcclusionConfig`."""
 
     metre: np.float32
     highest: np.float32
@@ -94,7 +94,7 @@ class OcclusionRules(NamedTuple):
 
 
 class OcclusionPrior(NamedTuple):
-    """What is known of a photo's places before its depth is asked, as compiled code takes it.
+    """Compiled prior knowledge of objects in front of a photo's ground.
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
     that has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
@@ -118,9 +118,9 @@ class OcclusionPrior(NamedTuple):
         cells: tuple[int, int],
         config: FusionConfig,
     ) -> OcclusionPrior:
-        """From traced depth of bare ground (H, W) and label ids (H, W), or None. `cells`: (h, w) of the network whose
-        depth will be asked about. Of a camera that is rolled or looks far down or up no foot is asked: nothing stands
-        along its columns."""
+        """Return the prior from traced depth of bare ground (H, W) and label ids (H, W) or None. `cells`: (h, w) of the
+        network whose depth will be compared. If the camera is rolled or points steeply up or down, feet are not used,
+        because objects do not stand along its columns."""
         columns = ((np.arange(cells[1]) + 0.5) * ground.shape[1] / cells[1]).astype(np.intp)
         feet = np.ascontiguousarray(ground[::_STEP, columns].T)
         _, pitch, roll = pose.angles_deg
@@ -140,15 +140,15 @@ class OcclusionPrior(NamedTuple):
 
     @classmethod
     def none(cls) -> OcclusionPrior:
-        """In place of one that is not asked."""
+        """Return the unused prior."""
         nothing = np.zeros((1, 1), np.float32)
         return cls(nothing, nothing, np.float32(1.0), OcclusionRules.of(OcclusionConfig()))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
-    """Where in `column` of `OcclusionPrior.feet` the ground below a `row` of the photo is first as near as the inverse
-    depth `near`; its length where the image ends above that."""
+    """Return the first place in `column` of `OcclusionPrior.feet` where the ground below a `row` of the photo is as
+    near as the inverse depth `near`; its length if the image ends above that."""
     # Up a column of the image terrain only gets farther.
     first, last = row // _STEP, len(column)
     while first < last:
@@ -164,8 +164,8 @@ def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
 def occlusion_log_odds(
     prior: OcclusionPrior, odds: np.float32, near: np.float32, column: Float32Array, row: int
 ) -> np.float32:
-    """Log odds that something stands before the ground at inverse depth `near` in a `row` of the photo, where labels
-    give the `odds` of the place; `column`: of `OcclusionPrior.feet`."""
+    """Return the log odds that an object is in front of the ground at inverse depth `near` in a `row` of the photo,
+    where labels give the `odds`; `column`: of `OcclusionPrior.feet`."""
     foot, rules = ground_contact(near, column, row), prior.rules
     if foot == len(column):
         odds -= rules.no_foot
@@ -174,7 +174,8 @@ def occlusion_log_odds(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -> np.float32:
-    """Metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth `near`."""
+    """Return the height in metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth
+    `near`."""
     return np.float32(max(foot * _STEP - row, 0)) / (near * prior.focal)
 
 
@@ -182,7 +183,8 @@ def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -
 def mixture_moments(
     d: np.float32, s: np.float32, other: np.float32, t: np.float32, likely: np.float32
 ) -> tuple[np.float32, np.float32]:
-    """Mean and sigma, metres, of a depth that is `other`, of sigma `t`, as `likely` as that and else `d`, of `s`."""
+    """Return mean and sigma in metres of a depth that is `other` (sigma `t`) with probability `likely`, else `d` (sigma
+    `s`)."""
     rest = np.float32(1.0) - likely
     apart = other - d
     return d + likely * apart, np.sqrt(likely * t * t + rest * s * s + likely * rest * apart * apart)

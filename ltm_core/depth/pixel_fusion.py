@@ -30,11 +30,11 @@ from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
 
 OWN = 4.0
-"""Times a network's own variance up to which a joint variance is bounded beforehand (`DecisionRules.widest`)."""
+"""Multiple of the network's own variance that bounds a joint variance in advance (`DecisionRules.widest`)."""
 
 
 class DecisionRules(NamedTuple):
-    """`DecisionConfig` as compiled code takes it."""
+    """Compiled form of `DecisionConfig`."""
 
     disagree: np.float32
     agree: np.float32
@@ -48,12 +48,12 @@ class DecisionRules(NamedTuple):
     blurred: np.float32
     ranges: np.float32
     sure: np.float32
-    """1 - open."""
+    """The value 1 - open."""
     few: np.float32
     """Log odds of `open`."""
     per_likelihood_weight: np.float32
     widest: np.float32
-    """Log of the greatest that a likelihood against what stands nearer can be for its exponential."""
+    """Log of the largest likelihood ratio against a nearer object for which the exponential is evaluated."""
 
     @classmethod
     def of(cls, config: DecisionConfig) -> DecisionRules:
@@ -127,8 +127,8 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def average_row(row: FusionRow, rules: DecisionRules) -> None:
-    """Mean by inverse variance, in inverse depth, where both agree within so many sigmas and the terrain is one
-    surface; see `compare_row`."""
+    """Average both depths by inverse variance, in inverse depth, where they agree and the terrain is one surface; see
+    `compare_row`."""
     d, s, kind = row.depth, row.sigma, row.source
     true, own, off, joint, weight = row.true, row.own, row.off, row.joint, row.part
     agree, torn = rules.agree, rules.torn
@@ -147,7 +147,7 @@ def average_row(row: FusionRow, rules: DecisionRules) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
-    """What a row is without a network."""
+    """Initialise a row without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
     for u in range(len(d)):
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
@@ -166,7 +166,7 @@ def fuse_pixels(
     source: UInt8Array,
     config: FusionConfig,
 ) -> None:
-    """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
+    """Fuse in place: `depth` and `sigma` (H, W) are the terrain's on input and the fused ones on output; `source` is a
     `topodepth.DepthSource`.
 
     `over`: (H, W) depth of a canopy raster, `network`: what it sees, `standing`: what may stand there, `labels`: (H, W)
@@ -197,7 +197,8 @@ def _fuse(
     labels: LabelView,
     rules: DecisionRules,
 ) -> None:
-    """Row by row (see `fusion_rows`): only the pixels where terrain and network disagree are looked at one by one."""
+    """Fuse row by row (see `fusion_rows`): only the pixels where terrain and network disagree are examined one
+    by one."""
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     errors, gross, odds, feet = view.tables, view.gross, prior.odds, prior.feet
@@ -248,8 +249,8 @@ def _fuse(
                 continue
             inverse, t = invert(i, column[u], other, errors)
             if nearer:
-                # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
-                # there is known even where its depth is as good as not.
+                # The shifts were learned on ground; an object in front of it has the depth of the line alone, and its
+                # presence is known even if its depth is not.
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
             if not (t < inverse and (kind[u] == 0 or inverse > true[u])):
                 continue
@@ -264,8 +265,8 @@ def _fuse(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: DecisionRules) -> np.float32:
-    """A network's sigma, 1/m, of what may stand before the ground, of which its own is `t`; which of its neighbours'
-    depths, from `back` to `near`, a pixel has stays unsure."""
+    """Return a network's sigma, 1/m, for objects in front of the ground, where `t` is its own; which of the neighbours'
+    depths from `back` to `near` a pixel has is uncertain."""
     between = rules.between * (near - back)
     return np.float32(np.sqrt(rules.elsewhere * t * t + between * between))
 
@@ -274,8 +275,8 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 def surely_terrain(
     odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
-    """Whether a disagreement is surely too small for `network_chance` to find anything before the ground: its odds at
-    their best, without exponential and logarithm."""
+    """Return whether a disagreement is certainly too small for `network_chance` to find an object: its odds at their
+    best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
     need = (rules.few - odds) * rules.per_likelihood_weight
@@ -291,8 +292,8 @@ def log_against(
     gross: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Log likelihood by which what a network sees speaks for the terrain, against something that is anywhere before it
-    and is seen at the inverse depth `other`, 1/m.
+    """Return the log likelihood ratio of the terrain against an object anywhere in front of it that is seen at the
+    inverse depth `other`, 1/m.
 
     `off`: by how much it is nearer than it would say of the terrain, with variance `joint`, of its own `spread`.
     `gross`: share of gross errors, which are anywhere too.
@@ -311,7 +312,8 @@ def network_chance(
     odds: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
-    """Chance that the inverse depth `other` is the network's alone, and not the terrain's word; see `log_against`.
+    """Return the probability that the inverse depth `other` is the network's alone, not the terrain's; see
+    `log_against`.
 
     `odds`: log odds of something that stands there. Of the log likelihood only a part counts: a network's errors go on
     for many pixels.

@@ -1,4 +1,4 @@
-"""Whether the terrain lies where the photo has it: traced silhouettes against the photo's edges, and the traced skyline
+"""Check that the terrain matches the photo: traced silhouettes against the photo's edges, and the traced skyline
 against that of the labels.
 
 A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over
@@ -27,10 +27,9 @@ from ltm_core.vision.labels import UNLABELLED
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """`edges`: of the terrain that were looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much
-    the camera should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how
-    many times better it fits there. `suspected`, and `reason` in words.
-    """
+    """Result of the check. `edges`: number of terrain edges used; `columns`: of the skyline. `pitch_deg`,
+    `azimuth_deg`: turn of the camera (up, clockwise) with the best fit, 0 if unknown. `gain`: ratio of the fits.
+    `suspected`, and `reason` in words."""
 
     edges: int
     columns: int
@@ -40,11 +39,11 @@ class PoseCheck:
     suspected: bool
     reason: str
     checked: bool = True
-    """Whether there was enough to tell a wrong pose by."""
+    """Whether there was enough evidence to detect a wrong pose."""
 
     @classmethod
     def none(cls) -> PoseCheck:
-        """Of a pose that is not checked."""
+        """Return the result for a pose that is not checked."""
         return cls(0, 0, 0.0, 0.0, 1.0, False, "", False)
 
 
@@ -116,7 +115,8 @@ def _clear_of_trees(
     dem_sigma: float,
     config: PoseCheckConfig,
 ) -> BoolArray:
-    """Which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not much."""
+    """Return which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not
+    much."""
     height = np.maximum(crest[labels[np.maximum(rows - config.beside, 0), cols]], crest[labels[rows, cols]])
     far = ground[rows, cols] > (height + dem_sigma) / math.radians(config.near_deg)
     return np.asarray(far | (height <= crest[UNLABELLED]))
@@ -125,7 +125,7 @@ def _clear_of_trees(
 def _check_edges(
     rgb: UInt8Array, rows: Int32Array, cols: Int32Array, camera: Camera, allowed_deg: float, config: PoseCheckConfig
 ) -> tuple[float, float, float, bool]:
-    """Pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
+    """Return the pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
     shrink = max(1, round(rgb.shape[1] / config.cells))  # photo pixels a cell
     reach = int(math.radians(config.reach_deg) * camera.fy / shrink)
     scores = _scores(_contrast(rgb, shrink), rows // shrink, cols // shrink, reach)
@@ -146,9 +146,8 @@ def _check_edges(
 def _far_edges(
     ground: Float32Array, edges: DepthDiscontinuities, nearest: float, most: int
 ) -> tuple[Int32Array, Int32Array]:
-    """Pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of ground beyond
-    `nearest` metres; where known ground merely ends there is no edge to be seen.
-    """
+    """Return the pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of
+    ground beyond `nearest` metres; where known ground merely ends there is no edge to be seen."""
     rows, cols = edges.rows, edges.cols
     here, above = ground[rows, cols], ground[rows - 1, cols]
     kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(edges.jump**2) * here)
@@ -161,7 +160,7 @@ def _far_edges(
 
 
 def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
-    """How much the colour changes from above to below each place, relative to its surroundings' texture."""
+    """Return how much the colour changes from above to below each place, relative to its surroundings' texture."""
     size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
     change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     texture = cv2.blur(change, (25, 25))
@@ -193,7 +192,7 @@ def _changes(small: UInt8Array) -> Float32Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:
-    """Mean contrast under the edges, shifted by -reach..reach rows and columns."""
+    """Return the mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape
     side = 2 * reach + 1
     # Edges that leave the image count as no contrast: the rest must not look the better for it.

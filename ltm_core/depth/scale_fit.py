@@ -30,8 +30,8 @@ _RULES = RegressionConfig()
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """y = scale x + shift, with `sigma`, the robust standard deviation of its inliers (of weighted residuals), and
-    which points are `inliers`, (N,) bool."""
+    """Line y = scale x + shift, with `sigma`, the robust standard deviation of its inliers (of weighted residuals), and
+    the mask of `inliers`, (N,) bool."""
 
     scale: float
     shift: float
@@ -51,7 +51,7 @@ def robust_line(
     seed: int = 0,
     rules: RegressionConfig = _RULES,
 ) -> Line | None:
-    """The line through the points (N,) that at most half of them contradict.
+    """Return the line through the points (N,) that at most half of them contradict.
 
     `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
     points without noise stay inliers. None where fewer than `rules.fewest` points are given or x does not vary.
@@ -94,7 +94,7 @@ def robust_line(
 
 
 def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionConfig = _RULES) -> Line | None:
-    """The number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest half."""
+    """Return the centre of most of `values` (N,), the middle of their densest half, as a line of scale 1."""
     if len(values) < rules.fewest:
         return None
     ordered = np.sort(values)
@@ -115,7 +115,7 @@ def robust_offset(values: Float64Array, floor: float = 0.0, rules: RegressionCon
 
 @dataclass(frozen=True, eq=False)
 class ScaleFit:
-    """A network's inverse depth in 1/m at its own size, and what the fit says of it.
+    """Inverse depth of a network in 1/m at its own size, with the quality of its fit.
 
     `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
     among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `error_model`: what it says where
@@ -152,7 +152,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     if line.inlier_ratio < rules.least_inliers:
         return _unusable(network, line, f"only {line.inlier_ratio:.0%} of the ground samples fit one scale and shift")
     if line.scale <= 0:
-        return _unusable(network, line, f"the network's depth runs against the terrain's (scale {line.scale:.3g})")
+        return _unusable(network, line, f"the network's depth is opposite to the terrain's (scale {line.scale:.3g})")
     inverse = _in_metres(network, line)
     read = sampled(inverse, samples, size)
     explained = _explained(1.0 / samples.depth, read)
@@ -168,7 +168,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
 
 
 def sampled(image: Float32Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
-    """An image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
+    """Return an image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
     height, width = image.shape
     x = (samples.cols + 0.5) * (width / size[1]) - 0.5
     y = (samples.rows + 0.5) * (height / size[0]) - 0.5
@@ -194,12 +194,12 @@ def _unfit(values: Float32Array, kind: str) -> str:
 
 
 def _too_few(samples: GroundSamples, least: int) -> str:
-    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
+    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale"
 
 
 def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:
-    """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
-    less where the terrain itself is unsure."""
+    """Fit scale and shift. Residuals of inverse depth are weighted in proportion to it in the near range, evenly in the
+    far range, and less where the terrain is uncertain."""
     inverse = 1.0 / samples.depth
     relative = samples.sigma / samples.depth
     if kind == "relative_inverse":
@@ -224,7 +224,7 @@ def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config:
 def _through_zero(
     values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
 ) -> Line | None:
-    """The line without a shift; None for a network that seldom gives more than 0."""
+    """Return the line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
     if positive.mean() < config.scale.least_positive:
         return None
@@ -235,8 +235,8 @@ def _through_zero(
 
 
 def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
-    """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
-    decide how near or far all else is.
+    """Return the line with a shift where that earns its place: one that hardly shows on the ground that was sampled
+    would yet decide how near or far all else is.
 
     It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
     other way round noise flattens the line: over ground of about one depth to a constant.
@@ -271,12 +271,12 @@ def _line_of(
 
 
 def _off(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """Median residual of a line, in inverse depth."""
+    """Return the median residual of a line, in inverse depth."""
     return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
 
 
 def _off_values(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
-    """The same in the network's values."""
+    """Return the same in the network's values."""
     return _off(line, values, inverse, weight) / abs(line.scale)
 
 
@@ -287,8 +287,8 @@ def _spread_out(inliers: BoolArray, known: BoolArray) -> BoolArray:
 
 
 def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
-    """The part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of what
-    is cut off at 1, since few samples may be all that lie at another depth."""
+    """Return the part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of
+    what is cut off at 1, since few samples may be all that lie at another depth."""
     usable = np.isfinite(fitted)
     inverse, fitted = inverse[usable], fitted[usable]
     middle = np.median(inverse)
@@ -298,7 +298,7 @@ def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
 
 
 def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
-    """Inverse depth, 1/m; NaN where the line leads below 0 depth."""
+    """Return the inverse depth, 1/m; NaN where the line leads below 0 depth."""
     values = network.values
     if network.kind == "relative_inverse":
         return (line.scale * values + line.shift).astype(np.float32)
@@ -311,7 +311,7 @@ def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
 
 
 def _neighbours(image: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Largest and least value among each pixel's neighbours."""
+    """Return the largest and least value among each pixel's neighbours."""
     known = np.nan_to_num(image, nan=0.0)
     square = np.ones((3, 3), np.uint8)
     return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)

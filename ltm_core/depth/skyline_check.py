@@ -1,4 +1,4 @@
-"""Whether the traced skyline lies where the labels' sky ends.
+"""Check that the traced skyline matches the edge of the labels' sky.
 
 The traced skyline is shifted over the observed one, column by column. Ground that is seen as sky speaks against a
 place, and so does sky that is seen as land, beyond what cover on the crest explains: both in sigmas of the label's
@@ -21,9 +21,9 @@ from ltm_core.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class SkylineCheck:
-    """`columns` with a known far skyline. `pitch_deg`, `azimuth_deg`: turn of the camera (up, clockwise) that fits
-    best. `least_deg`: the smallest turn that fits about as well. `gain`: cost without a turn over that at the best.
-    """
+    """Result of the check. `columns`: number with a known far skyline. `pitch_deg`, `azimuth_deg`: turn of the camera
+    (up, clockwise) with the best fit. `least_deg`: smallest turn that fits about as well. `gain`: ratio of the cost
+    without a turn to that at the best one."""
 
     columns: int
     pitch_deg: float
@@ -45,7 +45,7 @@ def check_skyline(
     config: PoseCheckConfig,
     cell: float = 1.0,
 ) -> SkylineCheck | None:
-    """Compare the traced depth's (H, W) skyline with that of the labels (H, W); None where too little is known.
+    """Compare the traced depth's (H, W) skyline with that of the labels (H, W); return None if too little is known.
 
     `crest`: (256,) metres to which each class may rise over a crest. `nearest`: metres; crests that are nearer say
     nothing. `reach`: radians of the largest turn that is tried. `cell`: pixels of the photo that one of the labels'
@@ -88,7 +88,7 @@ def check_skyline(
 
 
 def _within(top: Float64Array, columns: int) -> Float64Array:
-    """Standard deviation of the skyline (C,) over so many columns about each."""
+    """Return the standard deviation of the skyline (C,) over a window of columns about each."""
     size = columns | 1
     mean = uniform_filter1d(top, size, mode="nearest")
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))
@@ -135,7 +135,7 @@ def _costs(
     most: float,
     share: float,
 ) -> Float64Array:
-    """Mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
+    """Return the mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
     count, side = len(observed), 2 * cells + 1
     usable = 0
     for k in range(count):

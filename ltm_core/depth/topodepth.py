@@ -1,4 +1,4 @@
-"""TopoDepth: traced depth and a network's depth of one photo made one, pixel by pixel, by what each is worth there.
+"""TopoDepth: fuse traced depth and a network's depth of one photo, pixel by pixel, by their uncertainty.
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
 from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
@@ -40,7 +40,7 @@ from ltm_core.geometry.range_image import DepthImage, RangeImage
 
 
 class DepthSource(IntEnum):
-    """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
+    """Source of a pixel's depth: the values of `FusedDepth.source`."""
 
     UNKNOWN = 0
     TERRAIN = 1
@@ -50,19 +50,20 @@ class DepthSource(IntEnum):
 
 
 class FusionVerdict(StrEnum):
-    """Whether an image's fused depth can be relied on."""
+    """Verdict on the reliability of an image's fused depth."""
 
     OK = "ok"
     POSE_SUSPECTED = "pose_suspected"
-    """The terrain does not lie where the photo has it: traced depth as it is, nothing fused."""
+    """The terrain does not match the photo: traced depth is returned unchanged, and nothing is fused."""
     NETWORK_UNUSABLE = "network_unusable"
-    """The network's depth does not fit the terrain: the terrain's answer alone, refined by photo and labels."""
+    """The network's depth does not fit the terrain: only terrain depth is used, refined by the photo and labels."""
     NO_TERRAIN = "no_terrain"
     """No pixel was traced to known ground."""
     MOSTLY_UNKNOWN = "mostly_unknown"
-    """As ok, but of most of the photo nothing is known: the terrain explains too little of it."""
+    """As ok, but most of the photo is unknown: the terrain explains too little of it."""
     PICTURE_UNUSABLE = "picture_unusable"
-    """The photo shows too little of the landscape, by night or in fog: traced depth as it is, nothing fused."""
+    """The photo shows too little of the landscape (night or fog): traced depth is returned unchanged, and nothing is
+    fused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +91,15 @@ class FusedDepth:
     hidden: BoolArray | None = field(default=None, repr=False)
 
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
-        """What the network alone measures: nothing where it, or the pose, cannot be relied on, where something else
-        stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to edge)."""
+        """Return the network's measurement alone: empty if the network or the pose is unreliable; without pixels that
+        do not show the terrain or show too little (`doubtful`, bool of any size, edge to edge)."""
         if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
         return _measured(self.fit, self.config, self.hidden, doubtful)
 
     def network_depth(self) -> Float32Array | None:
-        """Metres (h, w) that the network says at its own size, none where the terrain is hidden; None where it does not
-        fit the terrain."""
+        """Return the network's depth (h, w) in metres at its own size, NaN where the terrain is hidden; None if it does
+        not fit the terrain."""
         if self.fit is None or self.fit.trouble:
             return None
         with np.errstate(divide="ignore"):
@@ -108,7 +109,7 @@ class FusedDepth:
         return np.asarray(metres, np.float32)
 
     def info(self) -> dict[str, Any]:
-        """JSON-ready: what `fused/info` carries."""
+        """Return the JSON-ready content of `fused/info`."""
         line = self.fit.line if self.fit is not None else None
         shares = cv2.calcHist([self.source], [0], None, [len(DepthSource)], [0, len(DepthSource)]).ravel() / max(
             1, self.source.size
@@ -196,7 +197,7 @@ def measure(
     unusable: str = "",
     doubtful: BoolArray | None = None,
 ) -> NetworkMeasurement:
-    """What the network alone measures in a photo: `fuse(...).measured(doubtful)`, for whoever wants no fused depth.
+    """Return the network's measurement of a photo alone: `fuse(...).measured(doubtful)` without the fused depth.
 
     Arguments and errors as there.
     """

@@ -32,7 +32,7 @@ from ltm_core.vision.labels import UNLABELLED
 
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
-    """Labels (H, W) with what the terrain lets expect behind hidden pixels (H, W): sky where no ground is traced.
+    """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced.
 
     So a mast before the sky is no land on the skyline, and a corner of the lens does not end the sky of its column.
     """
@@ -41,14 +41,14 @@ def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, s
 
 
 def edges_seen(edges: DepthDiscontinuities, hidden: BoolArray) -> DepthDiscontinuities:
-    """Without those that hidden pixels (H, W) cover, and those that are the hidden area's own border."""
+    """Return edges without those that hidden pixels (H, W) cover or that border the hidden area."""
     above = np.maximum(edges.rows - 1, 0)
     seen = ~(hidden[edges.rows, edges.cols] | hidden[above, edges.cols])
     return DepthDiscontinuities(edges.rows[seen], edges.cols[seen], edges.jump)
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
-    """`hidden` (H, W) at another size, edge to edge: True where any of what a pixel there covers is hidden."""
+    """Return `hidden` (H, W) at another size, edge to edge: True if any of the area of a pixel is hidden."""
     if hidden.shape == (height, width):
         return hidden
     shrinks = height <= hidden.shape[0] and width <= hidden.shape[1]
@@ -57,7 +57,8 @@ def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
 
 
 def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Float32Array:
-    """The traced depth (H, W) with +inf for NaN where `labels` (H, W) say so; itself where nothing changes."""
+    """Return the traced depth (H, W) with +inf for NaN where `labels` (H, W) are sky; unchanged depth is returned
+    itself."""
     if not _call_sky(depth, labels, sky, depth[:0]):
         return depth
     called = depth.copy()
@@ -67,7 +68,7 @@ def with_labelled_sky(depth: Float32Array, labels: UInt8Array, sky: int) -> Floa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _call_sky(depth: Float32Array, labels: UInt8Array, sky: int, called: Float32Array) -> int:
-    """Number of such pixels; they are made sky in `called`, unless that is empty."""
+    """Return the number of such pixels; they are made sky in `called`, unless that is empty."""
     height, width = depth.shape
     below_sky = np.ones(width, np.bool_)
     left, found = width, 0
@@ -127,7 +128,7 @@ def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Ar
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _runs(ground: Float32Array) -> tuple[Int32Array, Int32Array, Int32Array]:
-    """Row, first column and the column behind the last of every run of NaN, row by row."""
+    """Return the row, first column and the column behind the last of every run of NaN, row by row."""
     height, width = ground.shape
     counts = np.zeros(height, np.int32)
     for v in range(height):
@@ -154,7 +155,7 @@ def _runs(ground: Float32Array) -> tuple[Int32Array, Int32Array, Int32Array]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _sky_beside(ground: Float32Array, v: int, start: int, end: int) -> bool:
-    """Whether a run that does not touch the image's edge has sky next to it."""
+    """Return whether a run that does not touch the image's edge has sky next to it."""
     sky = np.float32(np.inf)
     if ground[v, start - 1] == sky or ground[v, end] == sky:
         return True
@@ -173,15 +174,14 @@ def _root(parent: Int64Array, k: int) -> int:
 
 
 MOST_UNKNOWN = 0.5
-"""Share of a picture from which on it is said that little of it is explained."""
+"""Share of unknown pixels above which a photo is reported as mostly unknown."""
 _EVERY = 4  # pixels looked at, each way
 
 
 @dataclass(frozen=True)
 class UnknownShare:
-    """Shares of a picture that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
-    first known ground; and in columns that meet `no_ground`.
-    """
+    """Shares of an image that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
+    first known ground; and in columns with `no_ground`."""
 
     beyond: float
     between: float
@@ -194,18 +194,19 @@ class UnknownShare:
 
     @property
     def reason(self) -> str:
-        """The share, and what most of it likely comes from."""
+        """Return the share, and its most likely reason."""
         likely = max(
-            (self.beyond, "the camera looks over the DEM's edge; give a coarser DEM around it, or possible_ground"),
+            (self.beyond, "the view extends beyond the DEM's edge; give a coarser DEM around it, or possible_ground"),
             (self.between, "the DEM has holes there"),
-            (self.before, "the camera stands beyond the DEM's edge or beside a hole of it"),
-            (self.no_ground, "the camera looks past the DEM; check position and azimuth, or give a larger DEM"),
+            (self.before, "the camera is beyond the DEM's edge or next to a hole"),
+            (self.no_ground, "the view misses the DEM; check position and azimuth, or give a larger DEM"),
         )
-        return f"{self.whole:.0%} of the picture is unknown ground: {likely[1]}"
+        return f"{self.whole:.0%} of the image is unknown ground: {likely[1]}"
 
 
 def unknown_share(depth: Float32Array) -> UnknownShare:
-    """Of ranges or depths (H, W): finite, +inf sky, NaN unknown; every fourth pixel each way is looked at."""
+    """Return the unknown share of ranges or depths (H, W): finite, +inf sky, NaN unknown; every fourth pixel each way
+    is used."""
     part = depth[::_EVERY, ::_EVERY]
     unknown, known = np.isnan(part), np.isfinite(part)
     above = np.logical_or.accumulate(known, axis=0)

@@ -1,6 +1,6 @@
 """Compare fires on the previous and the updated map, with fuel maps drawn from what is uncertain.
 
-Draws fuel maps from what is known of each cell: what the doubt about fuel means for a fire.
+Draws fuel maps from the probabilities of each cell, to propagate the uncertainty of fuel to a fire.
 
 The shares of life forms in a cell have a Dirichlet distribution (`docs/how/fuel.md`); a draw takes them from it, and
 the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees
@@ -33,8 +33,8 @@ USUAL_HOURS = (1.0, 3.0, 6.0)
 
 @dataclass(frozen=True)
 class Area:
-    """Hectares that have burned some hours after ignition; `ensemble`: least, middle and most of the draws but the
-    outermost tenths, None without one."""
+    """Burned area in hectares some hours after ignition; `ensemble`: lowest, median and highest of the draws without
+    the outermost tenths, None without one."""
 
     hours: float
     before: float
@@ -44,9 +44,8 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class FireEffect:
-    """`changed`: (H, W) cells of which fuel or canopy differ. `probability`: (H, W) share of the drawn landscapes on
-    which a cell burns; None: none was drawn.
-    """
+    """Comparison of two fires. `changed`: (H, W) cells with different fuel or canopy. `probability`: (H, W) share of
+    the drawn landscapes on which a cell burns; None: none was drawn."""
 
     before: FireRun
     after: FireRun
@@ -55,14 +54,14 @@ class FireEffect:
     hours: float
     probability: Float32Array | None = None
     members: tuple[tuple[float, ...], ...] = ()
-    """Of each draw, the hectares at the hours of `hours_shown`."""
+    """Burned area of each draw in hectares at the hours of `hours_shown`."""
 
     def difference(self) -> Float32Array:
-        """(H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
+        """Return (H, W) hours by which the fire arrives later on the updated map; NaN unless it arrives on both."""
         return self.after.arrival - self.before.arrival
 
     def flame_difference(self) -> Float32Array:
-        """(H, W) metres by which flames are longer on the map as it is; NaN where the fire does not come on both."""
+        """Return (H, W) metres by which flames are longer on the updated map; NaN unless the fire arrives on both."""
         both = self.before.burned & self.after.burned
         return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
 
@@ -80,9 +79,8 @@ class FireEffect:
         return rows
 
     def first_contact(self) -> float | None:
-        """Hours after which a fire, on the map as it was or as it is, comes to a changed cell; None: to none. What does
-        not burn any more was reached before.
-        """
+        """Return hours until a fire, on the previous or the updated map, reaches a changed cell; None: never. Cells
+        that no longer burn count by the previous map."""
         there = np.concatenate([run.arrival[self.changed & run.burned] for run in (self.before, self.after)])
         return float(there.min()) if there.size else None
 
@@ -95,31 +93,30 @@ def hectares(run: FireRun, hours: float, cell: float) -> float:
 
 
 def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
-    """(H, W): cells of which the fuel model or a band of canopy differs. Raises RasterError for other grids."""
+    """Return (H, W) cells with a different fuel model or canopy band. Raises RasterError for different grids."""
     if before.geometry.shape != after.geometry.shape:
         raise RasterError(f"landscapes of {before.geometry.shape} and {after.geometry.shape} cells cannot be compared")
     return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
 
 
 def burn_probability(runs: Sequence[FireRun]) -> Float32Array:
-    """(H, W): share of the fires that come to a cell."""
+    """Return (H, W) the share of the fires that reach a cell."""
     return np.asarray(np.mean([run.burned for run in runs], axis=0), np.float32)
 
 
 _USUAL_STAND: Final = 0.4
-"""Correlation of two looks at cells of a stand, where none was measured."""
+"""Correlation of two observations of cells of a stand if none was measured."""
 _RARE: Final = (LifeForm.BARE, LifeForm.WATER, LifeForm.BUILT, LifeForm.BURNED)
-"""Forms that a cell is drawn to be only where a camera has shown them: a prior map errs in plants, hardly in lakes.
-Were bare ground drawn wherever the prior may err, it would break up the fuel of all that nobody has seen."""
+"""Life forms that are drawn only if a camera has seen them, because prior maps rarely miss lakes. Bare ground drawn
+wherever the prior may err would break up the fuel of all unseen cells."""
 _SHOWN: Final = 1.0
-"""Evidence from which on a form counts as shown."""
+"""Evidence above which a life form counts as seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellDoubt:
-    """What is known of each cell. `alpha`: (H, W, FORMS) of the Dirichlet distribution of its life forms, prior and
-    evidence together. `prior`, `code`: (H, W) fuel codes before and now. `fixed`: (H, W) cells that no draw changes.
-    """
+    """Uncertainty of each cell. `alpha`: (H, W, FORMS) of the Dirichlet distribution of its life forms, prior and
+    evidence together. `prior`, `code`: (H, W) fuel codes before and now. `fixed`: (H, W) cells that no draw changes."""
 
     alpha: Float64Array
     prior: Int16Array
@@ -128,7 +125,7 @@ class CellDoubt:
 
     @classmethod
     def of(cls, layers: FuelLayers, alpha: Float64Array, mask: tuple[int, ...]) -> CellDoubt:
-        """`mask`: codes that labels never change (`FusionRules.mask`)."""
+        """Return the uncertainty of a map; `mask`: codes that labels never change (`FusionRules.mask`)."""
         fixed = held(layers.prior, mask) | (layers.code == NODATA)
         return cls(alpha, layers.prior, layers.code, fixed)
 
@@ -141,7 +138,7 @@ def drawn_codes(
     width: float = 3.0,
     stand: float | None = None,
 ) -> Int16Array:
-    """(H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
+    """Return (H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
     shared = _USUAL_STAND if stand is None else stand
     agreeing = forms_of(doubt.prior)
     prior = np.where(agreeing, doubt.alpha, 0.0).sum(axis=-1)
@@ -166,12 +163,12 @@ def drawn_codes(
 
 
 def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """The layers with other codes, which are changes where they are not the prior's."""
+    """Return the layers with other codes, which are changes where they differ from the prior's."""
     return replace(layers, code=codes, changed=codes != layers.prior)
 
 
 def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
-    """(H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
+    """Return (H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
     smooth = ndimage.gaussian_filter(rng.standard_normal(alpha.shape), width, mode="wrap")
     smooth /= _smoothed_deviation(alpha.shape, width)
     field = np.sqrt(shared) * smooth + np.sqrt(1 - shared) * rng.standard_normal(alpha.shape)
@@ -184,7 +181,8 @@ def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: 
 
 @lru_cache(maxsize=4)
 def _smoothed_deviation(shape: tuple[int, ...], width: float) -> float:
-    """What the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is left."""
+    """Return what the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is
+    left."""
     impulse = np.zeros(shape)
     impulse[0, 0] = 1.0
     return float(np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum()))

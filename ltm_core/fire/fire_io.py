@@ -22,11 +22,12 @@ _LCP_UNITS: Final[Mapping[str, str]] = {
     "ELEVATION_UNIT": "0", "SLOPE_UNIT": "0", "ASPECT_UNIT": "2", "CANOPY_HT_UNIT": "3", "CBH_UNIT": "3",
     "CBD_UNIT": "3",
 }  # fmt: skip
-"""As GDAL tells the header's units: m, degrees, azimuth, m x 10, m x 10, kg/m3 x 100."""
+"""Units of the LCP header as reported by GDAL: m, degrees, azimuth, m x 10, m x 10, kg/m3 x 100."""
 
 
 def read_landscape(path: Path) -> Landscape:
-    """Raises RasterError for a file without the eight bands, a metric CRS, square cells or LANDFIRE's units."""
+    """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS, square cells or LANDFIRE's
+    units."""
     with open_raster(path) as source:
         if source.count < len(LANDSCAPE_BANDS):
             raise RasterError(
@@ -38,8 +39,9 @@ def read_landscape(path: Path) -> Landscape:
             raise RasterError(f"{path}: a landscape is north-up with square cells, this has {tuple(t)[:6]}")
         if source.crs is None or not source.crs.is_projected:
             raise RasterError(
-                f"{path}: is in {source.crs or 'no CRS'}; a fire needs a projected CRS in metres: export it again with "
-                "`ltm export --crs EPSG:...`, of an LCP keep its .prj beside it"
+                f"{path}: the CRS is {source.crs or 'missing'}; a fire needs a projected CRS in metres: export "
+                "it again with "
+                "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
         _check_units(source, path)
         check_size(source, path, source.height, source.width)
@@ -55,7 +57,7 @@ def read_landscape(path: Path) -> Landscape:
 
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
-    """Raises ConfigError unless both lie on one grid."""
+    """Raise ConfigError unless both are on one grid."""
     from pyproj import CRS
 
     a, b = before.geometry, after.geometry
@@ -81,7 +83,7 @@ def _check_units(source: Any, path: Path) -> None:
     wrong = [f"{name} {told[name]}" for name, unit in _LCP_UNITS.items() if told.get(name, unit) != unit]
     if wrong:
         raise RasterError(
-            f"{path}: its header has units that are not LANDFIRE's ({', '.join(wrong)}); write it again with elevation "
+            f"{path}: the header has units other than LANDFIRE's ({', '.join(wrong)}); write it again with elevation "
             "in m, slope in degrees, heights in m x 10 and density in kg/m3 x 100"
         )
 
@@ -89,18 +91,19 @@ def _check_units(source: Any, path: Path) -> None:
 BANDS: Mapping[str, str] = {
     "arrival_before": "hours after ignition",
     "arrival_after": "hours after ignition",
-    "arrival_difference": "hours, positive: later on the map as it is",
+    "arrival_difference": "hours, positive: later on the updated map",
     "flame_before": "m",
     "flame_after": "m",
-    "flame_difference": "m, positive: longer on the map as it is",
+    "flame_difference": "m, positive: longer on the updated map",
     "changed": "0 no, 1 yes",
     "burn_probability": "1",
 }
-"""Name and unit of each band; the last one only of an ensemble."""
+"""Name and unit of each band; the last one exists only for ensembles."""
 
 
 def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Mapping[str, str]) -> None:
-    """One GeoTIFF of float32 bands, NaN where the fire does not come. Raises ConfigError where it cannot be written."""
+    """Write one GeoTIFF of float32 bands, NaN where the fire does not arrive. Raises ConfigError if it cannot be
+    written."""
     layers = [
         effect.before.arrival,
         effect.after.arrival,

@@ -1,4 +1,4 @@
-"""Spreads fires with Pyretechnics, which runs in an environment of its own."""
+"""Compute fires with Pyretechnics, which runs in its own environment."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _LAST_WORDS: Final = 2000
 
 
 class FireModelError(LtmError):
-    """The fire model could not be started, or gave up."""
+    """The fire model could not be started, or failed."""
 
 
 @dataclass(frozen=True, eq=False)
 class FireRun:
-    """(H, W) each. `arrival`: hours after ignition, NaN where the fire does not come. `flame`: length in metres, 0
-    where it does not come. `fire_type`: 0 none, 1 surface, 2 passive crown, 3 active crown fire; of cells that burned.
-    """
+    """Result of a fire, (H, W) each. `arrival`: hours after ignition, NaN where the fire does not arrive. `flame`:
+    length in metres, 0 where it does not arrive. `fire_type` of burned cells: 0 none, 1 surface, 2 passive crown, 3
+    active crown fire."""
 
     arrival: Float32Array
     flame: Float32Array
@@ -48,7 +48,7 @@ class FireRun:
         return np.nan_to_num(self.arrival, nan=np.inf) <= hours
 
     def reaches_edge(self) -> float | None:
-        """Hours after which it is in a cell at the landscape's edge; None: it is in none."""
+        """Return the hours until the fire reaches the landscape's edge; None: never."""
         edge = np.ones(self.arrival.shape, np.bool_)
         edge[1:-1, 1:-1] = False
         there = self.arrival[edge & self.burned]
@@ -56,19 +56,20 @@ class FireRun:
 
 
 def interpreter() -> Path:
-    """The Python that has Pyretechnics: LTM_PYRETECHNICS, else that of `make fire`. Raises ConfigError."""
+    """Return the Python interpreter with Pyretechnics: LTM_PYRETECHNICS, else that of `make fire`. Raises
+    ConfigError."""
     named = os.environ.get(VARIABLE)
     found = Path(named) if named else Path(sys.prefix) / "pyretechnics/bin/python"
     if found.is_file():
         return found
     raise ConfigError(
-        f"{found}: no Python with the fire model Pyretechnics is there; make its environment with `make fire` (its "
-        f"pins exclude ours), or name one in {VARIABLE}"
+        f"{found}: no Python with the fire model Pyretechnics; build its environment with `make fire` (its "
+        f"pinned versions conflict with ours), or name one in {VARIABLE}"
     )
 
 
 class Pyretechnics:
-    """A context manager: one process of the model, asked for one fire after the other.
+    """Context manager of one process of the model, which computes one fire after the other.
 
     Raises FireModelError where it cannot be started or ends early.
     """
@@ -90,7 +91,7 @@ class Pyretechnics:
             raise
 
     def spread(self, landscape: Landscape, scenario: FireScenario) -> FireRun:
-        """The fire on a landscape. One core; the time grows with the fire."""
+        """Compute the fire on a landscape on one core; the time grows with the fire."""
         given, result = (Path(self._folder.name) / name for name in ("given.npz", "result.npz"))
         np.savez(given, bands=landscape.bands[1:])
         self._ask(
@@ -108,7 +109,8 @@ class Pyretechnics:
             return FireRun(found["arrival"] / np.float32(60), found["flame"], found["fire_type"])
 
     def head_rates(self, codes: Sequence[int], wind: Wind, moisture: Moisture) -> dict[int, tuple[float, float]]:
-        """m/min and flame length in metres of a head fire on flat open ground, by fuel code."""
+        """Return rate of spread in m/min and flame length in metres of a head fire on flat open ground, by fuel
+        code."""
         answer = self._ask({"rates": {"codes": list(codes), **_weather(wind, moisture)}})
         return {int(code): (float(rate), float(flame)) for code, (rate, flame) in answer.items()}
 
@@ -132,7 +134,7 @@ class Pyretechnics:
             self._process.stdin.write(json.dumps(question) + "\n")
             self._process.stdin.flush()
         except OSError as error:
-            raise FireModelError(f"Pyretechnics has ended: {self._last_words()}") from error
+            raise FireModelError(f"Pyretechnics exited: {self._last_words()}") from error
         return self._answer()
 
     def _answer(self) -> dict[str, Any]:
@@ -140,7 +142,7 @@ class Pyretechnics:
         line = self._process.stdout.readline()
         if not line:
             self._process.wait()
-            raise FireModelError(f"Pyretechnics has ended: {self._last_words()}")
+            raise FireModelError(f"Pyretechnics exited: {self._last_words()}")
         answer: dict[str, Any] = json.loads(line)
         return answer
 

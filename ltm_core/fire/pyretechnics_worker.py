@@ -1,4 +1,4 @@
-"""Spreads fires with Pyretechnics. A program for an interpreter of its own, which knows nothing of this project.
+"""Compute fires with Pyretechnics. This program runs in its own interpreter and does not import the project.
 
 Pyretechnics pins a NumPy that excludes ours, so `ltm_core.fire.pyretechnics` starts this file with the Python of
 another environment, and asks by lines of JSON: {"given": "in.npz", "result": "out.npz"} for a fire, {"rates": {...}}
@@ -18,13 +18,13 @@ from pyretechnics.space_time_cube import SpaceTimeCube
 
 BARE = 99
 WOODY_13 = (4, 5, 7, 10)
-"""Models of Anderson's whose live fuel is wood, which Pyretechnics' table takes for herbs (BehavePlus: wood)."""
+"""Anderson's fuel models with woody live fuel, which the table of Pyretechnics treats as herbaceous (BehavePlus:
+woody)."""
 
 
 def cubes(bands: Any, weather: dict[str, float], shape: tuple[int, int, int]) -> dict[str, Any]:
-    """Space-time cubes of a landscape's bands (7, H, W), slope to bulk density, in LANDFIRE's units, nodata -9999.
-    Pyretechnics' rows go from south to north.
-    """
+    """Return space-time cubes of a landscape's bands (7, H, W), slope to bulk density, in LANDFIRE's units, nodata
+    -9999. Rows of Pyretechnics go from south to north."""
     slope, aspect, fuel, cover, height, base, density = bands[:, ::-1].astype(np.float32)
     known = fuel != -9999
     codes = np.unique(fuel).astype(int)
@@ -47,7 +47,7 @@ def cubes(bands: Any, weather: dict[str, float], shape: tuple[int, int, int]) ->
 
 
 def weather_of(asked: dict[str, Any]) -> dict[str, float]:
-    """Of Pyretechnics' names: km/h, degrees, shares."""
+    """Return the weather with Pyretechnics' names: km/h, degrees, shares."""
     moisture = asked["moisture"]
     return {
         "wind_speed_10m": asked["wind_speed"] * 3.6,
@@ -62,7 +62,7 @@ def weather_of(asked: dict[str, Any]) -> dict[str, float]:
 
 
 def spread(asked: dict[str, Any]) -> dict[str, Any]:
-    """Writes arrival (H, W) minutes, NaN where it does not burn, and flame (H, W) metres."""
+    """Write arrival (H, W) in minutes, NaN where it does not burn, and flame length (H, W) in metres."""
     with np.load(asked["given"]) as given:
         bands = given["bands"]
     rows, cols = bands.shape[1:]
@@ -83,7 +83,8 @@ def spread(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def rates(asked: dict[str, Any]) -> dict[str, list[float]]:
-    """m/min and flame lengths, metres, of head fires on flat ground without trees, for each code."""
+    """Return rates of spread in m/min and flame lengths in metres of head fires on flat ground without trees, for each
+    code."""
     answer = {}
     for code in asked["codes"]:
         bands = np.zeros((7, 1, 1), np.int16)

@@ -1,4 +1,4 @@
-"""What a fire is given: where it starts, wind, moistures, how long it runs."""
+"""Scenario of a fire: ignition, wind, fuel moisture and duration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from ltm_core.geometry.grid import GridGeometry
 
 _DEAD: Final = {"D1": (3.0, 4.0, 5.0), "D2": (6.0, 7.0, 8.0), "D3": (9.0, 10.0, 11.0), "D4": (12.0, 13.0, 14.0)}
 _LIVE: Final = {"L1": (30.0, 60.0), "L2": (60.0, 90.0), "L3": (90.0, 120.0), "L4": (120.0, 150.0)}
-"""Scott and Burgan (2005), tables 5 and 6: very low, low, moderate, high; fully cured, two thirds, one third, green."""
+"""Live fuel moistures of Scott and Burgan (2005), tables 5 and 6: very low, low, moderate, high; fully, two thirds and
+one third cured, green."""
 MOISTURE_HELP: Final = (
     "a scenario of Scott and Burgan such as D2L2 (dead D1 very low to D4 high, live L1 cured to L4 green), or five "
     "percentages: dead 1 h, 10 h, 100 h, live herbaceous, live woody, such as 6,7,8,60,90"
@@ -25,7 +26,7 @@ _WATER: Final = 98
 
 @dataclass(frozen=True)
 class Moisture:
-    """% of the dry weight: dead fuel of 1 h, 10 h and 100 h, live herbs, live wood, needles of the crowns."""
+    """Fuel moisture in % of the dry weight: dead fuel of 1 h, 10 h and 100 h, live herbs, live wood, crown needles."""
 
     dead_1h: float
     dead_10h: float
@@ -36,9 +37,9 @@ class Moisture:
 
     @classmethod
     def parse(cls, text: str | None) -> Moisture:
-        """Raises ConfigError for nothing, and for what is neither a scenario nor five percentages."""
+        """Parse a moisture. Raises ConfigError unless it is a scenario or five percentages."""
         if not text:
-            raise ConfigError(f"a fire needs the moisture of its fuel: give --moisture, {MOISTURE_HELP}")
+            raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
         name = text.strip().upper()
         if len(name) == 4 and name[:2] in _DEAD and name[2:] in _LIVE:
             return cls(*_DEAD[name[:2]], *_LIVE[name[2:]])
@@ -47,7 +48,7 @@ class Moisture:
         except ValueError:
             values = []
         if len(values) != 5 or not all(0 < v <= 400 for v in values):
-            raise ConfigError(f"--moisture {text}: is neither {MOISTURE_HELP}")
+            raise ConfigError(f"--moisture {text}: invalid; give {MOISTURE_HELP}")
         return cls(*values)
 
     def described(self) -> str:
@@ -59,20 +60,20 @@ class Moisture:
 
 @dataclass(frozen=True)
 class Wind:
-    """`speed`: m/s at 10 m above ground or open canopy. `direction`: degrees clockwise from grid north from which it
-    blows."""
+    """Wind. `speed`: m/s at 10 m above ground or open canopy. `direction`: degrees clockwise from grid north from which
+    it blows."""
 
     speed: float
     direction: float
 
     @classmethod
     def parse(cls, text: str) -> Wind:
-        """Raises ConfigError for what is no speed and direction."""
+        """Parse a wind. Raises ConfigError unless it is a speed and a direction."""
         try:
             speed, direction = (float(part) for part in text.split(","))
         except ValueError:
             raise ConfigError(
-                f"--wind {text}: give the speed at 10 m in m/s and the direction that it blows from, degrees clockwise "
+                f"--wind {text}: give the speed at 10 m in m/s and the direction it blows from, degrees clockwise "
                 "from north, such as 8,45"
             ) from None
         if not 0 <= speed <= 60 or not 0 <= direction <= 360:
@@ -85,7 +86,7 @@ class Wind:
 
 @dataclass(frozen=True)
 class FireScenario:
-    """`row`, `col`: the cell where it starts. `hours`: how long it runs, under a wind that does not change."""
+    """Fire under constant wind. `row`, `col`: the ignition cell. `hours`: its duration."""
 
     row: int
     col: int
@@ -95,11 +96,11 @@ class FireScenario:
 
     def __post_init__(self) -> None:
         if not 0 < self.hours <= _MOST_HOURS:
-            raise ConfigError(f"--hours {self.hours:g}: a fire under one wind runs for up to {_MOST_HOURS:g} hours")
+            raise ConfigError(f"--hours {self.hours:g}: give at most {_MOST_HOURS:g} hours for a constant wind")
 
 
 def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int, int]:
-    """Row and column of "x,y" in `crs`, by default the landscape's own.
+    """Return row and column of "x,y" in `crs`, by default the landscape's own.
 
     Raises ConfigError for what is no place, one outside, and one where nothing burns.
     """
@@ -117,7 +118,7 @@ def ignition_cell(text: str, crs: str | None, landscape: Landscape) -> tuple[int
         try:
             x, y = Transformer.from_crs(crs, g.crs, always_xy=True).transform(x, y)
         except CRSError as error:
-            raise ConfigError(f"--ignition-crs {crs}: is no CRS ({error})") from error
+            raise ConfigError(f"--ignition-crs {crs}: not a CRS ({error})") from error
     known = bool(np.isfinite([x, y]).all())
     row, col = (int(v) for v in g.cell_of(x, y)) if known else (-1, -1)
     if not g.contains(np.array(row), np.array(col)):

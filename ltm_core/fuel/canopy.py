@@ -4,8 +4,8 @@ Canopy of fuel cells by what cameras have seen: its cover and height, and what f
 
 Where the surface was confirmed to have changed, from that over bare earth (only where a raster of tree tops says what
 stood there before), and from labels (`label_cover`); where trees are new or the prior has no canopy, cover from
-labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and where nobody has looked, the canopy
-stays what the prior or the region says.
+labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and in unseen cells, the canopy
+is that of the prior or the region.
 
 Heights of stands from depth against bare earth, for sites without a raster of tree tops.
 
@@ -31,23 +31,22 @@ from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 
 TALL = 2.0
-"""Metres above ground from which on plants are canopy: the height break of airborne surveys of tree cover."""
+"""Height in metres above which plants are canopy, the height break of airborne surveys of tree cover."""
 ALIKE = 5.0
-"""Metres within which heights of a stand err and vary together, as the surface map smooths them."""
+"""Distance in metres within which heights of a stand are correlated, as smoothed by the surface map."""
 _MOST_SAMPLES = 30
-"""Of the surface, a side of a fuel cell."""
+"""Maximum number of surface samples per side of a fuel cell."""
 _STANDING = 0.5
-"""Standard error of the cover of a thinned cell, by that cover."""
+"""Standard error of the cover of a thinned cell, as a share of the cover."""
 _CELLS = 1000
-"""Fuel cells that are worked on at a time."""
+"""Number of fuel cells processed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenCanopy:
-    """(H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over bare earth,
-    metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a changed
-    surface is lower than higher, so that what still stands may only not have been confirmed as gone yet; None: nowhere.
-    """
+    """Observed canopy, (H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over
+    bare earth, metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a
+    changed surface is lower than higher, so that the rest may not have been confirmed as gone yet; None: nowhere."""
 
     cover: Float32Array
     height: Float32Array
@@ -57,9 +56,8 @@ class SeenCanopy:
 
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
-    """Of the cells of a fuel grid (in the map frame) a quarter of which has changed; None where nothing is confirmed,
-    or it is not known what stood on the ground before.
-    """
+    """Return the canopy of the cells of a fuel grid (in the map frame) that have changed by at least a quarter; None if
+    nothing is confirmed, or if the earlier canopy is unknown."""
     if terrain.surface is None or not terrain.canopy_known:
         return None
     cells = terrain.surface
@@ -90,7 +88,7 @@ def measured_canopy(
     labels: tuple[Float64Array, Float64Array] | None,
     heights: tuple[Float32Array, Float32Array] | None,
 ) -> SeenCanopy:
-    """What was measured of the cells with `trees` (H, W), of all sources.
+    """Return the measured canopy of the cells with `trees` (H, W), from all sources.
 
     Args:
         new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
@@ -130,10 +128,9 @@ def measured_canopy(
 def with_seen_canopy(
     bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
 ) -> Int16Array:
-    """Canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured, each where it is;
-    crown base and bulk density change from what they were as those of such stands do (`stand_allometry`). Those of
-    broadleaved `codes` (H, W) stay. Cells without trees stay.
-    """
+    """Return canopy bands (4, H, W) of cells with trees, updated by observations: cover and height as measured; crown
+    base and bulk density change in proportion to the allometry of such stands (`stand_allometry`). Broadleaved `codes`
+    (H, W) and cells without trees do not change."""
     cover, height, base, density = (band.astype(np.float64) for band in bands)
     now = (np.isfinite(seen.cover) | np.isfinite(seen.height)) & (cover > 0) & (height > 0)
     share = np.where(np.isfinite(seen.cover), seen.cover, cover).astype(np.float64)
@@ -150,7 +147,8 @@ def with_seen_canopy(
 
 
 def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
-    """Cover, height and their standard errors (4, N) of cells by their flat places, from side x side points each."""
+    """Return the cover, height and their standard errors (4, N) of cells by their flat places, from side x side points
+    each."""
     rows, cols = np.divmod(cells, grid.width)
     offsets = (np.arange(side) + 0.5) / side - 0.5
     x, y = grid.to_map(rows[:, None, None] + offsets[:, None], cols[:, None, None] + offsets)
@@ -174,22 +172,21 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
 
 
 _STRIP = 256
-"""Rows of the terrain that are worked on at a time."""
+"""Number of terrain rows processed at a time."""
 _LEAST_SHARE = 0.1
-"""Of a fuel cell that must have been seen as standing."""
+"""Minimum share of a fuel cell that must have been seen as standing."""
 _SEEN_ABOVE = 0.8
-"""Mean height of a canopy from above by that of what is seen of it from the side, weighted by height; this and what
-follows was chosen on rendered sites (ltm_lab/records/2026-11-exports.md)."""
+"""Ratio of a canopy's mean height from above to its mean height from the side, weighted by height. This and the
+following constants were chosen on rendered sites (docs/maps.md)."""
 _SAID = 1 / 3
-"""Standard error of a height that a map said before, by that height."""
+"""Standard error of a height from a prior map, as a share of the height."""
 
 
 def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> tuple[Float32Array, Float32Array]:
-    """Of the cells of a fuel grid (in the map frame): mean height of what stands 2 m and more over bare earth where
-    independent views have measured it, and its standard error, metres; NaN where hardly anything was seen to stand.
-    `before` (H, W): what a map said, metres, which meets what was measured by their standard errors; NaN, or too low to
-    stand: nothing.
-    """
+    """Return, for the cells of a fuel grid (in the map frame), the mean height of objects of 2 m and more over bare
+    earth where independent views have measured it, and its standard error, metres; NaN where hardly anything was seen
+    to stand. `before` (H, W): heights of an earlier map, metres, combined with the measurement by their standard
+    errors; NaN or too low: not used."""
     size = fuel.width * fuel.height
     count, total, squares, cubes, noise = (np.zeros(size) for _ in range(5))
     top, left, height, width = surface.seen_window() or (0, 0, 0, 0)

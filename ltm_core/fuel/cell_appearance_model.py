@@ -23,17 +23,16 @@ from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_core.fuel.life_form import FORMS, LifeForm
 
 SEEN: Final = 1 + 4 * FORMS
-"""What is looked at: a one, the shares of labels in the cell, these times how sure the labels are, and the shares in
-the cell before it and in the cell behind it."""
+"""Features: a constant, the label shares in the cell, these times the confidence of the labels, and the shares in the
+cells in front of it and behind it."""
 USUAL: Final = 0.7
-"""Confidence of labels from which is told how sure they are, and that of labels that do not say."""
+"""Reference confidence of labels, and the confidence of labels that have none."""
 _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 
 
 class CellAppearanceFile(StrictModel):
-    """`incidence`: rising cosines of the angle between sight and the ground's normal. `weights`: of each form that the
-    network was tried on, at each of them: of what is looked at (`SEEN`).
-    """
+    """File of a `CellAppearanceModel`. `incidence`: increasing cosines of the angle between line of sight and ground
+    normal. `weights`: for each form on which the network was tested, at each incidence, of the features (`SEEN`)."""
 
     incidence: list[float] = Field(min_length=2)
     weights: dict[str, list[list[float]]]
@@ -41,7 +40,7 @@ class CellAppearanceFile(StrictModel):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if any(b <= a for a, b in zip(self.incidence, self.incidence[1:], strict=False)):
-            raise ValueError(f"incidence must rise, got {self.incidence}")
+            raise ValueError(f"incidence must increase, got {self.incidence}")
         if len(self.weights) < 2 or not set(self.weights) <= set(_NAMES):
             raise ValueError(f"weights must be of two or more of {', '.join(_NAMES)}; got {', '.join(self.weights)}")
         for form, rows in self.weights.items():
@@ -52,9 +51,8 @@ class CellAppearanceFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class CellAppearanceModel:
-    """`incidence`: (K,) rising cosines. `weights`: (FORMS, K, SEEN), between which it is linear; NaN for a form that
-    the network was never tried on.
-    """
+    """Model of a cell's label features by life form. `incidence`: (K,) increasing cosines. `weights`: (FORMS, K, SEEN),
+    interpolated linearly; NaN for a form on which the network was never tested."""
 
     incidence: Float64Array
     weights: Float64Array
@@ -75,16 +73,17 @@ class CellAppearanceModel:
 
     @cached_property
     def known(self) -> BoolArray:
-        """(FORMS,): forms that the network was tried on."""
+        """Return (FORMS,) whether the network was tested on a form."""
         return np.isfinite(self.weights[:, 0, 0])
 
     @cached_property
     def by_incidence(self) -> Float64Array:
-        """(K, SEEN, FORMS): the weights as `look_kernel.tell_by_look` takes them, 0 for forms that are not known."""
+        """Return (K, SEEN, FORMS) weights for `frame_evidence.form_by_appearance`, 0 for unknown forms."""
         return np.ascontiguousarray(np.nan_to_num(self.weights).transpose(1, 2, 0))
 
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
-        """(N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not known."""
+        """Return (N, FORMS) log likelihood of the features (N, SEEN), up to a constant for each cell; -inf for unknown
+        forms."""
         inputs = at_incidence(seen, cosine, self.incidence)
         result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
         return np.where(self.known, result, -np.inf)
@@ -97,10 +96,9 @@ def what_is_seen(
     bearing: NDArray[np.floating],
     confidence: NDArray[np.floating] | None,
 ) -> Float64Array:
-    """(N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
-    `bearing` (N,), radians clockwise from grid north. A neighbour that the frame does not show is taken to look like
-    the cell itself.
-    """
+    """Return (N, SEEN) features of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in
+    directions `bearing` (N,), radians clockwise from grid north. A neighbour outside the frame is assumed to look like
+    the cell."""
     n = len(rows)
     if n == 0:
         return np.zeros((0, SEEN))
@@ -117,6 +115,6 @@ def what_is_seen(
 
 
 def at_incidence(seen: Float64Array, cosine: Float64Array, incidence: Float64Array) -> Float64Array:
-    """(N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
+    """Return (N, K SEEN) the features times the interpolation weight of each of the K incidences."""
     weigh = np.stack([np.interp(cosine, incidence, one) for one in np.eye(len(incidence))], axis=1)
     return np.asarray((weigh[:, :, None] * seen[:, None, :]).reshape(len(seen), len(incidence) * seen.shape[1]))

@@ -29,13 +29,13 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.storage.tile_store_schema import Field
 
 CROWN_ASPECT: Final = 2.5
-"""b / r of the crowns; this and what follows was chosen on rendered sites (ltm_lab/records/2026-11-exports.md)."""
+"""Ratio b / r of crowns. This and the following constants were chosen on rendered sites (docs/maps.md)."""
 _SURE: Final = 0.95
-"""Of the share of pixels: beyond it, and below 1 - it, the network's own errors are all that is seen."""
+"""Share of pixels above which, or below 1 - it, only the network's errors are seen."""
 _BLIND: Final = 0.5
-"""What a view weighs that sees no gap: so much of it is only that the sight is flat."""
+"""Weight of a view that sees no gap, which may only mean that the line of sight is flat."""
 _SIGMA: Final = 0.8
-"""Of one view's ln(-ln(1 - cover)), and as much of what a map said before."""
+"""Standard deviation of ln(-ln(1 - cover)) from one view, and from a prior map."""
 _ALIKE: Final = 0.4
 """Correlation of the errors of two views of a cell: the `network` correlation of its labels."""
 _LEAST_PIXELS: Final = 10
@@ -43,17 +43,15 @@ _SCALE: Final = 255
 
 
 def cover_fields(views: int) -> Mapping[str, Field]:
-    """The state of a cell: of each view the newest epoch with its frames, and over these the sums of shares of woody
-    pixels and of cosines of incidence, both x 255. Sums of whole numbers do not depend on their order.
-    """
+    """Return the fields of a cell's cover state: for each view the newest epoch with its frames, and their sums of
+    shares of woody pixels and of cosines of incidence, both x 255. Integer sums do not depend on the order."""
     return {"woody": Field(np.uint32, (views, 3)), "woody_epoch": Field(np.uint16, (views,))}
 
 
 @dataclass(frozen=True, eq=False)
 class WoodyLooks:
-    """What a frame says of cells: `rows`, `cols` (N,); `sums`: (N, 3) 1, share of woody pixels, cosine of incidence.
-    `bearing`: (N,) radians.
-    """
+    """Woody pixels of a frame by cell: `rows`, `cols` (N,); `sums`: (N, 3) 1, share of woody pixels, cosine of
+    incidence. `bearing`: (N,) radians."""
 
     rows: Int64Array
     cols: Int64Array
@@ -62,9 +60,8 @@ class WoodyLooks:
 
 
 def woody_looks(votes: CellVotes, forms: Int64Array) -> WoodyLooks | None:
-    """Of the cells that a frame sees with ten pixels or more and places to within a cell; None where it does not say
-    how it sees them. `forms`: (K,) index of each label's life form, -1 for none.
-    """
+    """Return the observations of cells that a frame sees with at least ten pixels and locates to within a cell; None
+    without visibility. `forms`: (K,) index of each label's life form, -1 for none."""
     seen = votes.visibility
     if seen is None:
         return None
@@ -108,9 +105,8 @@ def _add(
 
 
 def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before` (...), %;
-    NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift.
-    """
+    """Return cover and its standard error (...), %, from the sums (..., V, 3) of views and from an earlier map `before`
+    (...), %; NaN where neither exists. Computed on ln(-ln(1 - cover)), in which k is a shift."""
     frames = woody[..., 0].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)
@@ -138,18 +134,18 @@ def _log_density(share: Float64Array) -> Float64Array:
 
 
 CAMERAS_KEPT: Final = 8
-"""Cameras that a cell remembers; of more, those with the least hashes of their names."""
+"""Maximum number of cameras that a cell records; of more, those with the smallest name hashes are kept."""
 VIEWS: Final = 6
-"""Directions from which a cell is seen. Frames of one direction are one view, whatever cameras took them: they see the
-same side of the same plants, and the network errs alike on them."""
+"""Number of directions from which a cell is seen. Frames from one direction are one view, whichever cameras took them:
+they see the same side of the same plants, and the network makes the same errors."""
 EPOCHS: Final = 2
-"""Of each view, the newest ones in which it saw the cell: newer looks of a view stand in place of its older ones."""
+"""Number of most recent epochs kept for each view; newer observations of a view replace older ones."""
 EPOCH_S: Final = 10 * 86400
-"""Length of an epoch: long enough for several weathers."""
+"""Length of an epoch in seconds, long enough for several weather situations."""
 UNIT: Final = 256
-"""Evidence is kept in whole numbers of 1 / UNIT, whose sums do not depend on their order."""
+"""Resolution of evidence: it is kept as integer multiples of 1 / UNIT, so that sums do not depend on the order."""
 TILE: Final = 32
-"""Cells a side of the tiles in which the state is kept."""
+"""Number of cells per side of the state's tiles."""
 EVIDENCE_VERSION: Final = 3
 
 EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
@@ -162,9 +158,9 @@ EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
     "camera_hashes": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
     "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
     "last_seen": Field(np.uint32),  # second of the latest frame
-    "burned_at": Field(np.uint32),  # second of the latest burn that the map was told of; 0 none
+    "burned_at": Field(np.uint32),  # second of the latest burn added to the map; 0 none
     **cover_fields(VIEWS),  # shares of woody pixels by view, of its newest epoch
 }
-"""The state of a cell. Seconds count from 1970; an array of each field, (tile, tile, *shape), is a tile."""
+"""State of a cell. Seconds count from 1970; a tile is an array of each field, (tile, tile, *shape)."""
 ACCUMULATED: Final = tuple(name for name in EVIDENCE_FIELDS if name not in cover_fields(VIEWS))
-"""Those that `evidence_kernel.accumulate` adds to, in its order."""
+"""Fields that `evidence_kernel.accumulate` updates, in its order."""

@@ -1,4 +1,5 @@
-"""How a frame sees each fuel cell: pixel footprint, angle of incidence, and uncertainty of the traced position."""
+"""Visibility of each fuel cell in a frame: pixel footprint, angle of incidence, and uncertainty of the traced
+position."""
 
 from __future__ import annotations
 
@@ -16,17 +17,17 @@ from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import arrival_directions
 
 _LEAST_FACING = 0.02
-"""Sine of about 1 degree: a flatter line of sight is treated as this one, where first order would give infinities."""
+"""Sine of about 1 degree, the flattest line of sight; flatter ones would give infinities to first order."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellVisibility:
-    """(N,) float32 each.
+    """Visibility of cells, (N,) float32 each.
 
     `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
     `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
     by which the pose's uncertainty may misplace the cell on the map, away from the camera and sideways. `bearing`:
-    radians clockwise from grid north in which the camera looks at the cell.
+    radians clockwise from grid north from the camera to the cell.
     """
 
     cos_incidence: Float32Array
@@ -38,15 +39,14 @@ class CellVisibility:
     def __post_init__(self) -> None:
         lengths = [np.shape(column) for column in self.columns()]
         if len(set(lengths)) != 1 or len(lengths[0]) != 1:
-            raise ImageError(f"the columns of a cell visibility disagree in shape: {lengths}")
+            raise ImageError(f"the columns of a cell visibility differ in shape: {lengths}")
 
     def columns(self) -> tuple[Float32Array, ...]:
         return self.cos_incidence, self.footprint, self.sigma_along, self.sigma_across, self.bearing
 
     def placement(self, cell: float) -> Float64Array:
-        """In (0, 1]: how much a cell of `cell` metres is worth as seen here; 1 for a frame that resolves it and looks
-        at it squarely. It is the share of the cell in the area over which one pixel's vote may really lie.
-        """
+        """Return the weight in (0, 1] of a cell of `cell` metres; 1 for a frame that resolves it and views it
+        perpendicularly. It is the share of the cell in the area over which one pixel's vote may lie."""
         along = np.hypot(self.footprint, self.sigma_along).astype(np.float64)
         return np.asarray(cell / np.hypot(cell, along) * (cell / np.hypot(cell, self.sigma_across)), np.float64)
 
@@ -67,7 +67,7 @@ def cell_visibility(
     bend: float = 0.0,
     covariance: ArrayLike | None = None,
 ) -> CellVisibility:
-    """How a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
+    """Return how a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
 
     To first order, on the ground's plane at each point: with the ray arriving along the unit vector d, the ground's
     normal n and p the way from camera to point, a camera moved by o and turned by w moves the ray's end by
@@ -94,7 +94,8 @@ def cell_visibility(
 
 
 def _normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
-    """Upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is unknown."""
+    """Return the upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is
+    unknown."""
     east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
     north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
     length = np.sqrt(1 + east**2 + north**2)
@@ -109,7 +110,7 @@ def _sigmas(
     bearing: Float64Array,
     covariance: ArrayLike | None,
 ) -> tuple[Float64Array, Float64Array]:
-    """Horizontal sigmas of the traced points, away from the camera and sideways, metres."""
+    """Return the horizontal sigmas of the traced points, away from the camera and sideways, metres."""
     if covariance is None:
         return np.zeros(len(lever)), np.zeros(len(lever))
     matrix = checked_covariance(covariance)

@@ -19,11 +19,11 @@ from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
 from ltm_core.vision.labels import LabelSet
 
 UNSEEN = 255
-"""Class of a cell that no pixel has voted in."""
+"""Class of a cell without votes."""
 
 
 class MajorityFuelMap:
-    """Sums votes and names each cell's winner.
+    """Sum votes and give each cell the class with most of them.
 
     Ties go to the class that stands first in the label set, so the map depends on the votes alone and not on their
     order. Cells partition the plane (`GridGeometry.cell_of`): the paper's "centred at" neighbourhoods, read
@@ -40,7 +40,7 @@ class MajorityFuelMap:
         Raises ImageError for votes on another grid or over other classes.
         """
         if votes.geometry != self.geometry:
-            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, this map is on {self.geometry}")
+            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if votes.counts.shape[1] != self.totals.shape[2]:
             raise ImageError(
                 f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {self.totals.shape[2]}"
@@ -52,12 +52,12 @@ class MajorityFuelMap:
         return row, col, int(votes.rows.max()) - row + 1, int(votes.cols.max()) - col + 1
 
     def classes(self) -> UInt8Array:
-        """The winning class of every cell, (H, W) uint8; UNSEEN where none has voted."""
+        """Return the winning class of every cell, (H, W) uint8; UNSEEN without votes."""
         winner = self.totals.argmax(axis=2).astype(np.uint8)
         return np.where(self.totals.any(axis=2), winner, np.uint8(UNSEEN))
 
     def share(self) -> Float32Array:
-        """The winner's share of all votes in its cell, (H, W) in [0, 1]; NaN where none has voted."""
+        """Return the winner's share of all votes in its cell, (H, W) in [0, 1]; NaN without votes."""
         total = self.totals.sum(axis=2).astype(np.float64)
         with np.errstate(invalid="ignore"):
             return np.asarray(self.totals.max(axis=2) / total, np.float32)
@@ -65,16 +65,15 @@ class MajorityFuelMap:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """By one camera, (H, W) each. `frames`: how many saw the cell. `footprint`: metres of ground away from the camera
-    that a pixel covered at best, NaN where none is known.
-    """
+    """Coverage by one camera, (H, W) each. `frames`: number that saw the cell. `footprint`: smallest extent of a pixel
+    on the ground, away from the camera, in metres, NaN if unknown."""
 
     frames: Int32Array
     footprint: Float32Array
 
 
 class CoverageMap:
-    """Counts the votes of frames by camera, on one fuel grid."""
+    """Count the votes of frames by camera, on one fuel grid."""
 
     def __init__(self, geometry: GridGeometry) -> None:
         self.geometry = geometry
@@ -91,7 +90,7 @@ class CoverageMap:
             seen.footprint[cells] = np.fmin(seen.footprint[cells], votes.visibility.footprint)
 
     def count(self) -> Int32Array:
-        """(H, W): how many cameras saw each cell."""
+        """Return (H, W): how many cameras saw each cell."""
         seen = [camera.frames > 0 for camera in self.cameras.values()]
         return np.sum(seen, axis=0, dtype=np.int32) if seen else np.zeros(self.geometry.shape, np.int32)
 
@@ -112,7 +111,7 @@ def write_fuel_map(
         raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
     path = Path(path)
     if not path.parent.is_dir():
-        raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+        raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
     partial = path.with_name(f".{path.name}.partial")
     try:
         write_geotiff(
@@ -126,12 +125,12 @@ def write_fuel_map(
         partial.replace(path)
     except OSError as error:  # rasterio's own errors of opening a file among them
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: the fuel map cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot write the fuel map ({error})") from error
     return path
 
 
 def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
-    """The class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
+    """Return the class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
     with open_raster(path) as source:
         if source.dtypes[0] != "uint8" or source.crs is None:
             raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
@@ -149,7 +148,7 @@ def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
 def resampled(
     classes: UInt8Array, geometry: GridGeometry, crs: str, phase: float = 15.0
 ) -> tuple[UInt8Array, GridGeometry]:
-    """The map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
+    """Return the map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
 
     EPSG:5070 gives LANDFIRE's grid. Raises ConfigError where `crs` is unknown or not projected in metres.
     """

@@ -30,7 +30,7 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 
 CUSTOM: Final = range(14, 90)
-"""Numbers that both systems leave to an analyst's own fuel models (Scott and Burgan 2005, table 3)."""
+"""Codes that both systems reserve for custom fuel models (Scott and Burgan 2005, table 3)."""
 _GRASS, _SHRUB, _TIMBER, _SLASH = range(1, 4), range(4, 8), range(8, 11), range(11, 14)
 _TYPES: Final[Mapping[range, range]] = {
     range(101, 110): _GRASS,
@@ -41,16 +41,16 @@ _TYPES: Final[Mapping[range, range]] = {
     range(201, 205): _SLASH,
 }
 _ENOUGH_PAIRS: Final = 20
-"""Cells of a code in a map of both systems, to learn its partner there."""
+"""Minimum number of cells with a code in maps of both systems to learn its partner there."""
 
 
 def partners(code: int) -> range:
-    """The FBFM13 models of the fuel type of an FBFM40 code; empty for a code that is no burnable model."""
+    """Return the FBFM13 models of the fuel type of an FBFM40 code; empty for a code that is no burnable model."""
     return next((group for codes, group in _TYPES.items() if code in codes), range(0))
 
 
 def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
-    """Where two maps of the same ground agree on the fuel type that carries the fire.
+    """Return whether two maps of the same ground agree on the fuel type that carries the fire.
 
     What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
     analyst's own model, a code that no system has.
@@ -67,15 +67,14 @@ def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
 
 
 def is_custom(codes: Int16Array) -> BoolArray:
-    """Where a code is an analyst's own fuel model: no table knows it, and no label changes it."""
+    """Return whether a code is a custom fuel model: it has no table entry, and no label changes it."""
     return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)
 
 
 @dataclass(frozen=True, eq=False)
 class Crosswalk:
-    """FBFM40 -> FBFM13. `open_ground`: (256,) int16 partner of each code, NODATA none. `under_trees`: the same where
-    tree cover is `least_cover` (256,) % or more.
-    """
+    """Map from FBFM40 to FBFM13. `open_ground`: (256,) int16 partner of each code, NODATA none. `under_trees`: the same
+    where tree cover is at least `least_cover` (256,) %."""
 
     open_ground: Int16Array
     under_trees: Int16Array
@@ -83,7 +82,8 @@ class Crosswalk:
 
     @classmethod
     def of(cls, table: Mapping[int, int], under_trees: Mapping[int, tuple[int, int]]) -> Crosswalk:
-        """`under_trees`: code -> (least cover in %, partner). Non-burnable and custom codes stay what they are."""
+        """Return the crosswalk of a table; `under_trees`: code -> (minimum cover in %, partner). Non-burnable and
+        custom codes do not change."""
         plain = _lookup(table)
         shaded, least = plain.copy(), np.full(256, 101, np.int16)
         for code, (cover, partner) in under_trees.items():
@@ -91,13 +91,13 @@ class Crosswalk:
         return cls(plain, shaded, least)
 
     def to_fbfm13(self, codes: Int16Array, cover: Int16Array | None = None) -> Int16Array:
-        """(H, W) of FBFM40 codes; codes that are none become NODATA. `cover`: of trees, %, NODATA where unknown."""
+        """Convert (H, W) FBFM40 codes; invalid codes become NODATA. `cover`: of trees, %, NODATA if unknown."""
         index = _index(codes)
         shaded = np.zeros(codes.shape, np.bool_) if cover is None else cover >= self.least_cover[index]
         return np.where(shaded, self.under_trees[index], self.open_ground[index])
 
     def learned(self, fbfm40: Int16Array, fbfm13: Int16Array, cover: Int16Array | None = None) -> Crosswalk:
-        """With the commonest partners, of the same fuel type, that a map of both systems has itself."""
+        """Return a copy with the most common partners, of the same fuel type, in a map of both systems."""
         shaded = np.zeros(fbfm40.shape, np.bool_) if cover is None else cover >= self.least_cover[_index(fbfm40)]
         tables = self.open_ground.copy(), self.under_trees.copy()
         for code in np.unique(fbfm40).tolist():
@@ -110,7 +110,8 @@ class Crosswalk:
 
 
 def _lookup(table: Mapping[int, int]) -> Int16Array:
-    """(256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are NODATA."""
+    """Return (256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are
+    NODATA."""
     lookup = np.full(256, NODATA, np.int16)
     for code in (*NONBURNABLE, *CUSTOM):
         lookup[code] = code
@@ -119,12 +120,13 @@ def _lookup(table: Mapping[int, int]) -> Int16Array:
 
 
 def _index(codes: Int16Array) -> Int16Array:
-    """Places in a table; 0, which is no code, for what lies outside it."""
+    """Return the places in a table; 0, which is no code, for what lies outside it."""
     return np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
 
 
 def to_fbfm40(table: Mapping[int, int], codes: Int16Array) -> Int16Array:
-    """FBFM13 codes as FBFM40 by a table; non-burnable and custom codes stay, unknown ones become NODATA."""
+    """Convert FBFM13 codes to FBFM40 by a table; non-burnable and custom codes do not change, unknown ones become
+    NODATA."""
     return np.asarray(_lookup(table)[_index(codes)], np.int16)
 
 
@@ -143,15 +145,15 @@ class FuelModel(StrictModel):
     name: str
     description: str
     depth: float = Field(gt=0)
-    """Depth of the fuel bed, feet."""
+    """Depth of the fuel bed in feet."""
     extinction: float = Field(gt=0)
-    """Moisture of dead fuel at which fire dies, %."""
+    """Dead fuel moisture of extinction in %."""
     load: tuple[float, float, float, float, float]
-    """1 h, 10 h, 100 h, live herbaceous, live woody, short tons an acre."""
+    """Fuel load in short tons per acre: 1 h, 10 h, 100 h, live herbaceous, live woody."""
     sav: tuple[float | None, float | None, float | None]
-    """Surface to volume ratio of 1 h, live herbaceous, live woody fuel, 1/ft."""
+    """Surface-to-volume ratio in 1/ft: 1 h, live herbaceous, live woody fuel."""
     heat: float = Field(default=8000.0, gt=0)
-    """Btu/lb."""
+    """Heat content in Btu/lb."""
 
 
 class NonburnableModel(StrictModel):
@@ -167,14 +169,14 @@ class FuelModels(StrictModel):
     nonburnable: dict[int, NonburnableModel]
 
     def name(self, code: int) -> str:
-        """Such as GR2, FM4 or NB9; the number itself for a code that is none."""
+        """Return a name such as GR2, FM4 or NB9; the number itself for an invalid code."""
         for table in (self.fbfm40, self.fbfm13, self.nonburnable):
             if code in table:
                 return str(table[code].name)
         return str(code)
 
     def codes(self, system: FuelSystem) -> frozenset[int]:
-        """The codes of a system, non-burnable ones included."""
+        """Return the codes of a system, non-burnable ones included."""
         return frozenset({FuelSystem.FBFM13: self.fbfm13, FuelSystem.FBFM40: self.fbfm40}[system]) | frozenset(
             self.nonburnable
         )
@@ -182,44 +184,46 @@ class FuelModels(StrictModel):
 
 @lru_cache(maxsize=1)
 def fuel_models() -> FuelModels:
-    """The tables that ship with the project. Raises ConfigError where their file has been damaged."""
+    """Return the tables that ship with the project. Raises ConfigError if their file is damaged."""
     return load_yaml(config_path("fuel/fuel_models.yaml"), FuelModels)
 
 
 def system_of_codes(codes: Int16Array) -> FuelSystem:
-    """The system of a map (H, W) that does not name it: FBFM13 where all standard models in it that burn are its."""
+    """Return the system of a map (H, W) that does not state it: FBFM13 if all its burnable standard models belong to
+    it."""
     models = fuel_models()
     burnable = codes[np.isin(codes, [*models.fbfm13, *models.fbfm40])]
     return FuelSystem.FBFM13 if len(burnable) and (burnable <= max(models.fbfm13)).all() else FuelSystem.FBFM40
 
 
 class ChangedCodes(StrictModel):
-    """The code that a cell gets when its life form is no longer the prior's, and where there is no prior."""
+    """Code of a cell whose life form differs from the prior's, or without a prior."""
 
     grass: int
     grass_shrub: int
-    """Where both have more than 30 % of the evidence."""
+    """Code for cells in which both have more than 30 % of the evidence."""
     shrub: int
     shrubs_to_tree: int
-    """Trees where the prior has shrubs."""
+    """Code for trees where the prior has shrubs."""
     to_tree: int
-    """Trees where the prior has none."""
+    """Code for trees where the prior has no woody plants."""
     bare: int
     water: int
     built: int
     burned: int
     regrowth: int
-    """After a burn's time to live."""
+    """Code after `burned_days`."""
 
     def of(self, form: Int64Array, over_shrubs: BoolArray) -> Int16Array:
-        """(...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has them."""
+        """Return (...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has
+        shrubs."""
         table = [self.grass, self.shrub, self.to_tree, self.bare, self.water, self.built, self.burned]
         trees = (form == LifeForm.TREE - 1) & over_shrubs
         return np.where(trees, self.shrubs_to_tree, np.array(table)[form]).astype(np.int16)
 
 
 class TreeCanopy(StrictModel):
-    """Of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
+    """Canopy of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
 
     cover: float = Field(ge=0, le=100)
     height: float = Field(ge=0)
@@ -233,19 +237,19 @@ class ChangedBySystem(StrictModel):
 
 
 class FuelClimate(StrictModel):
-    """What fuel codes mean in a climate: see `config/fuel/climates`."""
+    """Meaning of fuel codes in a climate: see `config/fuel/climates`."""
 
     description: str
     changed: ChangedBySystem
     canopy: TreeCanopy
     forest: ForestType = ForestType.MIXED_CONIFER
-    """By whose allometry crown base and bulk density follow cover and height."""
+    """Forest type whose allometry gives crown base height and bulk density from cover and height."""
     crosswalk: dict[int, int]
-    """FBFM40 -> FBFM13, of every burnable code, within its fuel type."""
+    """Map from every burnable FBFM40 code to FBFM13, within its fuel type."""
     under_trees: dict[int, tuple[int, int]] = Field(default_factory=dict)
-    """FBFM40 -> (least tree cover in %, FBFM13): where the partner is another one under trees."""
+    """Map from FBFM40 to (minimum tree cover in %, FBFM13) for codes with a different partner under trees."""
     crosswalk_back: dict[int, int]
-    """FBFM13 -> FBFM40, of every burnable code, within its fuel type."""
+    """Map from every burnable FBFM13 code to FBFM40, within its fuel type."""
 
     @model_validator(mode="after")
     def _codes_are_known(self) -> FuelClimate:
@@ -254,7 +258,7 @@ class FuelClimate(StrictModel):
             known = models.codes(system)
             for key, code in getattr(self.changed, system).model_dump().items():
                 if code not in known:
-                    raise ValueError(f"changed.{system}.{key} is {code}, no code of {system}")
+                    raise ValueError(f"changed.{system}.{key} is {code}, which is not a code of {system}")
         pairs = {"crosswalk": self.crosswalk, "under_trees": {k: to for k, (_, to) in self.under_trees.items()}}
         if set(self.crosswalk) != set(models.fbfm40):
             wrong = sorted(set(self.crosswalk) ^ set(models.fbfm40))
@@ -280,22 +284,21 @@ class FuelClimate(StrictModel):
 
     @classmethod
     def named(cls, name: str) -> FuelClimate:
-        """A climate that ships with the project. Raises ConfigError naming those there are."""
+        """Return a climate that ships with the project. Raises ConfigError with the list of names."""
         folder = config_path("fuel/climates")
         path = folder / f"{name}.yaml"
         if not is_file(path):
             there = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-            raise ConfigError(f"no fuel climate is called {name!r}; there are {there}")
+            raise ConfigError(f"unknown fuel climate {name!r}; choose from {there}")
         return load_yaml(path, cls)
 
     def as_crosswalk(self) -> Crosswalk:
-        """FBFM40 -> FBFM13 where a map does not give both itself."""
+        """Return the map from FBFM40 to FBFM13 for maps that do not have both."""
         return Crosswalk.of(self.crosswalk, self.under_trees)
 
     def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
-        """(...) codes of changed cells as the other system has them: what `changed` says of the same cover; NODATA
-        for codes that `changed` does not name.
-        """
+        """Return (...) codes of changed cells in the other system: those of `changed` for the same cover; NODATA for
+        codes that `changed` does not list."""
         own, other = getattr(self.changed, system).model_dump(), getattr(self.changed, to).model_dump()
         found = np.full(codes.shape, NODATA, np.int16)
         # Covers that share a code in one system do not in the other: what is named first is the commoner.

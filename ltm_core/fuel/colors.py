@@ -23,7 +23,7 @@ _LANDFIRE: Final[dict[int, Color]] = {
     2: (255, 255, 0), 3: (230, 197, 11), 5: (255, 170, 102), 7: (137, 112, 68), 8: (211, 255, 190), 9: (112, 168, 0),
     10: (38, 115, 0),
 }  # fmt: skip
-"""As the attribute tables of LANDFIRE 2022 give them (those of a tile of Vermont, which has these codes)."""
+"""Colours of the attribute tables of LANDFIRE 2022 (from a tile of Vermont, which has these codes)."""
 _OURS: Final[dict[int, Color]] = {
     92: (225, 240, 255), 104: (240, 200, 60), 105: (215, 190, 90), 107: (200, 170, 20), 108: (180, 150, 60),
     109: (150, 125, 20), 124: (200, 60, 20), 145: (176, 74, 40), 147: (150, 40, 40), 148: (110, 60, 40),
@@ -31,22 +31,22 @@ _OURS: Final[dict[int, Color]] = {
     201: (230, 190, 255), 202: (200, 120, 220), 203: (160, 60, 190), 204: (110, 0, 140),
     1: (255, 255, 190), 4: (168, 56, 0), 6: (255, 127, 80), 11: (230, 190, 255), 12: (180, 90, 210), 13: (110, 0, 140),
 }  # fmt: skip
-"""Of the codes that tile lacks: near those of their group."""
+"""Colours of codes that this tile lacks, similar to those of their group."""
 _UNKNOWN: Final[Color] = (222, 222, 220)
 
 
 def code_color(code: int) -> Color:
-    """The colour of a fuel code of either system; grey where it is none."""
+    """Return the colour of a fuel code of either system; grey where it is none."""
     return _LANDFIRE.get(code) or _OURS.get(code) or _UNKNOWN
 
 
 def code_colors(codes: Int16Array) -> UInt8Array:
-    """(..., 3) colours of codes (...)."""
+    """Return (..., 3) colours of codes (...)."""
     table = np.array([code_color(code) for code in range(256)], np.uint8)
     return table[np.where((codes >= 0) & (codes < 256), codes, 0)]
 
 
 def code_names(codes: Int16Array) -> list[tuple[str, Color]]:
-    """Name and colour of each code that occurs, the commonest first."""
+    """Return the name and colour of each code that occurs, the commonest first."""
     found, counts = np.unique(codes[codes != NODATA], return_counts=True)
     return [(fuel_models().name(int(code)), code_color(int(code))) for code in found[np.argsort(-counts)]]

@@ -17,15 +17,14 @@ from ltm_core.fuel.prior import FuelPrior, system_of
 
 _GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5
-"""Evidence for each life form where there is no prior map (Jeffreys)."""
+"""Evidence for each life form without a prior map (Jeffreys)."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellEvidence:
-    """Of (N,) cells, as of a time: `evidence` (N, FORMS), decayed; `log_likelihood` (N, FORMS), up to a constant, of
-    what all views show together; `first`, `last` (N, FORMS): seconds of the frames that show each form, 0 none;
-    `cameras` (N, FORMS): how many show it, 2 for more; `burned_at` (N,): seconds, 0 never.
-    """
+    """Evidence of (N,) cells at a time: `evidence` (N, FORMS), decayed; `log_likelihood` (N, FORMS), up to a constant,
+    of all views together; `first`, `last` (N, FORMS): seconds of the frames that show each form, 0 none; `cameras` (N,
+    FORMS): number that show it, 2 for more; `burned_at` (N,): seconds, 0 never."""
 
     evidence: Float64Array
     log_likelihood: Float64Array
@@ -37,7 +36,7 @@ class CellEvidence:
 
 @dataclass(frozen=True, eq=False)
 class FuelLayers:
-    """The fuel map, (H, W) each.
+    """Layers of the fuel map, (H, W) each.
 
     `prior`, `code`: int16 fuel codes, NODATA where none. `life_form`: uint8 ids of `LifeForm`, 255 unknown; that of
     the code. `p_max`: float32 probability that the commonest life form is the one that evidence and prior favour; NaN
@@ -57,7 +56,7 @@ class FuelLayers:
     seen_by: UInt8Array
 
     def part(self, row: int, col: int, height: int, width: int) -> FuelLayers:
-        """A rectangle of them: views."""
+        """Return a rectangle of the layers, as views."""
         cut = slice(row, row + height), slice(col, col + width)
         return FuelLayers(**{field.name: getattr(self, field.name)[cut] for field in fields(self)})
 
@@ -98,7 +97,7 @@ class _Decided:
 
 
 class ChangeDecision:
-    """Applies the rules of change. `system`: of the codes."""
+    """Apply the rules of change; `system`: of the codes."""
 
     def __init__(self, system: FuelSystem, rules: FusionRules, climate: FuelClimate) -> None:
         self._rules = rules
@@ -113,7 +112,7 @@ class ChangeDecision:
 
     @property
     def reach(self) -> int:
-        """Cells out to which a cell's neighbours have a say in what it is."""
+        """Return the distance in cells within which neighbours influence a cell."""
         return reach_of(self._rules)
 
     def decide(
@@ -124,8 +123,8 @@ class ChangeDecision:
         now_s: float,
         company: UInt8Array | None = None,
     ) -> FuelLayers:
-        """The layers of a part of the grid, all but `last_seen` and `seen_by`, which are zero; within `reach` of an
-        edge that is not the grid's they may be those of a map that ends there.
+        """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; within `reach` of
+        an inner edge they may be those of a map that ends there.
 
         `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order. `company`:
         (H, W) life forms of cells that have changed for other reasons than evidence, 0 none.
@@ -162,7 +161,8 @@ class ChangeDecision:
         return layers
 
     def alpha(self, codes: Int16Array, touched: BoolArray, cells: CellEvidence, now_s: float) -> Float64Array:
-        """(H, W, FORMS) of the Dirichlet distribution of each cell's life forms; arguments as of `decide`."""
+        """Return (H, W, FORMS) parameters of the Dirichlet distribution of each cell's life forms; arguments as of
+        `decide`."""
         index = np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
         agreeing = forms_of(index)
         flat = self._prior_evidence(agreeing.reshape(-1, FORMS), agreeing.any(axis=-1).ravel())
@@ -198,7 +198,7 @@ class ChangeDecision:
         )
 
     def _settle(self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
-        """What cells become, those of `changes` (N,) their challenger."""
+        """Return what cells become, those of `changes` (N,) their challenger."""
         rules, codes = self._rules, judged.codes
         original = forms_of(codes)
         possible = judged.agreeing | ~judged.has_prior[:, None]
@@ -222,7 +222,7 @@ class ChangeDecision:
         return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
 
     def _prior_evidence(self, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
-        """(N, FORMS): kappa pi."""
+        """Return (N, FORMS): kappa pi."""
         rules = self._rules
         count = agreeing.sum(axis=1, keepdims=True)
         inside = rules.prior_share / np.maximum(count, 1)
@@ -231,7 +231,7 @@ class ChangeDecision:
         return np.where(has_prior[:, None], prior, _FLAT)
 
     def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int16Array:
-        """The codes of cells that are now of `form` (N,)."""
+        """Return the codes of cells that are now of `form` (N,)."""
         c = self._codes
         total = np.maximum(evidence.sum(axis=1), 1e-12)
         both = np.minimum(evidence[:, _GRASS], evidence[:, _SHRUB]) / total > self._rules.mixture
@@ -240,9 +240,8 @@ class ChangeDecision:
 
 
 def _favoured(alpha: Float64Array, possible: BoolArray, has_prior: BoolArray, posterior: float) -> Int64Array:
-    """(N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless another
-    is the commoner with the probability that a change would need; without a prior, the commonest.
-    """
+    """Return (N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless
+    another is the commoner with the probability that a change would need; without a prior, the commonest."""
     best = np.where(possible, alpha, -1.0).argmax(axis=1)
     usual = possible.argmax(axis=1)
     every = np.arange(len(alpha))
@@ -253,8 +252,8 @@ def _favoured(alpha: Float64Array, possible: BoolArray, has_prior: BoolArray, po
 def _contest(
     alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray
 ) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """The strongest life form that does not agree with the prior, the probability that it is the commonest, and that
-    of whatever is favoured.
+    """Return the strongest life form that does not agree with the prior, the probability that it is the commonest, and
+    that of whatever is favoured.
 
     Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b is the
     larger of a and b with probability I_1/2(alpha_a, alpha_b).
@@ -270,7 +269,7 @@ def _contest(
 
 
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:
-    """The layers that a map of label classes (H, W), 255 unseen, stands for, each of its cells taken at its word.
+    """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain.
 
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
     """

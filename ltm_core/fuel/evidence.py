@@ -1,9 +1,9 @@
 """Bayesian fuel map: evidence for the life form of each cell, by view and time, over the prior map.
 
 A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus evidence.
-What a frame shows (`frame_evidence`) is kept by view, the direction in which it looks at the cell, and by epoch; of
-each view the newest epochs are kept. What all looks are worth together is a function of that state and of the time of
-asking, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
+What a frame shows (`frame_evidence`) is kept by view, the direction from the camera to the cell, and by epoch; of each
+view the newest epochs are kept. The joint weight of all observations is a function of that state and of the time of the
+query, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
 any order. docs/how/fuel.md has the mathematics.
 """
 
@@ -42,31 +42,32 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
-"""(row, col, height, width) of a part of the grid."""
+"""Part of the grid: (row, col, height, width)."""
 Key = tuple[int, int]
 
 _LATEST_NS = (2**32 - 1) * 10**9
 
 
 def camera_hash(source: str) -> int:
-    """The number by which cells remember a camera: CRC-32 of its name, never 0."""
+    """Return the identifier of a camera in cells: CRC-32 of its name, never 0."""
     return zlib.crc32(source.encode()) or 1
 
 
 def _views(source: str, frame: FrameEvidence) -> Int64Array:
-    """(N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the same."""
+    """Return (N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the
+    same."""
     if frame.bearing is None:
         return np.full(len(frame), camera_hash(source) % VIEWS)
     return _directions(frame.bearing)
 
 
 def _directions(bearing: Float64Array) -> Int64Array:
-    """Of bearings, radians, which of the views they are."""
+    """Return the view of each bearing in radians."""
     return np.floor(bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
 
 
 class EvidenceMap:
-    """Counts the votes of frames, and tells the fuel map that they make of the prior.
+    """Accumulate the votes of frames and derive the fuel map from them and the prior.
 
     Args:
         geometry: the fuel grid; votes must be on it.
@@ -96,7 +97,7 @@ class EvidenceMap:
         self.rules = rules if rules is not None else FusionRules()
         self.climate = climate if climate is not None else FuelClimate.named("dry")
         self.newest_ns = 0
-        """The latest stamp counted, to the second: the map's own time."""
+        """Latest counted stamp, rounded to seconds: the time of the map."""
         self._errors = errors if errors is not None else LabelErrors.assumed()
         self._errors_of = dict(errors_of or {})
         self._forms = label_forms(labels)
@@ -113,21 +114,19 @@ class EvidenceMap:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Rows and columns of tiles that cover the grid."""
+        """Return the rows and columns of tiles that cover the grid."""
         return -(-self.geometry.height // TILE), -(-self.geometry.width // TILE)
 
     def add(self, votes: CellVotes) -> Window | None:
-        """Count a frame; the part of the grid that it touches, or None where it says nothing.
+        """Count a frame; return the part of the grid that it touches, or None if it has no votes.
 
         The frame must not have been counted before. Raises ImageError for votes on another grid, over other classes,
         or of a time that is not in 1970 to 2106.
         """
         if votes.geometry != self.geometry:
-            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, this map is on {self.geometry}")
+            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, but this map is on {self.geometry}")
         if not 0 <= votes.stamp_ns < _LATEST_NS:
-            raise ImageError(
-                f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, which is not in 1970 to 2106"
-            )
+            raise ImageError(f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, outside 1970 to 2106")
         errors = self._errors_of.get(votes.source, self._errors)
         frame = frame_evidence(votes, self._forms, errors, self.rules, self._stands)
         if len(frame) == 0:
@@ -152,14 +151,14 @@ class EvidenceMap:
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
 
     def burn(self, cells: BoolArray, stamp_ns: int) -> None:
-        """The cells (H, W) burned at that time: what was known of them before is void, also where it comes later.
+        """Mark the cells (H, W) as burned at that time; earlier evidence is void, even if it arrives later.
 
         Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
         """
         if cells.shape != self.geometry.shape:
             raise ImageError(f"burned cells of shape {cells.shape} do not fit a fuel grid of {self.geometry.shape}")
         if not 0 <= stamp_ns < _LATEST_NS:
-            raise ImageError(f"a burn has the stamp {stamp_ns} ns, which is not in 1970 to 2106")
+            raise ImageError(f"a burn has the stamp {stamp_ns} ns, outside 1970 to 2106")
         second = max(stamp_ns // 10**9, 1)
         fresh = cells & (self._state["burned_at"] < second)
         self._forget(fresh)
@@ -167,7 +166,7 @@ class EvidenceMap:
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
     def reached_from(self, window: Window) -> Window:
-        """The part of the grid whose layers the evidence in a window has a say in."""
+        """Return the part of the grid whose layers depend on evidence in a window."""
         row, col, height, width = window
         reach = self._decider.reach
         top, left = max(row - reach, 0), max(col - reach, 0)
@@ -177,7 +176,7 @@ class EvidenceMap:
         return top, left, bottom - top, right - left
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """The map, or a part of it, as of a time; by default that of the latest frame."""
+        """Return the map, or a part of it, at a time; by default that of the latest frame."""
         wanted = window or (0, 0, *self.geometry.shape)
         self._slices(wanted)
         around = self.reached_from(wanted)
@@ -185,20 +184,21 @@ class EvidenceMap:
         return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
 
     def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        """(h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none has."""
+        """Return (h, w) life forms of cells that changed for reasons other than evidence, 0 none; None: no such
+        cell."""
         return None
 
     def alpha(self, at_ns: int | None = None) -> Float64Array:
-        """(H, W, FORMS): what prior and evidence together know of each cell's life forms, as the parameters of a
-        Dirichlet distribution, as of a time; by default that of the latest frame.
-        """
+        """Return (H, W, FORMS) Dirichlet parameters of each cell's life forms, from prior and evidence, at a time; by
+        default that of the latest frame."""
         codes, touched, cells, now, _ = self._known((0, 0, *self.geometry.shape), at_ns)
         return self._decider.alpha(codes, touched, cells, now)
 
     def _known(
         self, window: Window, at_ns: int | None
     ) -> tuple[Int16Array, BoolArray, CellEvidence, float, dict[str, NDArray[Any]]]:
-        """The prior's codes, the touched cells and what evidence says of them, the time in seconds, and the state."""
+        """Return the prior's codes, the touched cells and what evidence says of them, the time in seconds, and the
+        state."""
         part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
         shape = state["last_seen"].shape
@@ -234,28 +234,27 @@ class EvidenceMap:
         return layers
 
     def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """(H, W) each, %: tree cover by the labels of what has been seen, and its standard error; NaN where nobody has
-        looked. `before` (H, W): what is known of it otherwise.
-        """
+        """Return (H, W) tree cover by labels and its standard error in %; NaN where unseen. `before` (H, W): cover from
+        other sources."""
         return label_cover(self._state["woody"], before)
 
     @property
     def stand_correlation(self) -> float:
-        """Of the evidence of two cells of one stand."""
+        """Return the correlation of the evidence of two cells of one stand."""
         return self._errors.correlation.between_cells
 
     def seen_by(self, source: str) -> BoolArray:
-        """(H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
+        """Return (H, W) cells that a camera sees, as far as they are recorded (`CAMERAS_KEPT`)."""
         return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
 
     def tiles_of(self, window: Window) -> list[Key]:
-        """(row, col) of the tiles that hold a part of the grid, in row-major order."""
+        """Return (row, col) of the tiles that hold a part of the grid, in row-major order."""
         row, col, height, width = window
         rows = range(row // TILE, (row + height - 1) // TILE + 1)
         return [(r, c) for r in rows for c in range(col // TILE, (col + width - 1) // TILE + 1)]
 
     def tile_state(self, key: Key) -> dict[str, NDArray[Any]]:
-        """A copy of a tile's state by field, (TILE, TILE, *shape); zeros beyond the grid's edges."""
+        """Return a copy of a tile's state by field, (TILE, TILE, *shape); zeros beyond the grid's edges."""
         part = self._tile_slices(key)
         result = {}
         for name, field in EVIDENCE_FIELDS.items():
@@ -293,5 +292,5 @@ class EvidenceMap:
     def _slices(self, window: Window) -> tuple[slice, slice]:
         row, col, height, width = window
         if row < 0 or col < 0 or row + height > self.geometry.height or col + width > self.geometry.width:
-            raise RasterError(f"window {window} is not inside a fuel grid of {self.geometry.shape}")
+            raise RasterError(f"window {window} is not within a fuel grid of {self.geometry.shape}")
         return slice(row, row + height), slice(col, col + width)

@@ -1,4 +1,4 @@
-"""Compiled loops that spread one frame's votes over neighbouring cells, add them as evidence and pool looks."""
+"""Spread one frame's votes over neighbouring cells, add them as evidence and pool observations, in compiled loops."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 
 _REACH = 2.5
-"""Sigmas to which the displacement of a cell is followed."""
+"""Number of sigmas to which the displacement of a cell is followed."""
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _index_of(rows: Any, cols: Any) -> Any:
-    """(H, W) int32 over the bounding box of the cells and one cell about it: which cell stands there, -1 for none."""
+    """Return (H, W) int32 over the bounding box of the cells and one cell about it: which cell stands there, -1 for
+    none."""
     top, left = rows.min() - 1, cols.min() - 1
     index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int32)
     for i in range(rows.size):
@@ -25,7 +26,7 @@ def _index_of(rows: Any, cols: Any) -> Any:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _gaussian(weight: float, sigma: float) -> Any:
-    """(2 R + 1, 2 R + 1): `weight` at the centre."""
+    """Return (2 R + 1, 2 R + 1): `weight` at the centre."""
     reach = int(2 * sigma + 0.5)
     kernel = np.empty((2 * reach + 1, 2 * reach + 1))
     for dr in range(-reach, reach + 1):
@@ -38,10 +39,9 @@ def _gaussian(weight: float, sigma: float) -> Any:
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
 ) -> tuple[Float64Array, Float64Array]:
-    """`values` (N, F) of each cell plus those of the cells of its stand (N,) about it, which weigh `weight` times a
-    Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Of stand 0 nothing is known,
-    and it may end anywhere: there the Gaussian is of one cell.
-    """
+    """Return `values` (N, F) of each cell plus those of the neighbouring cells of its stand (N,), weighted by `weight`
+    times a Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Stand 0 is unknown and
+    may end anywhere: there the Gaussian covers one cell."""
     n, width = values.shape
     out, cells = values.copy(), np.ones(n)
     if n == 0 or weight == 0:
@@ -74,7 +74,8 @@ def spread(
     sigma_across: Any,
     bearing: Any,
 ) -> tuple[Float64Array, Float64Array]:
-    """Shares (N, F) averaged over where each cell's pixels may really lie, and the part of that which the frame sees.
+    """Return shares (N, F) averaged over the possible places of each cell's pixels, and the part of these that the
+    frame sees.
 
     The cell that is traced to (row, col) is another one with the probability that a Gaussian of `sigma_along` and
     `sigma_across` (N,), in cells, gives it; `bearing` (N,) radians clockwise from north is the direction of along.
@@ -151,7 +152,7 @@ def remember(row: Any, value: Any) -> None:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
-    """Index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
+    """Return the index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
 
     A new one pushes the oldest out; -1 for one that is older than all that are kept.
     """
@@ -238,8 +239,8 @@ def pooled(
     full: float,
     least: float,
 ) -> tuple[Float64Array, Float64Array]:
-    """(N, F) evidence that the looks of all views are worth together, as of a time, and (N, F) the log likelihood of
-    each form, up to a constant, that they have together: nested design effects.
+    """Return (N, F) effective evidence of the observations of all views together at a time, and (N, F) the joint log
+    likelihood of each form, up to a constant: nested design effects.
 
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
     frame adds to it, and its first and last second. `full`: that most of a frame that sees a cell perfectly. What a

@@ -4,7 +4,7 @@ Merges evidence that was counted apart: the map of all frames from the maps of s
 
 Partial evidence is what a set of frames says. Merging is the union of disjoint sets: it is commutative and associative,
 nothing is its neutral element, and the result is that of one map which has counted all frames in any order. A frame
-that two parts hold is refused: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
+that two parts hold is rejected: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
 
 | field | of two |
 |---|---|
@@ -14,10 +14,10 @@ that two parts hold is refused: it would count twice. Of each field of a cell's 
 | `first`, first of `span` | the least that is not 0 |
 | `camera_hashes`, `seen_by` | the least of the union, as many as are kept, rising |
 | `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, at most the largest number |
-| `burned_at` | must be the same: a burn is told to every part before its frames are counted |
+| `burned_at` | must be the same: a burn is added to every part before its frames are counted |
 
-Days of frames need not be told of the burns of other days: a burn voids what came before it, so the days before it are
-merged, the map is told (`EvidenceMap.burn`), and parts of frames that all come after it know of it then (`after`).
+Days of frames do not need the burns of other days: a burn voids earlier evidence, so the days before it are merged, the
+burn is added to the map (`EvidenceMap.burn`), and then to parts whose frames all come after it (`after`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from ltm_core.storage.tile_store_schema import Key, Tile
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _add_capped(sums: Any, more: Any) -> None:
-    """To each number of a row, which ends at the largest there is."""
+    """Add to each number of a row, clipped at the largest value."""
     ceiling = np.uint64(np.iinfo(np.uint32).max)
     for k in range(sums.size):
         sums[k] = np.uint32(min(np.uint64(sums[k]) + np.uint64(more[k]), ceiling))
@@ -47,7 +47,7 @@ def _add_capped(sums: Any, more: Any) -> None:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _least(one: Any, other: Any) -> Any:
-    """The lesser of two, where 0 is none."""
+    """Return the lesser of two, where 0 is none."""
     return other if one == 0 or 0 < other < one else one
 
 
@@ -76,7 +76,7 @@ def merge_cells(
     more_woody: Any,
     more_woody_epoch: Any,
 ) -> None:
-    """Into the state of a tile that of other frames: (tile, tile, *shape) each, see `evidence_state`."""
+    """Merge the state of other frames into a tile: (tile, tile, *shape) each, see `evidence_state`."""
     for r in range(last_seen.shape[0]):
         for c in range(last_seen.shape[1]):
             last_seen[r, c] = max(last_seen[r, c], more_last_seen[r, c])
@@ -109,23 +109,23 @@ def merge_cells(
 
 
 _MERGED: Final = tuple(name for name in EVIDENCE_FIELDS if name != "burned_at")
-"""In the order of the kernel's arguments."""
+"""Merged fields, in the order of the kernel's arguments."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartialEvidence:
-    """What some frames say: `stamps`, by camera, rising, of those counted, and the tiles that they touch."""
+    """Evidence of some frames: `stamps` counted, by camera, increasing, and the tiles that they touch."""
 
     stamps: Mapping[str, Int64Array] = field(default_factory=dict)
     tiles: Mapping[Key, Tile] = field(default_factory=dict)
 
     def merged(self, other: PartialEvidence) -> PartialEvidence:
-        """Raises ArchiveError where both hold a frame, or know of different burns."""
+        """Return the merged evidence. Raises ArchiveError if both contain a frame, or have different burns."""
         return merged_parts([self, other])
 
     def after(self, evidence: EvidenceMap) -> PartialEvidence:
-        """The same, knowing of the burns that the map knows of, all of which must have been before its frames, or told
-        to it before them."""
+        """Return a copy with the burns of the map, all of which must be earlier than its frames, or were added before
+        them."""
         told = {key: evidence.tile_state(key)["burned_at"] for key in self.tiles}
         return PartialEvidence(
             self.stamps,
@@ -133,7 +133,7 @@ class PartialEvidence:
         )
 
     def merge_into(self, evidence: EvidenceMap) -> None:
-        """Into what a map holds, which must be of other frames. Raises ArchiveError where they know of other burns."""
+        """Merge into a map, which must contain other frames. Raises ArchiveError if their burns differ."""
         for key, tile in self.tiles.items():
             state = evidence.tile_state(key)
             _merge_into_tile(state, tile)
@@ -141,7 +141,7 @@ class PartialEvidence:
 
 
 def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
-    """What all of them say together; none of them is changed.
+    """Return all parts merged; the parts do not change.
 
     Raises ArchiveError where two hold a frame, or know of different burns.
     """
@@ -164,19 +164,17 @@ def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
 
 def _merge_into_tile(tile: Tile, other: Tile) -> None:
     if not np.array_equal(tile["burned_at"], other["burned_at"]):
-        raise ArchiveError(
-            "evidence that knows of different burns cannot be merged: tell all burns to every part before its frames"
-        )
+        raise ArchiveError("parts with different burns cannot be merged: add all burns to every part before its frames")
     merge_cells(*(tile[name] for name in _MERGED), *(other[name] for name in _MERGED))
 
 
 def _distinct(camera: str, parts: list[Int64Array]) -> Int64Array:
-    """All stamps of a camera, rising. Raises ArchiveError where two parts hold one."""
+    """Return all stamps of a camera, rising. Raises ArchiveError where two parts hold one."""
     found, counts = np.unique(np.concatenate(parts), return_counts=True)
     twice = found[counts > 1]
     if len(twice):
         raise ArchiveError(
-            f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in two parts that are to "
-            "be merged and would count twice; merge each result once"
+            f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in two parts and would "
+            "count twice; merge each result once"
         )
     return found

@@ -1,6 +1,6 @@
 """Compute the evidence for the life form of each cell from the votes of one frame.
 
-Compiled loops over the cells of one frame: what life form each looks like, and which one it shows.
+Compiled loops over the cells of one frame: the life form by appearance, and the one that it shows.
 
 A frame has some hundred cells of seven forms: of the same as NumPy expressions, most of the time goes by between them.
 `cell_appearance_model` has the looks as such expressions, which teach the model.
@@ -25,7 +25,7 @@ from ltm_core.fuel.votes import CellVotes
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def tell_by_look(
+def form_by_appearance(
     rows: Any,
     cols: Any,
     shares: Any,
@@ -108,7 +108,7 @@ def tell_by_look(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_normalised(values: Any) -> Float64Array:
-    """(N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
+    """Return (N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
     n, width = values.shape
     out = np.empty((n, width))
     for i in range(n):
@@ -125,7 +125,7 @@ def log_normalised(values: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def normalised(logs: Any, divisors: Any) -> Float64Array:
-    """(N, F) the exponentials of logarithms over `divisors` (N,), as shares of their sum in each row."""
+    """Return (N, F) exponentials of the logarithms over `divisors` (N,), as shares of their sum in each row."""
     n, width = logs.shape
     out = np.empty((n, width))
     for i in range(n):
@@ -143,8 +143,8 @@ def normalised(logs: Any, divisors: Any) -> Float64Array:
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
-    """(N,) index of the form that has most of `amounts` (N, F), -1 where that is less than `least` or than half of the
-    cell's `most` (N,)."""
+    """Return (N,) index of the form that has most of `amounts` (N, F), -1 if that is less than `least` or than half of
+    the cell's `most` (N,)."""
     n, width = amounts.shape
     out = np.empty(n, np.int64)
     for i in range(n):
@@ -157,15 +157,14 @@ def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
 
 
 _SUPPORTS = 0.5
-"""Least evidence by which a frame is one of those that show a life form in a cell."""
+"""Minimum evidence for a frame to count as showing a life form in a cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """`rows`, `cols`: (N,) int64 cells of the fuel grid. `amounts`: (N, FORMS) evidence for each life form, at most
-    the frame cap a cell. `supported`: (N,) int64 index of the form that the frame shows there, -1 where it is not sure.
-    `bearing`: (N,) radians clockwise from grid north in which the frame looks at the cell; None: not known.
-    """
+    """Evidence of one frame. `rows`, `cols`: (N,) int64 cells of the fuel grid. `amounts`: (N, FORMS) evidence for each
+    life form, at most the frame cap per cell. `supported`: (N,) int64 index of the form that the frame shows there, -1
+    if uncertain. `bearing`: (N,) radians clockwise from grid north from the camera to the cell; None: unknown."""
 
     rows: Int64Array
     cols: Int64Array
@@ -184,7 +183,7 @@ def frame_evidence(
     rules: FusionRules,
     stands: UInt8Array | None = None,
 ) -> FrameEvidence:
-    """Evidence w n p(l) of each cell.
+    """Return the evidence w n p(l) of each cell.
 
     p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
     been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
@@ -212,7 +211,7 @@ def frame_evidence(
     probability = _probability(votes, rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
     bearing = None
-    # What a cell looks like tells of the labels' confidence and of how plants stand before the ground behind them.
+    # The appearance model already uses the labels' confidence and the occlusion by plants.
     by_look = errors.appearance is not None and votes.visibility is not None
     if votes.confidence is not None and not by_look:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
@@ -247,9 +246,9 @@ def _probability(
     errors: LabelErrors,
     rules: FusionRules,
 ) -> Float64Array:
-    """(N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
+    """Return (N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
 
-    Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
+    Plants grow in stands larger than a cell, so that the appearance of neighbouring cells is evidence for a cell too.
     """
     correlation = errors.correlation
     weight = pixels / (1 + (pixels - 1) * correlation.cell)
@@ -259,7 +258,7 @@ def _probability(
     if errors.appearance is not None and votes.visibility is not None:
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
         look = errors.appearance
-        tell_by_look(
+        form_by_appearance(
             rows,
             cols,
             shares,
@@ -281,7 +280,7 @@ def _probability(
 
 
 def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array) -> Float64Array:
-    """(N, FORMS) log likelihood of a cell's label shares (N, FORMS), in the mean of so many pixels (N,)."""
+    """Return (N, FORMS) log likelihood of a cell's label shares (N, FORMS), averaged over (N,) pixels."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     result = np.full(shares.shape, -np.inf)
@@ -290,6 +289,6 @@ def _log_shares(shares: Float64Array, errors: LabelErrors, weight: Float64Array)
 
 
 def _odds_weight(confidence: Float64Array, sure: float) -> Float64Array:
-    """(N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
+    """Return (N,) in [0, 1]: log odds that labels of this confidence are right, over those of sure ones."""
     chance = np.clip(confidence, 0.5, sure)
     return np.asarray(np.log(chance / (1 - chance)) / np.log(sure / (1 - sure)))

@@ -21,30 +21,31 @@ from ltm_core.vision.label_rules import Calibration, load_calibration
 from ltm_core.vision.manifest import NetworkManifest
 
 FLOOR = 0.01
-"""The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
+"""Minimum share of any label, so that a matrix counted on a few scenes never excludes one."""
 ASSUMED = "default"
-"""Name of the file for networks of which nothing is known."""
+"""Name of the file for networks without a calibration."""
 PHOTO_STEP = 1.8
-"""Labels of photos are so many times as often wrong as those of renderings: the shipped network's risk on land, of five
-views of real towers against `training_g`'s renderings, 0.404 to 0.223 (docs/labels.md)."""
+"""Factor between label errors on photos and on renderings: the risk of the shipped network on land, of five views of
+real towers against the renderings `training_g`, 0.404 to 0.223 (docs/labels.md)."""
 _OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TREE)
 _NAMES = tuple(form.name.lower() for form in LifeForm)
 
 
 class LabelCorrelation(StrictModel):
-    """Intraclass correlations of a network's label errors: how much two pixels of one cell err alike beyond chance.
+    """Intraclass correlations of a network's label errors: how far errors of two pixels of one cell agree beyond
+    chance.
 
     0: each errs for itself; 1: always both. Measured against truth by `ltm-lab eval fuel BAG` (`label_correlation`).
     """
 
     cell: float = Field(ge=0, le=1)
-    """Of two pixels in one frame."""
+    """Correlation of two pixels in one frame."""
     stand: float = Field(ge=0, le=1)
-    """Of a pixel of the cell and one of another cell of its stand, some 100 m away, in one frame."""
+    """Correlation of a pixel of the cell and one of another cell of its stand, some 100 m away, in one frame."""
     view: float = Field(ge=0, le=1)
-    """Of two pixels in two frames of one view."""
+    """Correlation of two pixels in two frames of one view."""
     network: float = Field(ge=0, le=1)
-    """Of two pixels in two views: errors of the network itself, whoever looks."""
+    """Correlation of two pixels in two views: errors of the network itself."""
 
     @model_validator(mode="after")
     def _nested(self) -> Self:
@@ -54,17 +55,17 @@ class LabelCorrelation(StrictModel):
 
     @property
     def between_cells(self) -> float:
-        """Correlation of the evidence of two cells of one stand on that stand."""
+        """Return the correlation of the evidence of two cells of one stand on that stand."""
         return self.stand / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_frames(self) -> float:
-        """Correlation of the evidence of two frames of one view on a cell."""
+        """Return the correlation of the evidence of two frames of one view on a cell."""
         return self.view / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_views(self) -> float:
-        """Correlation of the evidence of two views on a cell."""
+        """Return the correlation of the evidence of two views on a cell."""
         return self.network / self.view if self.view > 0 else 0.0
 
 
@@ -78,7 +79,9 @@ class _ErrorsFile(StrictModel):
     def _names_are_life_forms(self) -> _ErrorsFile:
         for form, row in (self.shares or {}).items():
             if strange := [name for name in (form, *row) if name not in _NAMES]:
-                raise ValueError(f"shares.{form}: {', '.join(strange)} is no life form; they are {', '.join(_NAMES)}")
+                raise ValueError(
+                    f"shares.{form}: {', '.join(strange)} not a life form; life forms are {', '.join(_NAMES)}"
+                )
             if min(row.values(), default=0) < 0 or not sum(row.values()) > 0:
                 raise ValueError(f"shares.{form}: shares must be 0 or more, not all 0; got {row}")
         return self
@@ -86,11 +89,10 @@ class _ErrorsFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
-    """`shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a form that the network was
-    never tried on, which its labels then are no evidence of. `source`: where the figures are from. `appearance`: what
-    whole cells look like, where that was learnt; it stands in place of the shares, and the correlations are of what it
-    cannot tell.
-    """
+    """Label errors of a network. `shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a
+    form on which the network was never tested; its labels are then no evidence. `source`: origin of the figures.
+    `appearance`: a model of whole cells, if one was trained; it replaces the shares, and the correlations are of its
+    residual errors."""
 
     shares: Float64Array
     correlation: LabelCorrelation
@@ -105,9 +107,8 @@ class LabelErrors:
 
     @classmethod
     def load(cls, path: Path) -> LabelErrors:
-        """From YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; what is left
-        out is that of the assumed network. Raises ConfigError on wrong names and values.
-        """
+        """Load from YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; missing
+        values are those of the assumed network. Raises ConfigError on invalid names and values."""
         content = load_yaml(path, _ErrorsFile)
         appearance = None if content.appearance is None else CellAppearanceModel.of_file(content.appearance)
         if content.shares is not None and content.correlation is not None:
@@ -118,7 +119,7 @@ class LabelErrors:
 
     @classmethod
     def assumed(cls) -> LabelErrors:
-        """The errors that are assumed of a network that nobody has measured."""
+        """Return the assumed errors of a network without measurements."""
         path = _file_of(ASSUMED)
         content = load_yaml(path, _ErrorsFile)
         if content.shares is None or content.correlation is None:
@@ -127,7 +128,7 @@ class LabelErrors:
 
     @classmethod
     def of_model(cls, model: str) -> LabelErrors:
-        """Of a network by its manifest's name or path.
+        """Return the errors of a network by its manifest's name or path.
 
         Shares are those of the calibration beside its manifest, correlations those of its file in
         `config/fuel/label_errors/`; what neither says is that of the assumed network. Raises ConfigError.
@@ -147,8 +148,8 @@ class LabelErrors:
 
     @classmethod
     def of_label_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
-        """Of a network with a label head, by the calibration in the label head's file: its errors on photos that did
-        not teach it.
+        """Return the errors of a network with a label head, by the calibration in the head's file: its errors on photos
+        that did not train it.
 
         How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
         these. Raises ConfigError, ModelError as `find_label_head` and `read_label_head`.
@@ -165,14 +166,15 @@ class LabelErrors:
         return errors._for_photographs(calibration)
 
     def _for_photographs(self, calibration: Calibration) -> LabelErrors:
-        """With the step from renderings to photos, where no photo had a part in the calibration."""
+        """Return the errors with the factor from renderings to photos, if no photo was used for the calibration."""
         if not calibration.on_renderings_alone:
             return self
-        about = f"{self.source}; never scored on photographs, so taken for {PHOTO_STEP:g} times as large"
+        about = f"{self.source}; not tested on photos, so assumed to be {PHOTO_STEP:g} times as large"
         return replace(self.scaled(PHOTO_STEP), source=about)
 
     def scaled(self, level: float) -> LabelErrors:
-        """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
+        """Return the errors of a network with `level` times the share of wrong labels, at most all but a tenth of a
+        form's."""
         wrong = self.shares * (1 - np.eye(FORMS))
         total = wrong.sum(axis=1, keepdims=True)
         factor = np.minimum(level, 0.9 / np.maximum(total, 1e-9))
@@ -180,15 +182,14 @@ class LabelErrors:
         return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
 
     def log_likelihood(self) -> Float64Array:
-        """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
+        """Return (FORMS, FORMS) log share by [life form, label]; -inf rows for unknown forms."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
 
     def open_odds(self) -> Float32Array:
-        """(256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and not as
-        likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are none of
-        these, and of a network that was not tried on all of them.
-        """
+        """Return (256,) by label id: log odds that a patch of that label is open (grass or bare ground equally likely)
+        rather than woody (shrubs or trees equally likely), for two cells with correlated errors as in one stand. 0 for
+        other labels, and for a network that was not tested on all of them."""
         odds = np.zeros(256, np.float32)
         kept = [form - 1 for form in (*_OPEN, *_STANDING)]
         shares = np.maximum(self.shares[kept][:, kept], FLOOR)
@@ -210,7 +211,7 @@ def _shares(rows: dict[str, dict[str, float]]) -> Float64Array:
 
 
 def _calibration(model: str) -> Calibration | None:
-    """That of a network; None for one without, and for names that are no network's."""
+    """Return the calibration of a network; None for one without, and for unknown names."""
     try:
         manifest = NetworkManifest.find(model)
     except ModelError:
@@ -219,7 +220,7 @@ def _calibration(model: str) -> Calibration | None:
 
 
 def _calibrated(calibration: Calibration, otherwise: Float64Array) -> Float64Array:
-    """The confusion among life forms, that of `otherwise` for forms which the network does not know."""
+    """Return the confusion among life forms, that of `otherwise` for forms which the network does not know."""
     shares = otherwise.copy()
     names = {name: index for index, name in enumerate(calibration.classes) if name in _NAMES}
     for form, row in names.items():

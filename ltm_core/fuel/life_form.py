@@ -1,6 +1,6 @@
-"""Define life forms (grass, shrub, tree, bare), and where plants cannot stand.
+"""Define life forms (grass, shrub, tree, bare), and terrain on which plants cannot stand.
 
-Where plants cannot stand, as far as the terrain tells: rock walls, and trees above the tree line.
+Terrain on which plants cannot stand: rock walls, and trees above the tree line.
 
 A pixel that shows a plant there is taken for a network's error. It is withdrawn from the vote, and never called
 anything else: that nothing grows on a wall is no measurement of what the wall is of.
@@ -23,7 +23,7 @@ from ltm_core.vision.labels import LabelSet
 
 
 class LifeForm(IntEnum):
-    """The cover that a cell is mostly of. Ids up to BUILT are those of the labels of the same names."""
+    """Dominant cover of a cell. Ids up to BUILT are those of the labels of the same names."""
 
     GRASS = 1
     SHRUB = 2
@@ -35,10 +35,10 @@ class LifeForm(IntEnum):
 
 
 FORMS: Final = len(LifeForm)
-"""Arrays over life forms have the form's id - 1 as index."""
+"""Life forms; arrays over them are indexed by the form's id - 1."""
 BURNED_COLOR: Final = (45, 35, 35)
 NODATA: Final = -9999
-"""Of fuel codes and canopy bands: nothing is known."""
+"""Nodata value of fuel codes and canopy bands."""
 NONBURNABLE: Final = (91, 92, 93, 98, 99)
 _GRASS, _SHRUB, _TREE, _BARE = LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BARE
 _GROUPS: Final[tuple[tuple[range, tuple[LifeForm, ...]], ...]] = (
@@ -69,31 +69,31 @@ def _table() -> BoolArray:
 
 
 FORMS_OF_CODE: Final = _table()
-"""(256, FORMS) bool: the life forms that agree with a fuel code, of either system. No form: no such code."""
+"""(256, FORMS) bool: life forms that agree with a fuel code of either system; a row without any is not a code."""
 
 
 def forms_of(codes: Int16Array) -> BoolArray:
-    """(..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
+    """Return (..., FORMS) the life forms that agree with each fuel code; none for unknown codes and nodata."""
     known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
     return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
 
 
 def held(codes: Int16Array, mask: Sequence[int]) -> BoolArray:
-    """(...) where nothing that is seen changes a cell of these prior codes: codes of `mask` (`FusionRules.mask`), and
-    those of no known form, an analyst's own models or what the prior was told to keep."""
+    """Return (...) whether a cell with this prior code never changes by labels: codes of `mask` (`FusionRules.mask`),
+    and codes of no known form (custom models, or codes the prior keeps)."""
     unknown = ~forms_of(codes).any(axis=-1) & (codes != NODATA)
     return np.asarray(np.isin(codes, mask) | unknown, np.bool_)
 
 
 def label_forms(labels: LabelSet) -> Int64Array:
-    """(K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
+    """Return (K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
     indices = {form.name.lower(): form - 1 for form in LifeForm}
     covers = zip(labels.names, labels.ground_cover, strict=True)
     return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)
 
 
 def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
-    """(N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
+    """Return (N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
     table = np.zeros((len(forms), FORMS))
     of_form = np.flatnonzero(forms >= 0)
     table[of_form, forms[of_form]] = 1.0
@@ -101,7 +101,8 @@ def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
 
 
 def life_form_labels(labels: LabelSet) -> LabelSet:
-    """Names and colours of the map's classes: life forms have the ids of the labels of their names; burned has none."""
+    """Return the names and colours of the map's classes: life forms have the ids of the labels of their names; burned
+    has none."""
     shown = LifeForm.BURNED
     return LabelSet(
         names=(*labels.names[:shown], shown.name.lower()),
@@ -111,21 +112,21 @@ def life_form_labels(labels: LabelSet) -> LabelSet:
 
 
 PARTS = 4
-"""To each side, of a fuel cell: 7.5 m of one of 30 m. The terrain is asked for each part."""
+"""Number of parts per side of a fuel cell, 7.5 m for a cell of 30 m. The terrain is checked for each part."""
 _PLANTS = (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE)
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
 
 class GrowthLimits(StrictModel):
-    """Labels of plants beyond these limits do not vote; None: no limit."""
+    """Limits beyond which labels of plants do not vote; None: no limit."""
 
     steepest_deg: float | None = Field(50.0, gt=0, lt=90)
-    """Slope of the ground over the width of a fuel cell, degrees, above which nothing that is labelled grass, shrub or
-    tree is believed. Of what LANDFIRE calls so in the Santa Ana Mountains 0.4, 0.5 and 1.2 % is steeper, about the
-    Tubbs fire 0.2 % at most, in Vermont nothing (ltm_lab/records/2026-11-fuel_map.md)."""
+    """Slope in degrees over the width of a fuel cell above which labels of grass, shrub and tree are ignored. Of
+    LANDFIRE's vegetated cells in the Santa Ana Mountains 0.4, 0.5 and 1.2 % are steeper, near the Tubbs fire at most
+    0.2 %, in Vermont none (docs/how/fuel.md)."""
     tree_line_m: float | None = None
-    """Elevation in the DEM's datum, metres, above which no tree is believed. Give the highest that stands reach on the
-    site, not their mean: what is above it is not counted, whatever the picture shows."""
+    """Elevation in metres in the DEM's datum above which tree labels are ignored. Give the highest elevation of stands
+    on the site, not their mean: anything above it is ignored."""
 
     @property
     def any(self) -> bool:
@@ -133,8 +134,8 @@ class GrowthLimits(StrictModel):
 
 
 class GroundLimits:
-    """Which parts of the fuel grid's cells are beyond the limits. Each cell is asked of the terrain once, when a frame
-    first sees it.
+    """Parts of the fuel grid's cells that are beyond the limits. The terrain is read once per cell, when a frame first
+    sees it.
 
     `kinds`: (256,) uint8 by label id: 1 for plants, 2 for trees, 0 for all else. `masks`: (2, H, W) uint16, a bit for
     each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and where no tree.
@@ -153,8 +154,8 @@ class GroundLimits:
         self.kinds[np.flatnonzero(forms == LifeForm.TREE - 1)] = 2
 
     def learn(self, cells: Int64Array) -> bool:
-        """Ask the terrain about those of the cells, (N,) row * width + col, that were not asked about before; whether
-        any of these has a part that is beyond a limit."""
+        """Read the terrain of those of the cells, (N,) row * width + col, that are new; return whether any of these has
+        a part beyond a limit."""
         new = cells[~self._known.ravel()[cells]]
         masks = self._asked(new)
         self.masks.reshape(2, -1)[:, new] = masks
@@ -164,7 +165,7 @@ class GroundLimits:
         return found
 
     def _asked(self, cells: Int64Array) -> UInt16Array:
-        """(2, N) masks of cells, by the terrain."""
+        """Return (2, N) masks of cells, by the terrain."""
         heights = self._heights(cells)
         inner = slice(PARTS // 2, PARTS // 2 + PARTS)
         none = np.zeros((len(cells), PARTS, PARTS), np.bool_)
@@ -180,7 +181,7 @@ class GroundLimits:
         return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in (steep, above)])
 
     def _heights(self, cells: Int64Array) -> Float64Array:
-        """(N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
+        """Return (N, 2 PARTS, 2 PARTS) of the middles of each cell's parts, and of half a cell about it."""
         row, col = np.divmod(cells, self._geometry.width)
         offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
         rows, cols = np.broadcast_arrays(

@@ -1,4 +1,4 @@
-"""Read vector layers onto the fuel grid: what does not burn, and what has burned when."""
+"""Read vector layers onto the fuel grid: barriers, and burned areas with their dates."""
 
 from __future__ import annotations
 
@@ -23,13 +23,12 @@ from ltm_core.storage.text_io import read_text
 
 _STRIP: Final = 256
 _FINE: Final = 8
-"""Parts a side into which a cell is cut, to tell how much of it an area covers."""
+"""Number of parts per side of a cell, used to compute the share that an area covers."""
 
 
 def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
-    """(H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be read,
-    a layer that it lacks, or one without CRS.
-    """
+    """Return (H, W) NB1 and NB8 where the layers have barriers, NODATA elsewhere. Raises RasterError for an unreadable
+    file, a missing layer or one without CRS."""
     codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
         codes[_cells(barrier, geometry)] = barrier.code
@@ -37,12 +36,12 @@ def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> 
 
 
 def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
-    """(H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
+    """Return (H, W) fuel codes replaced by those of `barrier_codes` where a code is known."""
     return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
 
 
 def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
-    """(H, W): what the barrier takes."""
+    """Return (H, W): what the barrier takes."""
     from rasterio.features import rasterize
 
     lines, areas = _shapes(barrier, geometry)
@@ -55,7 +54,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
 
 
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
-    """(H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
+    """Return (H, W) the share of each cell that areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
     from rasterio.features import rasterize
     from rasterio.transform import from_origin
 
@@ -70,7 +69,7 @@ def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
 
 
 def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
-    """Lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
+    """Return the lines and areas that come near the grid, in its CRS, as GeoJSON geometries."""
     layer = read_geopackage(barrier.path, barrier.layer)
     turn = Transformer.from_crs(layer.crs, geometry.crs, always_xy=True)
 
@@ -90,7 +89,7 @@ def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], 
 
 
 def near(rings: Any, geometry: GridGeometry) -> bool:
-    """Whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
+    """Return whether a shape's box meets the grid and can be converted to the grid's CRS."""
     points = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
     if not np.isfinite(points).all():
         return False
@@ -100,31 +99,31 @@ def near(rings: Any, geometry: GridGeometry) -> bool:
 
 
 BURNED_AT: Final = "burned_at"
-"""Property of a feature: when its area burned, ISO 8601, UTC unless it names a zone."""
+"""Property of a feature with the time of the burn: ISO 8601, UTC unless it has a zone."""
 LEAST_SHARE: Final = 0.5
-"""Of a cell that must have burned, for it to have burned."""
+"""Minimum burned share of a cell for it to count as burned."""
 _LARGEST: Final = 64 << 20
 _LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
-"""What fits into a cell's state (`EvidenceMap.burn`)."""
+"""Latest time that fits a cell's state (`EvidenceMap.burn`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Burn:
-    """`cells`: (N,) numbers of the burned cells of a fuel grid, row by row, rising."""
+    """Burned cells of one time. `cells`: (N,) numbers of cells of a fuel grid, row by row, increasing."""
 
     stamp_ns: int
     cells: Int64Array
 
     def mask(self, shape: tuple[int, int]) -> BoolArray:
-        """(H, W), true where it burned."""
+        """Return (H, W), True for burned cells."""
         found = np.zeros(shape, np.bool_)
         found.flat[self.cells] = True
         return found
 
 
 def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
-    """The burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the site's
-    CRS, by their times; areas of one time are one burn, those beside the grid none.
+    """Read the burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the
+    site's CRS, by time; areas of one time are one burn, areas outside the grid are ignored.
 
     Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
     """
@@ -141,7 +140,7 @@ def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
             stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
             areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
         except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise ConfigError(f"{place}: is no area ({type(error).__name__}: {error})") from error
+            raise ConfigError(f"{place}: not an area ({type(error).__name__}: {error})") from error
     burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
     return [burn for burn in burns if len(burn.cells)]
 
@@ -154,16 +153,18 @@ def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
 def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
     kinds = {"Polygon": lambda found: [found], "MultiPolygon": list}
     if shape["type"] not in kinds:
-        raise ConfigError(f"{place}: is a {shape['type']}; what burned is a Polygon or MultiPolygon")
+        raise ConfigError(f"{place}: is a {shape['type']}; a burned area must be a Polygon or MultiPolygon")
     found = []
     for rings in kinds[shape["type"]](shape["coordinates"]):
         turned = []
         for ring in rings:
             points = np.asarray([point[:2] for point in ring], np.float64)
             if len(points) < 4:
-                raise ConfigError(f"{place}: a ring of {len(points)} points; it needs four, the last as the first")
+                raise ConfigError(
+                    f"{place}: a ring of {len(points)} points; give at least four, the last equal to the first"
+                )
             if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
-                raise ConfigError(f"{place}: points are longitude and latitude, in this order, degrees")
+                raise ConfigError(f"{place}: points must be [longitude, latitude] in degrees")
             x, y = turn.transform(points[:, 0], points[:, 1])
             turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
         if not turned:
@@ -181,5 +182,5 @@ def _stamp_ns(text: Any, place: str) -> int:
         ) from error
     stamp_ns = stamp_of_moment(moment)
     if not 0 <= stamp_ns < _LATEST_NS:
-        raise ConfigError(f"{place}: burned at {text}, which is not in 1970 to 2105")
+        raise ConfigError(f"{place}: burned at {text}, outside 1970 to 2105")
     return stamp_ns

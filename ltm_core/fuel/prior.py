@@ -17,16 +17,16 @@ from ltm_core.geometry.grid import GridGeometry
 
 
 class BarrierConfig(StrictModel):
-    """A layer of a GeoPackage that says where nothing burns."""
+    """Layer of a GeoPackage with areas or lines that do not burn."""
 
     path: Path
     layer: str | None = None
-    """Of a file of several."""
+    """Name of the layer in a file with several."""
     kind: Literal["built", "road", "water"]
-    """Water is NB8 (98), the others NB1 (91)."""
+    """Kind of barrier: water gets the code NB8 (98), others NB1 (91)."""
     least_share: float = Field(0.5, gt=0, le=1)
-    """Share of a cell that an area must cover; a line takes every cell that it crosses, so that no fire passes between
-    two of them."""
+    """Minimum share of a cell that an area must cover. A line takes every cell that it crosses, so that no fire passes
+    between two of them."""
 
     @property
     def code(self) -> int:
@@ -34,37 +34,37 @@ class BarrierConfig(StrictModel):
 
 
 class PriorConfig(StrictModel):
-    """`path`, or single-band files by what they hold, or both where `path` is a folder: then a file that is named goes
-    before what the folder holds. A bare string stands for `path`.
+    """Prior fuel map: `path`, or single-band files by content, or both if `path` is a folder (a named file has
+    precedence). A bare string is `path`.
 
     Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
     """
 
     path: Path | None = None
-    """A landscape (LCP or GeoTIFF of 8 bands), a single band of fuel codes, or a folder of single bands with the names
-    that LANDFIRE, ELMFIRE or GridFire give them (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
+    """Path of a landscape (LCP or GeoTIFF of 8 bands), of a single band of fuel codes, or of a folder of single bands
+    named as by LANDFIRE, ELMFIRE or GridFire (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
     fbfm40: Path | None = None
     fbfm13: Path | None = None
     cover: Path | None = None
-    """Canopy cover, %."""
+    """Path of the canopy cover in %."""
     height: Path | None = None
-    """Canopy height, m x 10."""
+    """Path of the canopy height in m x 10."""
     base_height: Path | None = None
-    """Canopy base height, m x 10."""
+    """Path of the canopy base height in m x 10."""
     bulk_density: Path | None = None
-    """Canopy bulk density, kg/m3 x 100."""
+    """Path of the canopy bulk density in kg/m3 x 100."""
     crs: str | None = None
-    """Only for files that carry none."""
+    """CRS of files that do not state one."""
     unknown_codes: Literal["refuse", "nodata", "built", "keep"] = "refuse"
-    """What to do with codes that no fuel system has, such as the 256 by which ELMFIRE marks buildings: refuse the map,
-    take their cells for unknown, take 256 for built (91) and refuse others, or let all of them pass into exports as
-    they are. Numbers 14 to 89 are an analyst's own models in both systems: they always pass."""
+    """Treatment of codes that no fuel system defines, such as 256 for buildings in ELMFIRE: reject the map, set the
+    cells to unknown, read 256 as built (91) and reject others, or copy all of them into exports. Codes 14 to 89 are
+    custom models in both systems and are always kept."""
     own_fbfm13: Literal["within_fuel_type", "as_given"] = "within_fuel_type"
-    """Of a FBFM13 map beside the FBFM40 one, in exports to FBFM13: keep it where both are of one fuel type (grass,
-    shrub, timber, slash), or wherever it has a code. LANDFIRE's two maps differ in the type of up to 7 % of the cells.
-    """
+    """Use of an FBFM13 map beside the FBFM40 one in exports to FBFM13: keep it where both have the same fuel type
+    (grass, shrub, timber, slash), or wherever it has a code. LANDFIRE's two maps differ in the type of up to 7 % of the
+    cells."""
     barriers: tuple[BarrierConfig, ...] = ()
-    """Vector layers of what does not burn, laid over the fuel map in their order."""
+    """Vector layers of barriers, applied to the fuel map in order."""
 
     @model_validator(mode="before")
     @classmethod
@@ -80,18 +80,18 @@ class PriorConfig(StrictModel):
         return self
 
     def files(self) -> dict[str, Path]:
-        """The single-band files that are given, by what they hold."""
+        """Return the single-band files that are given, by content."""
         names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def described(self) -> str:
-        """The names of what it is read from, without the folders that they lie in."""
+        """Return the names of the source files, without their folders."""
         files = list(self.files().items())
         named = [f"{name} {path.name}" for name, path in files]
         return ", ".join(([] if self.path is None else [self.path.name]) + named)
 
     def below(self, folder: Path) -> PriorConfig:
-        """The same with relative paths taken from `folder`."""
+        """Return a copy with relative paths resolved against `folder`."""
         paths = self.files() | ({} if self.path is None else {"path": self.path})
         barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
         return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})
@@ -129,9 +129,9 @@ class FuelPrior:
             if band is not None and band.shape != wanted:
                 raise RasterError(f"{name} of shape {band.shape} do not fit a fuel grid of {shape}")
         if not (self.codes != NODATA).any():
-            raise RasterError("the prior fuel map holds no code at all on the fuel grid: does it lie elsewhere?")
+            raise RasterError("the prior fuel map has no code on the fuel grid; check that it covers the site")
 
 
 def system_of(prior: FuelPrior | None) -> FuelSystem:
-    """Of a map's codes: its prior's, FBFM40 without one."""
+    """Return the system of a map's codes: that of its prior, or FBFM40 without one."""
     return FuelSystem.FBFM40 if prior is None else prior.system

@@ -1,4 +1,4 @@
-"""Reads prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
+"""Read prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import is_folder, is_there
 
 _NODATA_VALUES = (-9999, 32767)
-"""That LANDFIRE's downloads and everybody else's use, whatever the file declares."""
+"""Nodata values of LANDFIRE's downloads and of common use, whatever the file declares."""
 _NAMES: Mapping[str, str] = {
     "fbfm40": r"[0-9]*fbfm40(?P<revision>([a-z][0-9]{0,3})?)|f40|40",
     "fbfm13": r"[0-9]*fbfm13(?P<revision>([a-z][0-9]{0,3})?)|f13|13",
@@ -31,7 +31,7 @@ _NAMES: Mapping[str, str] = {
     "bulk_density": r"[0-9]*cbd|density",
     "elevation": r"dem|elev|elevation",
 }
-"""Words by which a folder's files are known, between the ends and signs that are neither letters nor digits: cc.tif,
+"""Words that identify the files of a folder, between characters that are neither letters nor digits: cc.tif,
 LC22_CC_230.tif (LANDFIRE), US_200FBFM40.tif (its older downloads), fbfm40r5.tif and fbfm40b.tif (ELMFIRE)."""
 _LANDSCAPE_BANDS: Mapping[str, int] = {
     "elevation": 1,
@@ -51,11 +51,11 @@ class _Band:
     path: Path
     band: int = 1
     factor: float = 1.0
-    """To LANDFIRE's unit."""
+    """Factor to LANDFIRE's unit."""
 
 
 def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
-    """The prior on the fuel grid (in the site's CRS), by nearest cell, since codes cannot be averaged.
+    """Load the prior on the fuel grid (in the site's CRS) by nearest cell, since codes cannot be averaged.
 
     Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
     that no system has, nothing on the grid.
@@ -86,7 +86,7 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
 
 
 def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array | None:
-    """The elevations that came with the prior, (H, W) metres as it states them, NaN where none; None: it has none.
+    """Return the elevations of the prior, (H, W) metres as stated, NaN for none; None: it has no elevations.
 
     They are for plausibility alone: a DEM in feet stands 3.28 times as high. Raises RasterError as `load_prior` does.
     """
@@ -98,18 +98,18 @@ def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array |
 
 
 def _bands_of(config: PriorConfig) -> dict[str, _Band]:
-    """What to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
+    """Return what to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
     if config.path is None:
         return {name: _Band(path) for name, path in config.files().items()}
     if is_folder(config.path):
         return _bands_of_folder(config.path, {name: _Band(path) for name, path in config.files().items()})
     if config.files():
         raise RasterError(
-            f"{config.path}: is no folder, so that {', '.join(config.files())} cannot be named beside it; name all "
+            f"{config.path}: not a folder, so {', '.join(config.files())} cannot be given with it; name all "
             "files, or a folder"
         )
     if not is_there(config.path):
-        raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
+        raise RasterError(f"{config.path}: no such file (prior fuel map of the site)")
     with open_raster(config.path) as source:
         count, is_lcp = source.count, source.driver == "LCP"
         tags = [source.tags(band) for band in range(1, count + 1)] if count in _BAND_COUNTS else []
@@ -137,7 +137,7 @@ def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Ban
         found = _files_of(name, files)
         if len(found) > 1 and name != "elevation":
             raise RasterError(
-                f"{folder}: {', '.join(p.name for p in found)} may all be {name}; name the one: `fuel: {{prior: "
+                f"{folder}: {', '.join(p.name for p in found)} could all be {name}; name one: `fuel: {{prior: "
                 f"{{path: {folder.name}, {name}: {folder.name}/{found[0].name}}}}}`"
             )
         if found:
@@ -145,14 +145,14 @@ def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Ban
     if not {"fbfm40", "fbfm13"} & bands.keys():
         there = ", ".join(p.name for p in files) or "no raster"
         raise RasterError(
-            f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); it has {there}: where one of "
-            f"these holds them, name it: `fuel: {{prior: {{path: {folder.name}, fbfm40: FILE}}}}`"
+            f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); found {there}: if one of "
+            f"these contains them, name it: `fuel: {{prior: {{path: {folder.name}, fbfm40: FILE}}}}`"
         )
     return bands
 
 
 def _files_of(name: str, files: Sequence[Path]) -> list[Path]:
-    """Those whose names hold a band's word; of a plain name and its revisions the plain one."""
+    """Return those whose names hold a band's word; of a plain name and its revisions the plain one."""
     known = re.compile(rf"(^|[^a-z0-9])({_NAMES[name]})([^a-z0-9]|$)", re.IGNORECASE)
     found = [(path, match) for path in files if (match := known.search(path.stem))]
     plain = [path for path, match in found if not match.groupdict().get("revision")]
@@ -165,8 +165,8 @@ _LCP_FACTORS: Mapping[str, Mapping[str, float]] = {
     "base_height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
     "bulk_density": {"1": 100.0, "2": 1601.846, "3": 1.0, "4": 1.601846},
 }
-"""By the header's unit codes: of elevation metres, feet; of canopy metres, feet, m x 10, ft x 10;
-kg/m3, lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
+"""Factors by the header's unit codes: metres, feet for elevation; metres, feet, m x 10, ft x 10 for canopy; kg/m3,
+lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
 
 
 def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
@@ -175,21 +175,21 @@ def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
     usual = "0" if name == "elevation" else "3"
     unit = next((value for key, value in tags.items() if key.endswith("_UNIT")), usual)
     if unit not in _LCP_FACTORS[name]:
-        raise RasterError(f"{path}: its {name} has the unit {unit}, which the format does not know")
+        raise RasterError(f"{path}: its {name} has the unknown unit {unit}")
     return _LCP_FACTORS[name][unit]
 
 
 def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
-    """A band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
+    """Return a band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
 
     with open_raster(band.path) as source:
         if source.crs is None and crs is None:
-            raise RasterError(f"{band.path}: the raster carries no CRS; name it with `fuel: {{prior: {{crs: ...}}}}`")
+            raise RasterError(f"{band.path}: the raster has no CRS; give it with `fuel: {{prior: {{crs: ...}}}}`")
         kind = np.dtype(source.dtypes[band.band - 1])
         if kind.kind not in "iu" and not (kind.kind == "f" and band.band == 1):
-            raise RasterError(f"{band.path}: band {band.band} is {kind}, codes and canopy are whole numbers")
+            raise RasterError(f"{band.path}: band {band.band} is {kind}; codes and canopy must be integers")
         options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
         with WarpedVRT(
             source,
@@ -210,9 +210,8 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
 
 
 def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str) -> Int16Array:
-    """The codes that the system has, and an analyst's own; the others as `PriorConfig.unknown_codes` wants them. Raises
-    RasterError if it does not.
-    """
+    """Return the codes that the system has, and an analyst's own; the others as `PriorConfig.unknown_codes` wants them.
+    Raises RasterError if it does not."""
     if others == "built":
         codes = np.where(codes == _ELMFIRE_BUILDING, np.int16(_BUILT), codes)
     known = (codes == NODATA) | is_custom(codes) | np.isin(codes, list(fuel_models().codes(system)))
@@ -223,7 +222,7 @@ def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str)
     values, counts = np.unique(codes[~known], return_counts=True)
     strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[:5], counts[:5], strict=True))
     raise RasterError(
-        f"{path}: holds codes that {system} does not have: {strange}; if they mark what is no fuel (ELMFIRE: 256 for "
-        "buildings), take them for unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`, or for built-up land: "
-        "`unknown_codes: built`, or let them pass into exports: `unknown_codes: keep`"
+        f"{path}: contains codes that {system} does not define: {strange}; if they mark non-fuel (ELMFIRE: 256 for "
+        "buildings), read them as unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`, or as built-up land: "
+        "`unknown_codes: built`, or copy them into exports: `unknown_codes: keep`"
     )

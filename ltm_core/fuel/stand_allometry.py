@@ -21,17 +21,17 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float64Array, Int16Array
 
 BROADLEAVED: Final = (9, 182, 186, 189)
-"""Codes of broadleaf litter, of either system (Scott and Burgan 2005: TL2, TL6, TL9)."""
+"""Codes of broadleaf litter in both systems (Scott and Burgan 2005: TL2, TL6, TL9)."""
 DENSITY_ERROR, BASE_ERROR = 0.4, 0.5
-"""Standard error as a share of the value; assumed: Cruz' plots scatter by about as much around his curves."""
+"""Standard error as a share of the value; assumed, because Cruz' plots scatter by about as much around his curves."""
 MOST_DENSITY: Final = 0.45
-"""Bulk density, kg/m3, to which a stand is followed at most, unless it was said to be denser; assumed. Low stands lie
-outside of those that the lines were drawn of: one of 15 m that is now 3 m high would come to 8 kg/m3."""
+"""Maximum bulk density in kg/m3 of the allometry, unless the map stated more; assumed. Low stands are outside the range
+of the data: a stand of 15 m that is now 3 m high would get 8 kg/m3."""
 _CROWN_RADIUS: Final = 0.15
 _SLENDERNESS: Final = 70.0
 _MOST_COVER: Final = 0.95
 _LEAST_BASE: Final = 0.05
-"""Of the height: below the stands of which the line was drawn it would be less than nothing."""
+"""Minimum crown base as a share of the height; below the range of the data, the line would be negative."""
 
 
 class ForestType(StrEnum):
@@ -57,14 +57,15 @@ _BASE: Final = {
 
 @dataclass(frozen=True, eq=False)
 class CrownFuel:
-    """(...) `base`: height of the crowns' base, m; `density`: canopy bulk density, kg/m3; 0 where nothing stands."""
+    """Crown fuel (...). `base`: height of the crowns' base, m; `density`: canopy bulk density, kg/m3; 0 without
+    trees."""
 
     base: Float64Array
     density: Float64Array
 
 
 def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) -> CrownFuel:
-    """Of stands with `cover` (...) in % and `height` (...) in metres."""
+    """Return the crown fuel of stands with `cover` (...) in % and `height` (...) in metres."""
     share, tall = np.clip(cover / 100, 0.0, _MOST_COVER), np.maximum(height, 0.0)
     stands = (share > 0) & (tall > 0)
     tall = np.where(stands, tall, 1.0)
@@ -78,5 +79,5 @@ def crown_fuel(cover: Float64Array, height: Float64Array, forest: ForestType) ->
 
 
 def broadleaved(codes: Int16Array) -> BoolArray:
-    """(...) where a code's trees have no crown fuel to speak of."""
+    """Return (...) whether the trees of a code have negligible crown fuel."""
     return np.isin(codes, BROADLEAVED)

@@ -1,4 +1,4 @@
-"""Applies changes of the surface map to the fuel map: which fuel cells they concern, and what stands there now.
+"""Apply changes of the surface map to the fuel map: the affected fuel cells, and their new cover.
 
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
 and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell.
@@ -26,16 +26,15 @@ from ltm_core.surface.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, co
 from ltm_core.surface.layers import SurfaceLayers
 
 UNSEEN: Final = 255
-"""Of a grid of changes: independent views have not looked."""
+"""Value in a grid of changes for cells that independent views have not seen."""
 SOURCE: Final = "terrain"
-"""Under which the store keeps where a change comes from; no camera may have this name."""
+"""Name under which the store records the source of a change; no camera may have it."""
 _BLOCK: Final = 16
-"""Fuel cells a side that are looked at together."""
+"""Number of fuel cells per side that are processed together."""
 _CODES: Final = 1000
-"""What is recorded of a cell is one number: its kind of change times this, plus the code that it starts from (0: its
-own)."""
+"""Factor of the recorded number of a cell: its kind of change times this, plus the initial code (0: its own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
-"""Of a cell's state, where what was known of its cover is void."""
+"""Fields of a cell's state that are reset when its cover is no longer known."""
 _KINDS: Final = {
     FuelChange.REMOVED: ChangeKind.REMOVED,
     FuelChange.GROWN: ChangeKind.GROWN,
@@ -44,22 +43,22 @@ _KINDS: Final = {
 
 
 class LivingFuelMap(EvidenceMap):
-    """An evidence map whose prior gives way where the surface has changed. Arguments as of `EvidenceMap`."""
+    """Evidence map whose prior is replaced where the surface has changed. Arguments as for `EvidenceMap`."""
 
     def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
         super().__init__(geometry, prior, *arguments, **named)
         self._given = prior
         self.surface_changes = np.zeros(geometry.shape, np.int32)
-        """(H, W): what is recorded of the surface in each cell, 0 nothing."""
+        """(H, W): recorded surface change of each cell, 0 for none."""
 
     @property
     def change_kinds(self) -> UInt8Array:
-        """(H, W) ChangeKind."""
+        """Return (H, W) ChangeKind."""
         return (self.surface_changes // _CODES).astype(np.uint8)
 
     @property
     def already_shown(self) -> BoolArray:
-        """(H, W): where a recorded change was in the cell's evidence already, so that its prior stayed."""
+        """Return (H, W) whether a recorded change was in the cell's evidence already, so that its prior was kept."""
         return np.asarray((self.surface_changes > 0) & (self.surface_changes % _CODES == 0), np.bool_)
 
     def recall(self, recorded: NDArray[np.integer]) -> None:
@@ -81,7 +80,8 @@ class LivingFuelMap(EvidenceMap):
         return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """As of `EvidenceMap`; `prior` is the map that the site started from, and `changed` means: not its code."""
+        """Return the layers as `EvidenceMap`; `prior` is the site's initial map, and `changed` means that the code
+        differs from it."""
         found = super().layers(window, at_ns)
         row, col, height, width = window or (0, 0, *self.geometry.shape)
         part = slice(row, row + height), slice(col, col + width)
@@ -94,8 +94,8 @@ class LivingFuelMap(EvidenceMap):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceNews:
-    """Fuel cells whose change is not the recorded one, (N,) each: row, col, `kind` (ChangeKind, NONE: taken
-    back), and the median `shift` of the changed part in metres, NaN where it is not known."""
+    """Fuel cells whose change differs from the recorded one, (N,) each: row, col, `kind` (ChangeKind, NONE: reverted),
+    and the median `shift` of the changed part in metres, NaN if unknown."""
 
     rows: Int64Array
     cols: Int64Array
@@ -113,7 +113,7 @@ def news_of(
     fuel: GridGeometry,
     recorded: UInt8Array,
 ) -> SurfaceNews:
-    """What a part of the terrain's grid says that the fuel cells do not know yet.
+    """Return the changes in a part of the terrain's grid that the fuel cells do not have yet.
 
     Args:
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
@@ -144,8 +144,8 @@ def news_of(
 
 
 def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
-    """What is to be recorded of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the state of
-    their tiles then; `evidence` itself stays as it is.
+    """Return the record of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the resulting state
+    of their tiles; `evidence` does not change.
 
     A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
     change. A change that is taken back gives a cell its prior back.
@@ -179,7 +179,7 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
 
 
 def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
-    """The code of a cell that is now of `form`; 0 where its prior's is one of that form."""
+    """Return the code of a cell that is now of `form`; 0 where its prior's is one of that form."""
     agreeing = forms_of(np.array([given], np.int16))[0]
     if agreeing[form - 1]:
         return 0
@@ -188,7 +188,8 @@ def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
 
 
 def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:
-    """The life form of a cell of `form` whose surface has moved by `shift` metres, NaN unknown; None: it stays.
+    """Return the life form of a cell of `form` whose surface has moved by `shift` metres (NaN unknown); None:
+    unchanged.
 
     `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
     is grass: a felled stand burns.
@@ -212,26 +213,26 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
 
 
 def _span(cells: Int64Array, first: int, beyond: int) -> slice:
-    """Where the ascending `cells` lie in [first, beyond)."""
+    """Return where the ascending `cells` lie in [first, beyond)."""
     return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
 
 
 def _changed_cells(recorded: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Fuel cells with a recorded change that the window touches."""
+    """Return the fuel cells with a recorded change that the window touches."""
     known = np.argwhere(recorded > 0)
     inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
     return [(int(r), int(c)) for r, c in known[inside]]
 
 
 def _blocks_changed(kinds: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Blocks of fuel cells in which anything has changed."""
+    """Return the blocks of fuel cells in which anything has changed."""
     row, col = np.nonzero((kinds > 0) & (kinds != UNSEEN))
     pairs = np.unique(np.stack([rows[row] // _BLOCK, cols[col] // _BLOCK]), axis=1)
     return [(int(r), int(c)) for r, c in pairs.T]
 
 
 def _as_layers(kinds: UInt8Array, shift: Float32Array, window: GridGeometry) -> SurfaceLayers:
-    """What the rule of both maps asks of: only changes, how far, and where anybody has looked."""
+    """Return what the rule of both maps asks of: only changes, how far, and where anybody has looked."""
     seen = kinds != UNSEEN
     flat: NDArray[Any] = np.zeros(kinds.shape, np.float32)
     given: dict[str, Any] = {field.name: flat for field in fields(SurfaceLayers)}

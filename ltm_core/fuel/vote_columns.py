@@ -1,4 +1,4 @@
-"""Votes as named columns of small numbers: the form in which they travel between nodes and lie in archives.
+"""Votes as named columns of small numbers, the form used between nodes and in archives.
 
 One value a cell: x, y, z float32 (its centre on the terrain), and one uint16 column of pixels for each class that the
 frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
@@ -25,9 +25,9 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 
 MAX_BYTES = 64_000
-"""Largest message of a frame's votes."""
+"""Maximum size in bytes of the message of a frame's votes."""
 _HEADER_BYTES = 1_500
-"""Bound of what a message holds besides its points: header, names of fields."""
+"""Upper bound in bytes for the header and field names of a message."""
 _AXES = ("x", "y", "z")
 _LENGTHS = ("footprint_dm", "sigma_along_dm", "sigma_across_dm")
 _VISIBILITY = ("cos_incidence", *_LENGTHS, "bearing_deg")
@@ -36,7 +36,7 @@ _MOST = 65_535
 
 
 def fitting(votes: CellVotes, turn: int) -> CellVotes:
-    """The votes that fit into a message of `MAX_BYTES`.
+    """Return the votes that fit into a message of `MAX_BYTES`.
 
     Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
     the distance that a fixed camera sees is not left out for good. `turn`: any number, another one for each frame.
@@ -52,12 +52,13 @@ def fitting(votes: CellVotes, turn: int) -> CellVotes:
 
 
 def turn_of(stamp_ns: int) -> int:
-    """A number that the stamp alone decides, for `fitting`: a frame has the same votes live and worked again alone."""
+    """Return a number that depends on the stamp only, for `fitting`, so that a frame has the same votes live and
+    reprocessed."""
     return zlib.crc32(stamp_ns.to_bytes(8, "little", signed=True))
 
 
 def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
-    """Votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
+    """Return votes as columns of N values; `class_names`: (K,) in the order of the counts' columns.
 
     Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
     when the names are not K distinct identifiers.
@@ -65,7 +66,8 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
     names = checked_names(class_names)
     if votes.counts.shape[1] != len(names):
         raise MessageError(
-            f"votes of {votes.source} count {votes.counts.shape[1]} classes, {len(names)} are named: {', '.join(names)}"
+            f"votes of {votes.source} count {votes.counts.shape[1]}classes, but {len(names)} are named: "
+            f"{', '.join(names)}"
         )
     centres = votes.centres()
     columns: Columns = {axis: centres[:, i] for i, axis in enumerate(_AXES)}
@@ -85,14 +87,14 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
 
 
 def no_columns() -> Columns:
-    """Those of a frame that votes for no cell."""
+    """Return the columns of a frame without votes."""
     return {axis: np.zeros(0, np.float32) for axis in _AXES}
 
 
 def columns_to_votes(
     columns: Columns, geometry: GridGeometry, class_names: Sequence[str], stamp_ns: int, source: str
 ) -> CellVotes:
-    """Votes over the fuel grid `geometry`; `source`: the camera.
+    """Return votes over the fuel grid `geometry`; `source`: the camera.
 
     Raises MessageError when columns are missing, foreign or of another type, a point lies outside the grid or not on
     the centre of a cell (then it was counted on another grid), or cells come twice or out of row-major order.
@@ -114,12 +116,12 @@ def columns_to_votes(
 
 
 def most_bytes(cells: int, class_names: Sequence[str]) -> int:
-    """What the columns of so many cells take at most."""
+    """Return the maximum bytes of the columns of `cells` cells."""
     return cells * (4 * len(_AXES) + 2 * len(class_names) + 2 * len(_RESERVED))
 
 
 def checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
-    """Raises MessageError unless they are distinct identifiers that no other column has."""
+    """Return the names. Raises MessageError unless they are distinct identifiers that no other column has."""
     return _checked(tuple(class_names))
 
 
@@ -133,7 +135,7 @@ def _checked(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str) -> tuple[Int32Array, Int32Array]:
-    """Rows and columns of the cells whose centres these points are."""
+    """Return the rows and columns of the cells whose centres these points are."""
     row, col = geometry.to_grid(x, y)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(2 * row - geometry.height + 1) < geometry.height) & (
@@ -149,14 +151,15 @@ def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: st
     if not centred.all():
         first = int(np.argmin(centred))
         raise MessageError(
-            f"{what}: point {first} at ({x[first]}, {y[first]}) is no cell's centre: sender and receiver use "
+            f"{what}: point {first} at ({x[first]}, {y[first]}) is not a cell centre: sender and receiver use "
             "different fuel grids"
         )
     steps = np.diff(rows.astype(np.int64) * geometry.width + cols)
     if (steps <= 0).any():
         first = int(np.argmax(steps <= 0)) + 1
         raise MessageError(
-            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which comes twice or out of row-major order"
+            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which is duplicated or not in "
+            "row-major order"
         )
     return rows, cols
 
@@ -173,7 +176,7 @@ def _visibility(columns: Columns, what: str) -> CellVisibility | None:
 
 
 def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
-    """Rounded and clipped to an unsigned integer type; what is not a number counts as the greatest."""
+    """Round and clip to an unsigned integer type; NaN counts as the maximum."""
     most = np.iinfo(dtype).max
     return np.clip(np.rint(np.nan_to_num(values * factor, nan=most)), 0, most).astype(dtype)
 

@@ -1,4 +1,5 @@
-"""Compiled pass over a frame's pixels that forms its votes: each pixel's cell, and sums over each cell's pixels."""
+"""Form the votes of a frame in one compiled pass over its pixels: each pixel's cell, and sums over each cell's
+pixels."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ _NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class VoteSums(NamedTuple):
-    """Over the pixels of each seen cell, in row-major order of the cells.
+    """Sums over the pixels of each seen cell, in row-major order of the cells.
 
     `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
     mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`:
@@ -47,7 +48,7 @@ def sum_pixels(
     max_range: float,
     limits: GroundLimits | None = None,
 ) -> VoteSums:
-    """Sums over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
+    """Sum over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
 
     `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
     to float32, as `RangeImage.points` gives it. `limits`: pixels of plants beyond them are withdrawn, and cells of
@@ -101,14 +102,14 @@ def sum_pixels(
 
 
 def _read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """Contiguous and read-only, so that one compiled kernel serves arrays of messages and of our own."""
+    """Return the contiguous and read-only, so that one compiled kernel serves arrays of messages and of our own."""
     view: NDArray[Any] = np.ascontiguousarray(array, dtype).view()
     view.flags.writeable = False
     return view
 
 
 def _window(geometry: GridGeometry, east: float, north: float, max_range: float) -> tuple[int, int, int, int]:
-    """(row, col, height, width) of the grid's part within reach of the camera."""
+    """Return (row, col, height, width) of the grid's part within reach of the camera."""
     if not np.isfinite(max_range):
         return 0, 0, geometry.height, geometry.width
     # Clipped before they become integers: a pose may say that a camera stands at the end of the world.
@@ -157,8 +158,8 @@ def _scan(
     sums: Any,
     withdrawn: Any,
 ) -> int:
-    """Fills `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (by cell); returns how
-    many cells are seen.
+    """Fill `cells`, `counts`, `sums` (x and y from the camera, confidence) and `withdrawn` (by cell); returns how many
+    cells are seen.
 
     Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
     second one adds up, over pixels side by side that show one class in one cell at once.
@@ -232,7 +233,8 @@ def _scan(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
-    """Which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1 none."""
+    """Return which limit a plant at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1
+    none."""
     row, col = cell // masks.shape[2], cell % masks.shape[2]
     no_plant, no_tree = masks[0, row, col], masks[1, row, col]
     if no_plant == 0 and (kind < 2 or no_tree == 0):

@@ -47,13 +47,13 @@ class CellVotes:
         n = len(self.rows)
         if self.cols.shape != (n,) or self.z.shape != (n,) or self.counts.ndim != 2 or len(self.counts) != n:
             raise ImageError(
-                f"votes of {self.source} disagree in length: {n} rows, {self.cols.shape} columns, "
+                f"votes of {self.source} differ in length: {n} rows, {self.cols.shape} columns, "
                 f"{self.counts.shape} counts, {self.z.shape} heights"
             )
         if self.confidence is not None and self.confidence.shape != (n,):
-            raise ImageError(f"votes of {self.source} for {n} cells carry confidence of {self.confidence.shape}")
+            raise ImageError(f"votes of {self.source} for {n} cells have confidence of shape {self.confidence.shape}")
         if self.visibility is not None and len(self.visibility) != n:
-            raise ImageError(f"votes of {self.source} for {n} cells carry {len(self.visibility)} visibilities")
+            raise ImageError(f"votes of {self.source} for {n} cells have {len(self.visibility)} visibilities")
         inside = self.geometry.contains(self.rows, self.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -66,9 +66,8 @@ class CellVotes:
         return len(self.rows)
 
     def strongest(self, limit: int) -> CellVotes:
-        """The votes of at most `limit` cells, those that are worth most as evidence: the best placed, with a pixel or
-        more of their own; still in row-major order.
-        """
+        """Return the votes of at most `limit` cells with the highest weight as evidence: the best located ones with at
+        least one pixel; in row-major order."""
         if len(self) <= limit:
             return self
         pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
@@ -76,7 +75,7 @@ class CellVotes:
         return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
 
     def only(self, chosen: NDArray[Any]) -> CellVotes:
-        """The votes of some of the cells: indices in rising order, or a mask (N,)."""
+        """Return the votes of some of the cells: indices in rising order, or a mask (N,)."""
         return replace(
             self,
             rows=self.rows[chosen],
@@ -88,13 +87,13 @@ class CellVotes:
         )
 
     def centres(self) -> Float32Array:
-        """Map coordinates of the cells' centres on the terrain, (N, 3) metres."""
+        """Return the map coordinates of the cells' centres on the terrain, (N, 3) metres."""
         x, y = self.geometry.to_map(self.rows, self.cols)
         return np.column_stack([x, y, self.z]).astype(np.float32)
 
 
 class VoteCaster:
-    """Forms the votes of frames over one fuel grid.
+    """Compute the votes of frames over one fuel grid.
 
     Args:
         geometry: the fuel grid, in the map frame.
@@ -150,7 +149,7 @@ class VoteCaster:
         images: list[tuple[str, NDArray[Any] | None]] = [("labels", labels), ("distances", distance)]
         for name, image in [*images, ("confidence", confidence)]:
             if image is not None and image.shape != shape:
-                raise ImageError(f"{name} of {image.shape} and a camera of {shape} of {source} are not of one image")
+                raise ImageError(f"{name} of {image.shape} does not match the camera of {shape} of {source}")
         # Here, for who only passes votes on (the uplink, the viewer) needs no numba.
         from ltm_core.fuel.vote_kernel import sum_pixels
 

@@ -16,7 +16,7 @@ from ltm_core.base.types import Float32Array, Float64Array
 
 @numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: float) -> float:
-    """The undistorted radius of a distorted one, by bisection: up to the fold the radial model only grows."""
+    """Return the undistorted radius of a distorted one, by bisection: up to the fold the radial model only grows."""
     low, high = 0.0, np.sqrt(fold)
     if not np.isfinite(high):
         high = 1.0
@@ -35,7 +35,7 @@ def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: flo
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: Float64Array, fold: float) -> None:
-    """Newton's method on the two distortion equations; a pixel that does not converge inside the fold is NaN.
+    """Invert the two distortion equations by Newton's method; a pixel that does not converge inside the fold is NaN.
 
     It starts at the distorted point. Where the model all but folds, steps from there may never settle; then a second
     start, at the radius that the radial part alone gives, lies next to the solution.
@@ -74,7 +74,7 @@ def undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: F
 
 
 MOST_A_SIDE = 65_535
-"""Pixels: as many as a JPEG can have."""
+"""Maximum number of pixels per side, the limit of JPEG."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,9 @@ class Camera:
         if not all(math.isfinite(v) for v in values):
             raise CameraError(f"camera intrinsics must be finite, got {values}")
         if max(map(abs, self.distortion)) > 1e15:  # beyond it the model's own terms overflow
-            raise CameraError(f"distortion {self.distortion} is no lens's; it is (k1, k2, p1, p2, k3) of plumb_bob")
+            raise CameraError(
+                f"distortion {self.distortion} is not that of a lens; give (k1, k2, p1, p2, k3) of plumb_bob"
+            )
         if not (1 <= self.width <= MOST_A_SIDE and 1 <= self.height <= MOST_A_SIDE):
             raise CameraError(f"camera images have 1 to {MOST_A_SIDE} pixels a side, got {self.width} x {self.height}")
         if self.fx <= 0 or self.fy <= 0:
@@ -109,7 +111,7 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width: int, height: int, hfov_deg: float) -> Camera:
-        """An undistorted camera with square pixels whose image edges span `hfov_deg` horizontally."""
+        """Return an undistorted camera with square pixels whose image edges span `hfov_deg` horizontally."""
         if not 0 < hfov_deg < 180:
             raise CameraError(f"horizontal field of view must lie in (0, 180) degrees, got {hfov_deg}")
         f = width / 2 / math.tan(math.radians(hfov_deg) / 2)
@@ -122,7 +124,7 @@ class Camera:
 
     @property
     def hfov_deg(self) -> float:
-        """Horizontal field of view between the image's outer edges, distortion left aside."""
+        """Return the horizontal field of view between the image's outer edges, distortion left aside."""
         left = math.atan((self.cx + 0.5) / self.fx)
         right = math.atan((self.width - 0.5 - self.cx) / self.fx)
         return math.degrees(left + right)
@@ -142,7 +144,7 @@ class Camera:
         )
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of an image of another size, in pixels, that shows the same, edge to edge."""
+        """Return the camera of an image of another size, in pixels, that shows the same, edge to edge."""
         across, down = width / self.width, height / self.height
         return Camera(
             width,
@@ -155,11 +157,11 @@ class Camera:
         )
 
     def zoomed(self, factor: float) -> Camera:
-        """The camera with `factor` times the focal length."""
+        """Return the camera with `factor` times the focal length."""
         return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 
     def rays(self) -> Float64Array:
-        """Unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.
+        """Return the unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.
 
         NaN where the distortion cannot be inverted: such a pixel lies beyond the model's fold, and no ray projects
         to it.
@@ -167,12 +169,13 @@ class Camera:
         return _rays(self)
 
     def cosines(self) -> Float32Array:
-        """The third component of `rays()`, (H, W) float32, read-only: the depth along the optical axis (REP-118) of a
-        point one metre away."""
+        """Return the third component of `rays()`, (H, W) float32, read-only: the depth along the optical axis (REP-118)
+        of a point one metre away."""
         return _cosines(self)
 
     def project(self, points: Float64Array) -> Float64Array:
-        """Pixels (..., 2) of optical-frame points (..., 3); NaN behind the camera or beyond the distortion's fold."""
+        """Return the pixels (..., 2) of optical-frame points (..., 3); NaN behind the camera or beyond the distortion's
+        fold."""
         points = np.asarray(points, np.float64)
         z = points[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):

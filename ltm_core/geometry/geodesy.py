@@ -22,11 +22,11 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array
 
 EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the WGS 84 ellipsoid, metres (IUGG R1)."""
+"""Mean radius of the WGS 84 ellipsoid in metres (IUGG R1)."""
 
 
 def ray_bend(curvature: bool, refraction: float) -> float:
-    """The coefficient c of a ray's height z(r) = z0 + s r + c r^2 over horizontal range r, 1/metres.
+    """Return the coefficient c of a ray's height z(r) = z0 + s r + c r^2 over horizontal range r, 1/metres.
 
     The earth falls away by r^2 / 2R and standard air bends light by the share `refraction` (k) of that back down:
     c = (1 - k) / (2 R). Zero on a flat earth. Source: surveying's combined correction, e.g. Torge, Geodesy, 5.1.
@@ -64,7 +64,7 @@ class SiteFrame:
         return np.asarray(x) - self.x_origin, np.asarray(y) - self.y_origin
 
     def to_lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Map (x, y) to WGS 84 degrees."""
+        """Convert map (x, y) to WGS 84 degrees."""
         lon, lat = _from_wgs84(self.crs).transform(
             np.asarray(x, np.float64) + self.x_origin,
             np.asarray(y, np.float64) + self.y_origin,
@@ -73,24 +73,24 @@ class SiteFrame:
         return np.asarray(lon), np.asarray(lat)
 
     def grid_convergence_deg(self, x: float, y: float) -> float:
-        """Meridian convergence at a map point: how far grid north lies clockwise of true north, degrees."""
+        """Return the meridian convergence at a map point: how far grid north lies clockwise of true north, degrees."""
         lon, lat = self.to_lonlat(x, y)
         factors = Proj(self.crs).get_factors(float(lon), float(lat))
         return float(factors.meridian_convergence)
 
     def true_to_grid_deg(self, azimuth_deg: float, x: float, y: float) -> float:
-        """An azimuth from true north as the azimuth from grid north at a map point, degrees in [0, 360)."""
+        """Return an azimuth from true north as the azimuth from grid north at a map point, degrees in [0, 360)."""
         return (azimuth_deg - self.grid_convergence_deg(x, y)) % 360.0
 
     def magnetic_to_grid_deg(self, azimuth_deg: float, x: float, y: float, on: date, height: float = 0.0) -> float:
-        """A compass azimuth as the azimuth from grid north, degrees in [0, 360). Declination: WMM, see below."""
+        """Return a compass azimuth as the azimuth from grid north, degrees in [0, 360). Declination: WMM, see below."""
         lon, lat = self.to_lonlat(x, y)
         true = azimuth_deg + magnetic_declination_deg(float(lon), float(lat), on, height)
         return self.true_to_grid_deg(true, x, y)
 
 
 def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0.0) -> float:
-    """Magnetic declination (east positive), degrees, from the World Magnetic Model of the epoch of `on`.
+    """Return the magnetic declination (east positive), degrees, from the World Magnetic Model of the epoch of `on`.
 
     `height`: metres above the ellipsoid. Raises ConfigError outside the years that the models cover (2010-2029).
     """
@@ -105,7 +105,7 @@ def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0
     }
     epoch = 5 * math.floor(year / 5)
     if epoch not in epochs:
-        raise ConfigError(f"no World Magnetic Model for {on}: the models cover 2010-2029; give true-north azimuths")
+        raise ConfigError(f"no World Magnetic Model for {on}; the models cover 2010-2029; give true-north azimuths")
     model = GeoMag(coefficients_file=epochs[epoch])
     return float(model.calculate(glat=lat, glon=lon, alt=height / 1000, time=year).d)
 
@@ -120,7 +120,8 @@ _J2000_S = 946_728_000
 
 
 def sun_elevation(latitude: float, longitude: float, stamps_ns: ArrayLike) -> Float64Array:
-    """Of the sun's centre above the horizon, radians, without refraction; right to 0.01 degrees from 1950 to 2050.
+    """Return the elevation of the sun's centre above the horizon, radians, without refraction; accurate to 0.01 degrees
+    from 1950 to 2050.
 
     `latitude`, `longitude`: radians, north and east. `stamps_ns`: any shape. Source: J. J. Michalsky, "The Astronomical
     Almanac's algorithm for approximate solar position (1950-2050)", Solar Energy 40 (1988).

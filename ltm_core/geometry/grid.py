@@ -51,31 +51,31 @@ class GridGeometry:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """(x_min, y_min, x_max, y_max)."""
+        """Return (x_min, y_min, x_max, y_max)."""
         return self.x_min, self.y_min, self.x_max, self.y_max
 
     def described(self) -> str:
-        """Its bounds, in whole metres, for messages."""
+        """Return its bounds, in whole metres, for messages."""
         return f"x {self.x_min:.0f} to {self.x_max:.0f}, y {self.y_min:.0f} to {self.y_max:.0f}"
 
     def distance_to(self, x: float, y: float) -> float:
-        """Metres from a point to the raster's edge; 0 within."""
+        """Return the metres from a point to the raster's edge; 0 within."""
         return math.hypot(max(self.x_min - x, x - self.x_max, 0.0), max(self.y_min - y, y - self.y_max, 0.0))
 
     def to_grid(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Map coordinates to fractional (row, col); integers fall on cell centres."""
+        """Convert map coordinates to fractional (row, col); integers fall on cell centres."""
         col = (np.asarray(x, np.float64) - self.x_min) / self.resolution - 0.5
         row = (self.y_max - np.asarray(y, np.float64)) / self.resolution - 0.5
         return row, col
 
     def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Fractional (row, col) to map coordinates (x, y)."""
+        """Convert fractional (row, col) to map coordinates (x, y)."""
         x = self.x_min + (np.asarray(col, np.float64) + 0.5) * self.resolution
         y = self.y_max - (np.asarray(row, np.float64) + 0.5) * self.resolution
         return x, y
 
     def cell_of(self, x: ArrayLike, y: ArrayLike) -> tuple[Int64Array, Int64Array]:
-        """The (row, col) of the cell that holds each point; may lie outside the raster (see `contains`).
+        """Return the (row, col) of the cell that holds each point; may lie outside the raster (see `contains`).
 
         Cells partition the plane: a point on a shared edge belongs to the cell to its east or south.
         """
@@ -84,17 +84,17 @@ class GridGeometry:
         return row, col
 
     def contains(self, row: ArrayLike, col: ArrayLike) -> BoolArray:
-        """Which cell indices lie inside the raster."""
+        """Return which cell indices lie inside the raster."""
         row, col = np.asarray(row), np.asarray(col)
         inside: BoolArray = (row >= 0) & (row < self.height) & (col >= 0) & (col < self.width)
         return inside
 
     def translated(self, dx: float, dy: float, crs: str | None = None) -> GridGeometry:
-        """The same raster with its edges moved by (dx, dy) metres; `crs` names the frame that it is then in."""
+        """Return the same raster with its edges moved by (dx, dy) metres; `crs` names the frame that it is then in."""
         return GridGeometry(self.x_min + dx, self.y_max + dy, self.resolution, self.width, self.height, crs=crs)
 
     def window(self, row: int, col: int, height: int, width: int) -> GridGeometry:
-        """The part of the raster whose first cell is (row, col)."""
+        """Return the part of the raster whose first cell is (row, col)."""
         return GridGeometry(
             self.x_min + col * self.resolution,
             self.y_max - row * self.resolution,
@@ -112,7 +112,8 @@ class GridGeometry:
         phase: float = 15.0,
         crs: str | None = None,
     ) -> GridGeometry:
-        """The smallest raster over `bounds` (x_min, y_min, x_max, y_max) whose cell edges lie at phase mod resolution.
+        """Return the smallest raster over `bounds` (x_min, y_min, x_max, y_max) whose cell edges lie at phase mod
+        resolution.
 
         LANDFIRE's grid has resolution 30 and phase 15 in EPSG:5070.
         """
@@ -131,7 +132,7 @@ class GridGeometry:
         )
 
     def transform(self) -> Any:
-        """The affine transform (pixel corner -> map) that rasterio writes."""
+        """Return the affine transform (pixel corner -> map) that rasterio writes."""
         from rasterio.transform import from_origin
 
         return from_origin(self.x_min, self.y_max, self.resolution, self.resolution)

@@ -21,35 +21,36 @@ from ltm_core.base.types import Float64Array
 
 
 def matrix_of_quaternion(quaternion: ArrayLike) -> Float64Array:
-    """(3, 3) of (x, y, z, w), of any norm but 0."""
+    """Return the matrix (3, 3) of a quaternion (x, y, z, w) of any norm but 0."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(quaternion).as_matrix(), np.float64)
 
 
 def quaternion_of_matrix(matrix: ArrayLike) -> Float64Array:
-    """(x, y, z, w) of unit norm with w >= 0, of (3, 3)."""
+    """Return the quaternion (x, y, z, w) of unit norm with w >= 0 of a matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_quat(canonical=True), np.float64)
 
 
 def matrix_of_vector(vector: ArrayLike) -> Float64Array:
-    """(3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
+    """Return the matrix (3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
 
 
 def vector_of_matrix(matrix: ArrayLike) -> Float64Array:
-    """The rotation vector (3,), radians, of (3, 3)."""
+    """Return the rotation vector (3,), radians, of (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec(), np.float64)
 
 
 def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
-    """Of the rotation vectors (3,) of the same rotation as `vector`, a whole turn apart, that nearest to `to`."""
+    """Return the rotation vector (3,) nearest to `to` among those of the same rotation as `vector`, a whole turn
+    apart."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return vector
@@ -59,7 +60,7 @@ def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
 
 
 def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
-    """(3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
+    """Return the matrix (3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
@@ -67,7 +68,7 @@ def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a camera stands and looks.
+    """Position and orientation of a camera.
 
     `position`: (3,) metres in the map frame (x grid east, y grid north, z up). `rotation`: (3, 3), optical frame
     (x right, y down, z forward) to map frame. Raises PoseError on NaN or on a matrix that is no rotation.
@@ -104,7 +105,7 @@ class Pose:
     def from_angles(
         cls, position: ArrayLike, azimuth_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0
     ) -> Pose:
-        """A pose from angles in degrees.
+        """Return a pose from angles in degrees.
 
         `azimuth_deg`: of the optical axis, clockwise from grid north. `pitch_deg`: up from the horizon. `roll_deg`:
         of the camera, clockwise about its viewing direction (the image's content turns counter-clockwise).
@@ -122,7 +123,7 @@ class Pose:
 
     @property
     def angles_deg(self) -> tuple[float, float, float]:
-        """(azimuth in [0, 360), pitch, roll) in degrees.
+        """Return (azimuth in [0, 360), pitch, roll) in degrees.
 
         Straight down the azimuth is that of the image's top, straight up that of its bottom, and roll is 0.
         """
@@ -140,7 +141,8 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, position: ArrayLike, quaternion: Sequence[float]) -> Pose:
-        """A pose from a quaternion (x, y, z, w), optical to map; refused unless its norm is 1 within 1e-3."""
+        """Return a pose from a quaternion (x, y, z, w), optical to map. Raises PoseError unless its norm is 1 within
+        1e-3."""
         q = np.asarray(quaternion, np.float64)
         norm = float(np.linalg.norm(q))
         if q.shape != (4,) or not np.isfinite(q).all() or abs(norm - 1.0) > 1e-3:
@@ -149,16 +151,16 @@ class Pose:
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """(x, y, z, w), optical to map, with w >= 0."""
+        """Return (x, y, z, w), optical to map, with w >= 0."""
         x, y, z, w = quaternion_of_matrix(self.rotation)
         return float(x), float(y), float(z), float(w)
 
     def to_map(self, points_optical: Float64Array) -> Float64Array:
-        """Optical-frame points (..., 3) in the map frame."""
+        """Transform optical-frame points (..., 3) to the map frame."""
         return np.asarray(np.asarray(points_optical) @ self.rotation.T + self.position, np.float64)
 
     def to_optical(self, points_map: Float64Array) -> Float64Array:
-        """Map-frame points (..., 3) in the optical frame."""
+        """Transform map-frame points (..., 3) to the optical frame."""
         return np.asarray((np.asarray(points_map, np.float64) - self.position) @ self.rotation, np.float64)
 
 
@@ -174,15 +176,16 @@ def checked_covariance(covariance: ArrayLike) -> Float64Array:
 
 
 UNKNOWN_AZIMUTH_SIGMA_DEG = 360 / math.sqrt(12)
-"""Standard deviation of a heading of which nothing is known: that of one spread evenly over the circle. Such an angle
-is told with a variance that is known and large, so that nothing is placed by it; a variance that is *itself* not known
-(infinite, or greater than a half turn's) is taken as the site's `assumed_pose_error`."""
+"""Standard deviation in degrees of an unknown heading: that of an angle uniform over the circle. Such an angle has a
+known large variance, so nothing is located by it. A variance that is itself unknown (infinite, or greater than that of
+half a turn) is replaced by the site's `assumed_pose_error`."""
 UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
-"""The same of a pitch, from straight down to straight up."""
+"""Standard deviation in degrees of an unknown pitch, uniform from straight down to straight up."""
 
 
 def axes_of_angles(pose: Pose) -> Float64Array:
-    """(3, 3): in its columns the map's directions about which azimuth, pitch and roll (`Pose.from_angles`) turn."""
+    """Return (3, 3): in its columns the map directions about which azimuth, pitch and roll (`Pose.from_angles`)
+    turn."""
     azimuth = np.radians(pose.angles_deg[0])
     level_right = (np.cos(azimuth), -np.sin(azimuth), 0.0)
     return np.column_stack([(0.0, 0.0, -1.0), level_right, pose.rotation[:, 2]])
@@ -196,7 +199,8 @@ def pose_covariance(
     pitch_sigma_deg: float,
     roll_sigma_deg: float,
 ) -> Float64Array:
-    """(6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in geometry_msgs/PoseWithCovariance.
+    """Return the covariance (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
+    geometry_msgs/PoseWithCovariance.
 
     The errors are independent: azimuth turns about the vertical, pitch about the level axis to the camera's right, roll
     about the viewing direction (`Pose.from_angles`).
@@ -210,8 +214,8 @@ def pose_covariance(
 
 
 def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64Array:
-    """Of a second pose that is fixed to the first, `offset` (3,) metres of the map from it: turned by w, it moves by
-    w x offset."""
+    """Return the covariance of a second pose fixed to the first, `offset` (3,) metres of the map from it: turned by w,
+    it moves by w x offset."""
     x, y, z = offset
     jacobian = np.eye(6)
     jacobian[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -219,7 +223,7 @@ def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64A
 
 
 def sigma_keys(pose: Pose, covariance: Float64Array) -> dict[str, float]:
-    """`pose_sigmas` as a pose file has them, three digits each; what is 0 is left out."""
+    """Return `pose_sigmas` as in a pose file, three digits each; zeros are omitted."""
     x, y, z, azimuth, pitch, roll = pose_sigmas(pose, covariance)
     sigmas = {"position_sigma": max(x, y), "height_sigma": z}
     sigmas |= {"azimuth_sigma_deg": azimuth, "pitch_sigma_deg": pitch, "roll_sigma_deg": roll}
@@ -227,9 +231,9 @@ def sigma_keys(pose: Pose, covariance: Float64Array) -> dict[str, float]:
 
 
 def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
-    """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
-    makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.
-    """
+    """Return standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as in
+    `pose_covariance`: turns about the map's axes become turns about the vertical, the level right and the viewing
+    direction."""
     inverse = np.linalg.pinv(axes_of_angles(pose))
     turns = inverse @ covariance[3:, 3:] @ inverse.T
     variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])

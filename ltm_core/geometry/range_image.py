@@ -45,7 +45,8 @@ class RangeImage:
         bend: float = 0.0,
         geometry: GridGeometry | None = None,
     ) -> RangeImage:
-        """From depths along the optical axis (REP-118), (H, W) metres; the inverse of `depth()`."""
+        """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
+        `depth()`."""
         if depth.shape != (camera.height, camera.width):
             raise ImageError(
                 f"depth image of shape {depth.shape} does not fit a camera of {camera.height} x {camera.width}"
@@ -54,12 +55,12 @@ class RangeImage:
         return cls(slant, camera, pose, bend, geometry)
 
     def depth(self) -> Float32Array:
-        """Distance along the optical axis, (H, W) metres (REP-118)."""
+        """Return the distance along the optical axis, (H, W) metres (REP-118)."""
         depth: Float32Array = self.range * self.camera.cosines()
         return depth
 
     def horizontal(self) -> Float32Array:
-        """Horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
+        """Return the horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
         up = self.camera.rays() @ self.pose.rotation[2]
         cosine = np.sqrt(np.maximum(0.0, 1.0 - up * up))
         with np.errstate(invalid="ignore"):
@@ -67,7 +68,7 @@ class RangeImage:
         return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
 
     def points(self) -> Float32Array:
-        """Map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
+        """Return the map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
         directions = self.camera.rays() @ self.pose.rotation.T
         slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
         points = directions * slant[..., None]
@@ -77,9 +78,10 @@ class RangeImage:
         return points.astype(np.float32)
 
     def cells(self) -> Int32Array:
-        """The DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's img-DEM."""
+        """Return the DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's
+        img-DEM."""
         if self.geometry is None:
-            raise ImageError("this range image was made without a raster, so it has no cells")
+            raise ImageError("this range image has no raster, so it has no cells")
         points = self.points()
         seen = np.isfinite(points[..., 0])
         row, col = self.geometry.cell_of(np.where(seen, points[..., 0], 0), np.where(seen, points[..., 1], 0))
@@ -91,7 +93,7 @@ class RangeImage:
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depths of one image as they are sent from node to node: all that fusion needs of a `RangeImage`.
+    """Depths of one image as sent between nodes: the part of a `RangeImage` that fusion needs.
 
     `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
     """
@@ -108,5 +110,5 @@ class DepthImage:
             )
 
     def depth(self) -> Float32Array:
-        """As `RangeImage.depth`: row after row, without a copy where they lie so."""
+        """Return the depth as `RangeImage.depth`, row by row, without a copy if already in this order."""
         return np.ascontiguousarray(self.along)

@@ -17,24 +17,24 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 
 _BESIDE = 0.02
-"""Share of the table's span by which a zoom may lie outside it: end stops are not exact."""
+"""Share of the table's span by which a zoom may exceed it, because end stops are not exact."""
 
 ALERTCALIFORNIA_ZOOM = (
     (1.0, 62.6), (34.0, 56.8), (97.0, 48.3), (257.0, 34.9), (646.0, 20.9), (1606.0, 10.5), (3602.0, 5.2), (9905.0, 2.3),
 )  # fmt: skip
-"""(zoom of VAPIX, horizontal field of view in degrees), from the corners of fields of view that ALERTCalifornia
-publishes of its pan-tilt-zoom cameras: where nothing better is known of such a camera. To be calibrated."""
+"""(VAPIX zoom, horizontal field of view in degrees), from the corners of fields of view that ALERTCalifornia publishes
+for its PTZ cameras. Use it for such a camera if nothing better is known, and calibrate it."""
 
 
 class ZoomPoint(StrictModel):
-    """The lens at one zoom."""
+    """Lens at one zoom."""
 
     zoom: float
-    """In the camera's own measure."""
+    """Zoom in the camera's own unit."""
     hfov_deg: float = Field(gt=0, lt=180)
-    """Between the image's left and right edges, distortion left aside."""
+    """Horizontal field of view in degrees between the image's left and right edges, without distortion."""
     k1: float = 0.0
-    """Distortion after Brown and Conrady, as are k2, p1, p2, k3."""
+    """Distortion coefficient after Brown and Conrady, as are k2, p1, p2 and k3."""
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
@@ -42,25 +42,25 @@ class ZoomPoint(StrictModel):
 
 
 class LensConfig(StrictModel):
-    """A lens that zooms, in pixels of the upright image."""
+    """Zoom lens, in pixels of the upright image."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
     cx: float | None = None
-    """Principal point; the image's centre unless given."""
+    """Column of the principal point in pixels; default: the image's centre."""
     cy: float | None = None
     zoom: tuple[ZoomPoint, ...] = Field(
         tuple(ZoomPoint(zoom=zoom, hfov_deg=hfov) for zoom, hfov in ALERTCALIFORNIA_ZOOM), min_length=1
     )
-    """From wide to long; with one point the lens does not zoom."""
+    """Table from wide to long; with one point, the lens does not zoom."""
 
     @model_validator(mode="after")
     def _wide_to_long(self) -> Self:
         for a, b in zip(self.zoom, self.zoom[1:], strict=False):
             if not (a.zoom < b.zoom and a.hfov_deg > b.hfov_deg):
                 raise ValueError(
-                    f"zoom goes from wide to long: {a.zoom:g} with {a.hfov_deg:g} deg and {b.zoom:g} with "
-                    f"{b.hfov_deg:g} deg do not"
+                    f"the field of view must fall with zoom: {a.zoom:g} with {a.hfov_deg:g} deg and {b.zoom:g} with "
+                    f"{b.hfov_deg:g} deg"
                 )
         return self
 
@@ -89,16 +89,16 @@ class ZoomLens:
     cy: float
     table: tuple[tuple[float, ...], ...]
     aspect: float = 1.0
-    """fy over fx: of pixels that are not square."""
+    """Ratio of fy to fx for pixels that are not square."""
 
     @classmethod
     def fixed(cls, camera: Camera) -> Self:
-        """The lens of a camera that does not zoom."""
+        """Return the lens of a camera that does not zoom."""
         row = (0.0, _hfov_deg(camera.width, camera.fx), *camera.distortion)
         return cls(camera.width, camera.height, camera.cx, camera.cy, (row,), camera.fy / camera.fx)
 
     def camera(self, zoom: float) -> Camera:
-        """Raises CameraError for a zoom that the table does not reach."""
+        """Return the camera at a zoom. Raises CameraError outside the table."""
         first, last = self.table[0][0], self.table[-1][0]
         slack = _BESIDE * (last - first)
         if len(self.table) > 1 and not first - slack <= zoom <= last + slack:
@@ -109,8 +109,8 @@ class ZoomLens:
         return _camera(self, min(max(zoom, first), last))
 
     def scaled(self, factors: Mapping[float, float]) -> ZoomLens:
-        """With focal lengths times the factors that were found at some zooms; interpolated between these, and held
-        beyond. The zooms of `factors` become rows of the table."""
+        """Return the lens with focal lengths multiplied by factors at some zooms, interpolated between these and
+        constant beyond. The zooms of `factors` become rows of the table."""
         if not factors:
             return self
         known = sorted(factors)
@@ -141,7 +141,7 @@ class ZoomLens:
         return np.asarray(np.log(np.asarray(zoom) - first + (last - first) / (ratio - 1)), np.float64)
 
     def values(self, zoom: float) -> tuple[float, Float64Array]:
-        """Focal length (pixels) and distortion (5,) at a zoom within the table."""
+        """Return the focal length (pixels) and distortion (5,) at a zoom within the table."""
         rows = np.array(self.table)
         if len(rows) == 1:
             log_tangent, distortion = float(self._log_tangents[0]), rows[0, 2:]

@@ -1,1 +1,1 @@
-"""Teach a label head from a few labelled photos of a site, and score it on photos held out."""
+"""Train a label head on a few labelled photos of a site, and score it on held-out photos."""

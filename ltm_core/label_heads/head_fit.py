@@ -20,11 +20,12 @@ _BIAS_RIDGE: Final = 0.1
 _LEAST_SPREAD: Final = 1e-3
 _STEPS: Final = 300
 _PARTS: Final = 3
-"""Of the photos; the best where five of 21 mountain photos with areas by hand taught heads for the others."""
+"""Number of parts of the photos, the best value when five of 21 hand-labelled mountain photos trained heads for the
+others."""
 
 
 class HeadFitConfig(StrictModel):
-    """How a head is drawn to the network that it corrects, and what counts.
+    """Regularisation of a label head towards its network, and weights of the samples.
 
     `ridge`: penalty on the squares of the weights of coarse maps, of features brought to unit spread (of the last one,
     0.02). They hold more of the place than of the plant, and lead astray elsewhere: few places need 1, dozens bear
@@ -39,7 +40,7 @@ class HeadFitConfig(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class FittedHead:
-    """`weights`: (F, K) of features as they are in `PhotoSamples`; `bias`: (K,)."""
+    """Fitted label head. `weights`: (F, K) of features as in `PhotoSamples`; `bias`: (K,)."""
 
     weights: Float64Array
     bias: Float64Array
@@ -51,7 +52,7 @@ def fit_head(
     config: HeadFitConfig | None = None,
     one_view: bool = False,
 ) -> FittedHead:
-    """The mean of heads that are taught by two thirds of the photos each: what one photo alone says weighs less.
+    """Return the mean of label heads trained on two thirds of the photos each, so that a single photo has less weight.
 
     `channels`: those of each map, in the order of features. `one_view`: all of one view, whose head is taught by all.
     Raises ImageError where there is no sample.
@@ -67,10 +68,10 @@ def fit_head(
 
 
 def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], config: HeadFitConfig) -> FittedHead:
-    """The head that explains the samples best under the ridge."""
+    """Return the head that explains the samples best under the ridge."""
     labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
     if len(labels) == 0:
-        raise ImageError("no pixel of a known class in any photo: name areas in them first")
+        raise ImageError("no labelled pixel in any photo; label areas first")
     scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
     weight = np.concatenate([class_weights(s, config.rarity) for s in samples])
     weight /= weight.sum()
@@ -100,7 +101,7 @@ def _best_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int], con
 
 
 def class_weights(samples: PhotoSamples, rarity: float) -> Float64Array:
-    """(N,) of the samples of a photo: those of a class sum to its share's power."""
+    """Return (N,) weights of the samples of a photo; those of a class sum to a power of its share."""
     counts = np.bincount(samples.labels, minlength=len(samples.shares))
     each = samples.shares**rarity / np.maximum(counts, 1)
     return np.asarray(each[samples.labels], np.float64)
@@ -113,7 +114,7 @@ _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was
 
 
 def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
-    """The temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
+    """Return the temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
 
     `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
     """
@@ -133,8 +134,8 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
 
 
 def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
-    """The exponent that makes how sure labels are (N,), 0 to 1, explain best which are right (N,), in photos that
-    count alike, whatever their number of pixels; 1 where no photo has any."""
+    """Return the exponent with which the confidence (N,) of labels, 0 to 1, best predicts which are right (N,), in
+    photos of equal weight; 1 without photos."""
     known = [(np.log(np.clip(sure, 1e-3, 1 - 1e-3)), right) for sure, right in photos if len(sure)]
     if not known:
         return 1.0
@@ -150,7 +151,7 @@ def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
 
 
 def balanced(confusions: Sequence[Int64Array]) -> Float64Array:
-    """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
+    """Return P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
 
     Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
     less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a

@@ -1,4 +1,4 @@
-"""Draws from labelled photos what a label head is taught from, and groups the photos so that some judge the head.
+"""Draw training samples of a label head from labelled photos, and group the photos into folds.
 
 A sample is a pixel of known class with the network's scores and decoder maps. Photos of one site are in one group; of a
 single view, its areas are dealt into folds instead.
@@ -31,7 +31,7 @@ _MOST: Final = 1500  # pixels of one class in one photo: neighbours say the same
 @dataclass(frozen=True, eq=False)
 class PhotoSamples:
     """Pixels of one photo. `labels` (N,) uint8; `scores` (N, K) float64 of the network; `features` (N, F) float64, its
-    maps' values side by side; `shares` (K,) of the photo's area that each class was named on."""
+    maps' values side by side; `shares` (K,) of the photo's area labelled with each class."""
 
     site: str
     labels: UInt8Array
@@ -43,7 +43,7 @@ class PhotoSamples:
 def photo_samples(
     segmenter: Segmenter, frame: Frame, site: str, rng: np.random.Generator, most: int = _MOST
 ) -> PhotoSamples:
-    """At most so many random pixels of each class, at the places of the network's own grid."""
+    """Return at most `most` random pixels of each class, at the places of the network's own grid."""
     scores, maps = segmenter.scores_and_maps(frame.image)
     count, rows, cols = scores.shape
     truth = _at_grid(frame.labels, rows, cols).reshape(-1)
@@ -61,7 +61,7 @@ def photo_samples(
 
 
 def sites_of(frames: list[Frame]) -> list[str]:
-    """The site of each photo: what `sites.csv` (columns image, site) beside it says, else its name up to the first `_`.
+    """Return the site of each photo: by `sites.csv` (columns image, site) beside it, else its name up to the first `_`.
 
     Raises RecordingError for such a file without these columns.
     """
@@ -85,7 +85,7 @@ def _read_sites(path: Path) -> Mapping[str, str]:
 
 
 def _at_grid(labels: UInt8Array, rows: int, cols: int) -> UInt8Array:
-    """Label of the photo's pixel at the middle of each of the network's."""
+    """Return the label of the photo's pixel at the middle of each of the network's."""
     height, width = labels.shape
     down = ((np.arange(rows) + 0.5) * height / rows).astype(np.int64)
     across = ((np.arange(cols) + 0.5) * width / cols).astype(np.int64)
@@ -99,9 +99,9 @@ def _enlarged(planes: Float32Array, rows: int, cols: int) -> Float32Array:
 
 
 def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], list[str]]:
-    """Each photo once for each fold that has areas of it, with the labels of these alone, and the folds' names.
+    """Return each photo once for each fold with areas in it, with the labels of these only, and the folds' names.
 
-    An area is what hangs together of one class, cut where it passes an eighth of the picture's width. Those of a class
+    An area is what hangs together of one class, cut where it passes an eighth of the image's width. Those of a class
     go to the folds in turn, the largest first, so that a class of two areas is in two folds.
     """
     parts, names = [], []
@@ -123,7 +123,7 @@ def by_area(frames: Sequence[Frame], folds: int = FOLDS) -> tuple[list[Frame], l
 
 
 def _areas(named: BoolArray) -> Int64Array:
-    """(H, W) number of each area, from 1 on; 0 where nothing is named."""
+    """Return (H, W) number of each area, from 1 on; 0 where nothing is named."""
     side = max(1, -(-named.shape[1] // _CUTS))
     found, last = np.zeros(named.shape, np.int64), 0
     for down in range(0, named.shape[0], side):

@@ -1,4 +1,4 @@
-"""Teaches a head and judges it: by sites that did not teach it, by what it forgets elsewhere, by its calibration."""
+"""Train a label head and test it on other sites, on what it forgets elsewhere, and on its calibration."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 AGREEMENT: Final = LabelAgreement(reach=0.006)
-"""Before its exponent is fitted. The reach was chosen on the five tower views held out: 8 pixels of 1280."""
+"""Agreement filter before its exponent is fitted. The radius, 8 pixels of 1280, was chosen on five held-out tower
+views."""
 LAND_AND_SKY: Final = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
 _SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
 class HeadScore:
-    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration`
-    leaves out the pixels that are sky in truth, which are many and easy."""
+    """Scores of labels against truth. `macro`: the classes of the mean F1. `land_calibration` ignores true sky pixels,
+    which are many and easy."""
 
     labels: SegmentationScore
     calibration: CalibrationScore
@@ -58,9 +59,9 @@ class HeadScore:
 
 @dataclass(frozen=True, eq=False)
 class HeadTrial:
-    """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
-    sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
-    """
+    """Trained label head and its scores. `before`, `after`: of the photos, by the network and by label heads trained on
+    photos of other sites (`folds`: the way photos were separated); their macro F1 is of the classes that two sites
+    show."""
 
     file: LabelHeadFile
     sites: tuple[str, ...]
@@ -70,7 +71,7 @@ class HeadTrial:
 
     @property
     def better(self) -> bool:
-        """Whether the macro F1 rose."""
+        """Return whether the macro F1 rose."""
         return self.after.macro_f1 > self.before.macro_f1
 
 
@@ -85,7 +86,7 @@ def teach_head(
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
     fit: HeadFitConfig | None = None,
 ) -> HeadTrial:
-    """Teach a head to labelled photos.
+    """Train a label head on labelled photos.
 
     Each site's photos are labelled by a head that the other sites taught; from these answers come scores, agreement
     and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
@@ -96,17 +97,17 @@ def teach_head(
     """
     manifest = segmenter.manifest
     if not manifest.maps:
-        raise ModelError(f"model {manifest.name!r} states no decoder maps in its manifest; heads need them")
+        raise ModelError(f"model {manifest.name!r} has no decoder maps in its manifest; label heads need them")
     ids = [segmenter.labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes]
     if ids != list(range(len(ids))):
         raise ModelError(
-            f"model {manifest.name!r}: a head needs a network whose classes are the labels, in their order"
+            f"model {manifest.name!r}: a label head needs a network whose classes are the labels, in order"
         )
     photos = len(frames)
     if photos < 2 and not one_view:
         raise ModelError(
-            "one photo cannot both teach a head and judge it; name areas in a photo of another site too, or say that "
-            "the head is for this view alone (--one-view)"
+            "one photo cannot both train and test a label head; label a photo of another site too, or "
+            "restrict the label head to this view (--one-view)"
         )
     rng = np.random.default_rng(_SEED)
     sites = sites_of(list(frames))
@@ -119,7 +120,7 @@ def teach_head(
     counted = _shared(samples)
     if not counted:
         where = "areas" if one_view else "photos of two sites"
-        raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
+        raise ModelError(f"no class is labelled in two {where}, so nothing can be tested; label more areas")
     rules = withdrawal or Withdrawal()
 
     def taught(by: Sequence[PhotoSamples]) -> LabelHead:
@@ -164,7 +165,7 @@ def score_photos(
     macro: tuple[int, ...] = LAND_AND_SKY,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadScore:
-    """Label each frame with the segmenter at its place and compare with the truth; `look` gets each answer."""
+    """Label each frame with the segmenter at its place and compare with the truth; `look` receives each result."""
     classes = len(segmenters[0].labels)
     labels = SegmentationScore.empty(classes)
     calibration = land_calibration = CalibrationScore.empty()
@@ -181,8 +182,8 @@ def score_photos(
 def _judged_by_others(
     segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], heads: Mapping[str, LabelHead]
 ) -> tuple[dict[str, LabelHead], LabelAgreement]:
-    """The heads of the groups held out as they are scored, with the agreement that the photos of the other groups gave,
-    so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
+    """Return the heads of the groups held out as they are scored, with the agreement that the photos of the other
+    groups gave, so that no photo had a part in how sure the head is that labels it; and the agreement of all."""
     surety = [_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)]
     judged = {
         group: replace(head, agreement=_agreement([s for g, s in zip(groups, surety, strict=True) if g != group]))
@@ -199,12 +200,12 @@ def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float6
 
 
 def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> LabelAgreement:
-    """With the exponent that makes it the share of right labels."""
+    """Return the agreement with the exponent that makes it the share of right labels."""
     return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(surety), 3)})
 
 
 def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
-    """Classes that two held-out groups hold at least: of others, none teaches the one that judges."""
+    """Return the classes that two held-out groups hold at least: of others, none teaches the one that judges."""
     groups: dict[int, set[str]] = {}
     for sample in samples:
         for k in np.unique(sample.labels):
@@ -213,8 +214,8 @@ def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
 
 
 def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdrawal: Withdrawal) -> LabelHead:
-    """A fitted head as it runs, before it has a file. Its temperature is 1: of a few sites one constant, the exponent
-    of agreement, says how sure a label is; a second one follows their chances."""
+    """Return a fitted label head in its usable form, before it has a file. Its temperature is 1: on few sites, the
+    exponent of agreement alone calibrates confidence; a second constant would fit noise."""
     weights, start = {}, 0
     for key, count in channels.items():
         weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Reads frames with their labels, to teach or to score a label network.
+"""Read frames with their labels, to train or to score a label network.
 
 A set is a folder of images `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
 person named in the folder's `polygons.json`. If an image has both, the PNG is used.
@@ -22,13 +22,13 @@ from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 LABELS_SUFFIX = "_labels.png"
 INDEX_FILE: Final = "frames.json"
-"""Index of a simulated set."""
+"""Index file of a simulated set."""
 UNKNOWN: Final = 254
-"""In labels to train on: nothing at all is known of the pixel (255: it is not sky)."""
+"""Training label of a pixel of which nothing is known (255: it is not sky)."""
 LAND: Final = 253
-"""In labels to train on: a slope of unknown cover, so neither sky nor water nor built."""
+"""Training label of a slope of unknown cover: neither sky nor water nor built."""
 _NO_CLASS: Final = (ERASED, MASKED, "lens", "caption")
-"""Areas that take truth away: nothing is known there, or `ltm mask` hides it."""
+"""Areas without ground truth: unknown, or hidden by `ltm mask`."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Frame:
 
 
 def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame]:
-    """Frames of a folder that have their labels, in order of name.
+    """Read the labelled frames of a folder, in order of name.
 
     With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
     enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError
-    where a picture cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
+    where an image cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
     and 255.
     """
     frames = []
@@ -69,14 +69,14 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
         frames.sort(key=lambda frame: frame.path.name)
     if not frames:
         raise RecordingError(
-            f"{folder}: no frames; expected pictures NNNN.png or .jpg with NNNN{LABELS_SUFFIX} beside them, or "
-            f"{POLYGONS_FILE} that names areas of them"
+            f"{folder}: no frames; expected images NNNN.png or .jpg with NNNN{LABELS_SUFFIX} beside them, or "
+            f"{POLYGONS_FILE} that labels areas in them"
         )
     return frames
 
 
 def holds_frames(folder: Path) -> bool:
-    """Whether a folder has labels of pictures in one of the two forms."""
+    """Return whether a folder has labels of images in one of the two forms."""
     return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()
 
 
@@ -91,7 +91,7 @@ def without_classes(frames: Sequence[Frame], classes: Sequence[int]) -> list[Fra
 
 
 def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
-    """The areas of each photo, in the order of the file.
+    """Return the areas of each photo, in the order of the file.
 
     Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder.
     """
@@ -109,14 +109,14 @@ def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
 
 
 def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: int, source: Path) -> Frame:
-    """A photo whose labels are the areas that were named in it."""
+    """Return a photo whose labels are the areas that were named in it."""
     check_picture(photo)
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     if image is None:
-        raise ImageError(f"{photo}: cannot be read as a picture, though {source} names areas of it")
+        raise ImageError(f"{photo}: cannot be read as an image, but {source} labels areas in it")
     labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
     if ((labels >= classes) & (labels != UNLABELLED)).any():
-        raise ImageError(f"{source}: names a class of {photo.name} that is none of the first {classes}")
+        raise ImageError(f"{source}: a class of {photo.name} is not among the first {classes}")
     return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), labels, photo)
 
 
@@ -124,7 +124,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     labels = cv2.imread(str(truth), cv2.IMREAD_UNCHANGED)
     if image is None or labels is None:
-        raise ImageError(f"{photo if image is None else truth}: cannot be read as a picture; render the frame again")
+        raise ImageError(f"{photo if image is None else truth}: cannot be read as an image; render the frame again")
     if sampled:
         labels = _spread(labels, image.shape[0], image.shape[1])
     if labels.shape != image.shape[:2] or labels.dtype != np.uint8:
@@ -132,12 +132,12 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     ids = np.unique(labels)
     wrong = ids[(ids >= classes) & (ids < LAND)]
     if wrong.size:
-        raise ImageError(f"{truth}: holds label {wrong[0]}, expected ids below {classes} or {UNLABELLED}")
+        raise ImageError(f"{truth}: contains label {wrong[0]}; expected ids below {classes} or {UNLABELLED}")
     return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), np.asarray(labels, np.uint8), photo)
 
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Labels of every n-th pixel put at their places in a full image; any other shape is left as it is."""
+    """Return the labels of every n-th pixel put at their places in a full image; any other shape is unchanged."""
     step = -(-height // labels.shape[0])
     full = np.full((height, width), UNLABELLED, np.uint8)
     if full[::step, ::step].shape != labels.shape or step == 1:

@@ -1,5 +1,5 @@
-"""Locating: from what is marked in pictures to a place on the map, with what is not known of it, and back.
+"""Locate marks in images on the map, with their uncertainty, and project places into images.
 
-`region` is what is marked, `locator` finds where it stands, `posterior` is the answer's probability, `answer` what is
-said of it in the coordinates that people use, `place` the way back: where the cameras see a place.
+`region` has the marks, `locator` locates them, `posterior` is the probability of the result, and `answer` describes it
+in usual coordinates and finds the views of a place.
 """

@@ -23,15 +23,15 @@ from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVis
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0
-"""A picture that shows a place should be that many times as wide as what is not known of the place."""
+"""Ratio of an image's width to the uncertainty of a place for the image to show that place."""
 _NARROWEST_DEG = 2.0
 
 
 @dataclass(frozen=True)
 class PlaceView:
-    """A place as one camera has it.
+    """View of a place by one camera.
 
-    `pixel`: u, v, where it lies in the picture, hidden or not; None behind the camera or outside. `state`: seen,
+    `pixel`: u, v, where it lies in the image, hidden or not; None behind the camera or outside. `state`: seen,
     hidden, outside or unknown. `lift`: metres above the place from which the camera sees it; 0 where it is seen, NaN
     where unknown ground decides. `hidden_by`: x, y, z of the crest before it. `azimuth_deg` (from grid north),
     `pitch_deg`: where to turn. `hfov_deg`: how wide to look, so that what is not known of the place is in view.
@@ -56,13 +56,13 @@ class PlaceView:
 def place_views(
     sight: PointVisibility, cameras: Sequence[PosedCamera], place: Float64Array, extent: float = 0.0
 ) -> list[PlaceView]:
-    """Views of a place (3,) by all cameras, in their order. `extent`: metres by which the place may be off.
+    """Return the views of a place (3,) by all cameras, in their order. `extent`: metres by which the place may be off.
 
     Raises RegionError for a place that is not finite, as beside the DEM, where no height is known.
     """
     target = np.asarray(place, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():
-        raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}: is it on the DEM?")
+        raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}; check that it is on the DEM")
     return [_view(sight, camera, target, extent) for camera in cameras]
 
 
@@ -88,7 +88,8 @@ def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, exte
 
 
 def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> tuple[float, float, float] | None:
-    """The ground that stands highest in the line of sight, as finely as a fan has it; None where none is known."""
+    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None where none is
+    known."""
     x, y, z = (float(v) for v in camera.pose.position)
     distance = math.hypot(place[0] - x, place[1] - y)
     azimuth = math.atan2(place[0] - x, place[1] - y)
@@ -104,12 +105,12 @@ def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> 
 
 
 SHARES = (0.5, 0.95)
-"""Of the probability, that the ellipses hold."""
+"""Probabilities that the ellipses contain."""
 
 
 @dataclass(frozen=True)
 class PlaceName:
-    """A place as people say it. `x`, `y`: in `crs`. `mgrs`: to the metre, WGS 84."""
+    """Names of a place. `x`, `y`: in `crs`. `mgrs`: to the metre, WGS 84."""
 
     crs: str
     x: float
@@ -117,7 +118,7 @@ class PlaceName:
     lon: float
     lat: float
     mgrs: str | None
-    """None beyond 84 degrees north and 80 south, where MGRS has other grids."""
+    """MGRS coordinate; None beyond 84 degrees north and 80 south, where MGRS has other grids."""
     elevation: float | None
 
 
@@ -129,7 +130,7 @@ class Fuel:
 
 @dataclass(frozen=True, eq=False)
 class LocateResult:
-    """`ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
+    """Result of locating. `ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
 
     location: Location
     name: PlaceName
@@ -148,7 +149,7 @@ def answer(
     prior: FuelPrior | None,
     smoke: bool,
 ) -> LocateResult:
-    """Everything that is said of a location. `prior`: its geometry in the map frame."""
+    """Return the complete result of a location. `prior`: its geometry in the map frame."""
     posterior = location.posterior
     x, y = posterior.mean
     heights = sight.dem.elevation_at(posterior.places[:, 0], posterior.places[:, 1])
@@ -170,7 +171,7 @@ def answer(
 
 
 def place_name(frame: SiteFrame, x: float, y: float, elevation: float) -> PlaceName:
-    """Of a place in the map frame; `elevation` NaN where it is not known."""
+    """Return the names of a place in the map frame; `elevation` is NaN if unknown."""
     lon, lat = (float(v) for v in frame.to_lonlat(x, y))
     height = None if math.isnan(elevation) else elevation
     return PlaceName(frame.crs, x + frame.x_origin, y + frame.y_origin, lon, lat, _mgrs(lon, lat), height)
@@ -187,7 +188,7 @@ def _mgrs(lon: float, lat: float) -> str | None:
 
 
 def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
-    """The prior's fuel model at a place of the map; None where it knows none."""
+    """Return the prior's fuel model at a place of the map; None if unknown."""
     if prior is None:
         return None
     row, col = (int(v) for v in prior.geometry.cell_of(x, y))
@@ -198,7 +199,7 @@ def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
 
 
 def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
-    """For JSON: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
+    """Return JSON-ready data: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
     posterior = said.location.posterior
     return {
         "place": asdict(said.name),
@@ -259,7 +260,7 @@ def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
 
 
 def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
-    """One camera's view of a place."""
+    """Return one camera's view of a place."""
     hidden = view.hidden_by
     return {
         "camera": view.camera,
@@ -277,9 +278,8 @@ def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
 
 
 def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
-    """A FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
-    ellipses, and the modes where there are several.
-    """
+    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all properties, the ellipses,
+    and the modes if there are several."""
 
     def lonlat(points: Float64Array) -> list[list[float]]:
         lon, lat = frame.to_lonlat(points[:, 0], points[:, 1])

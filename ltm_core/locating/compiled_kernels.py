@@ -1,4 +1,4 @@
-"""Makes the machine code of locating before the first region needs it."""
+"""Compile the kernels of locating before the first region needs them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ltm_core.visibility.viewshed import PosedCamera
 
 
 def compile_kernels() -> None:
-    """Now, or load them from numba's cache: the first region shall not wait for it."""
+    """Compile the kernels, or load them from numba's cache, so that the first region does not wait."""
     plain = Dem(np.zeros((60, 80), np.float32), GridGeometry(0.0, 600.0, 10.0, 80, 60))
     camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((400.0, 50.0, 40.0), 0.0, -10.0)
     mark = marked_pixel(camera, (32.0, 24.0), 1.0)

@@ -46,16 +46,17 @@ from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import pixel_rays
 
 STEEPEST_DEG = 80.0
-"""Below the horizon: a camera that looks straighter down has no azimuth to speak of."""
+"""Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""
 LEAST_KNOWN_DEG = 20.0
-"""Sigma of an azimuth above which a camera's direction counts as unknown."""
+"""Standard deviation of an azimuth in degrees above which a camera's direction counts as unknown."""
 KNOTS = np.geomspace(5.0, 80_000.0, 15)
-"""Ranges, metres, at which covariances are worked out."""
+"""Ranges in metres at which covariances are computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedDirections:
-    """`azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges KNOTS."""
+    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges
+    KNOTS."""
 
     azimuth: Float64Array
     slope: Float64Array
@@ -64,18 +65,19 @@ class MarkedDirections:
 
     @property
     def azimuth_sigma(self) -> float:
-        """The largest there is beyond 150 m."""
+        """Return the largest standard deviation of the azimuth beyond 150 m."""
         return float(np.sqrt(self.covariance[:, KNOTS > 150.0, 0, 0].max()))
 
 
 def marked_directions(
     mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
-    """Raises RegionError for pixels without a ray, and for those that look straight down or up."""
+    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for those that point steeply
+    down or up."""
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
-        raise RegionError(f"pixel ({u:g}, {v:g}) lies beyond the lens's model: no ray goes through it; check k1 to k3")
+        raise RegionError(f"pixel ({u:g}, {v:g}) is outside the lens model and has no ray; check k1 to k3")
     d = rays @ pose.rotation.T
     level = np.hypot(d[:, 0], d[:, 1])
     slope = d[:, 2] / np.maximum(level, 1e-12)
@@ -83,7 +85,7 @@ def marked_directions(
     if steep.any():
         u, v = mark.pixels[steep][0]
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) looks {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
+            f"pixel ({u:g}, {v:g}) is {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
             f"only directions within {STEEPEST_DEG:g} degrees of it are located"
         )
     first = np.arctan2(d[0, 0], d[0, 1])
@@ -106,14 +108,14 @@ def marked_directions(
     found = MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
     if not found.azimuth_sigma < math.radians(LEAST_KNOWN_DEG):
         raise RegionError(
-            f"the mark's azimuth is known to {math.degrees(found.azimuth_sigma):.3g} degrees, sigma; more than "
-            f"{LEAST_KNOWN_DEG:g} locates nothing: check the pose's covariance"
+            f"the azimuth of the mark has a sigma of {math.degrees(found.azimuth_sigma):.3g} degrees; with more than "
+            f"{LEAST_KNOWN_DEG:g} nothing can be located: check the pose covariance"
         )
     return found
 
 
 def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64Array) -> Float64Array:
-    """(K, 2, 2): change of (azimuth, slope) a pixel of u and of v, by differences of the projection."""
+    """Return (K, 2, 2): change of (azimuth, slope) a pixel of u and of v, by differences of the projection."""
     step = 1e-5
 
     def pixels(a: Float64Array, t: Float64Array) -> Float64Array:
@@ -128,24 +130,23 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
         columns.append(both / step)
     jacobian = np.stack(columns, axis=-1)
     if not np.isfinite(jacobian).all() or (np.abs(np.linalg.det(jacobian)) < 1e-9).any():
-        raise RegionError("the region lies at the fold of the lens's model, where pixels have no direction; check k1")
+        raise RegionError("the region is at the edge of the lens model, where pixels have no direction; check k1")
     return np.asarray(np.linalg.inv(jacobian), np.float64)
 
 
 DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
-"""Radians of sideways drift, sigma, for which azimuths are worked out."""
+"""Standard deviations of sideways drift in radians for which azimuths are computed."""
 NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
 TURN_SCALE = math.radians(2.0)
 MOST_TURNED = math.radians(15.0)
-"""How far a camera may be turned without anybody's knowledge: Cauchy's distribution with this scale, cut off there.
-Mounts slip by little more often than by much, and nothing is known of how much."""
+"""Scale and cut-off of the Cauchy distribution of an unnoticed turn of a camera. Small slips are only slightly more
+frequent than large ones, and the distribution of their size is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionTable:
     """Marked directions by DRIFTS, azimuth of the fan and knot of range: `density` (D, A, J) of the azimuth; `slope`,
-    `variance` (A, J) of the slope there, without drift.
-    """
+    `variance` (A, J) of the slope there, without drift."""
 
     density: Float64Array
     slope: Float64Array
@@ -153,9 +154,8 @@ class DirectionTable:
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
-    """Each marked place is a normal distribution of azimuth and slope; over the places, the slope's distribution at an
-    azimuth is taken by its mean and variance.
-    """
+    """Tabulate marked places, each a normal distribution of azimuth and slope; at each azimuth, the slope is summarised
+    by its mean and variance."""
     c = directions.covariance
     off = azimuths[:, None, None] - directions.azimuth[None, :, None]
     drifts = DRIFTS if drifting else DRIFTS[:1]
@@ -177,7 +177,7 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
 
 
 def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
-    """Of a camera that is turned by nobody knows how much: the marked slope, and its azimuth as good as that."""
+    """Return the table of a camera turned by an unknown angle: the marked slope, and an equally uncertain azimuth."""
     middle = float(directions.azimuth @ directions.weights)
     turned = turn_density(directions, azimuths - middle)
     shape = (len(azimuths), len(KNOTS))
@@ -187,46 +187,46 @@ def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> Direct
 
 
 def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
-    """Of azimuths that are off the marked one by an angle, of a camera that is turned by nobody knows how much."""
+    """Return the density of azimuths at an angle from the marked one, for a camera turned by an unknown angle."""
     middle = float(directions.azimuth @ directions.weights)
     spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
     return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
 
 
 def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
-    """Density of the angle by which a camera is turned, where one is."""
+    """Return the density of the angle by which a turned camera is turned."""
     return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
-    """The marked slope, and its variance (J,), over all marked places."""
+    """Return the marked slope, and its variance (J,), over all marked places."""
     slope = float(directions.slope @ directions.weights)
     own = np.asarray(directions.weights @ directions.covariance[..., 1, 1], np.float64)
     return slope, own + float(directions.weights @ (directions.slope - slope) ** 2)
 
 
 LEVEL_SHARE = 0.1
-"""Of a raster's cell size: the least sigma that its heights have between its nodes."""
+"""Minimum standard deviation of heights between nodes, as a share of the raster's cell size."""
 APART_CELLS = 4.0
-"""Cells from which errors of a raster's heights count as independent."""
+"""Distance in cells beyond which height errors of a raster are independent."""
 OTHERWISE = 0.2
 """Share of wrong cameras whose slope is wrong too."""
 OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
-"""Density of their slope, as of a normal distribution with a sigma of two degrees."""
+"""Density of the slope of a wrong camera: that of a normal distribution with a sigma of two degrees."""
 
 
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
-    """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
+    """Return, by raster of the terrain (L,), the variance of heights and the distance in metres beyond which their
+    errors are independent."""
     resolutions = np.array([level.geometry.resolution for level in dem.levels])
     return np.maximum(config.dem_sigma, LEVEL_SHARE * resolutions) ** 2, APART_CELLS * resolutions
 
 
 @dataclass(frozen=True, eq=False)
 class SightLikelihood:
-    """Of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the greatest that the
-    sample could have, were the mark where it is best for it: 1 where all agrees. `lifts`: metres above the ground from
-    which something is seen.
-    """
+    """Likelihood of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the
+    sample's maximum for the best mark, 1 for full agreement. `lifts`: metres above the ground from which something is
+    visible."""
 
     density: Float64Array
     fit: Float32Array
@@ -244,7 +244,7 @@ def sight_likelihood(
     lean: float = 0.0,
     turned: bool = False,
 ) -> SightLikelihood:
-    """What the mark says of each sample.
+    """Return the likelihood of each sample given the mark.
 
     Args:
         height: of the camera, metres.

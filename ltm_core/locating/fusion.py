@@ -20,10 +20,9 @@ from ltm_core.locating.turn_evidence import TurnProfile, turn_profile
 
 @dataclass(frozen=True, eq=False)
 class SightRaster:
-    """Of one fan, (H, W) each. `density`: of the marked direction, given the cell; 0 where the fan has no sample.
-    `fit`: of the cell's best sample (`SightLikelihood.fit`). `lift`: metres above the ground from which something is
-    seen, of the likelier parts of the cell.
-    """
+    """Sight raster of one fan, (H, W) each. `density`: of the marked direction, given the cell; 0 where the fan has no
+    sample. `fit`: of the cell's best sample (`SightLikelihood.fit`). `lift`: metres above the ground from which
+    something is visible, of the more likely parts of the cell."""
 
     density: Float64Array
     fit: Float64Array
@@ -37,7 +36,8 @@ class SightRaster:
 def sight_raster(
     fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
 ) -> SightRaster:
-    """Every sample stands for its part of the sector, as long as its step and as wide as its azimuth's share."""
+    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its azimuth's
+    share."""
     samples = FanSamples(fan.ranges, fan.steps, fan.widths, np.sin(fan.azimuths), np.cos(fan.azimuths))
     sums = SplatSums(*(np.zeros(window.shape) for _ in range(4)))
     x0, y0 = (position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution
@@ -79,25 +79,25 @@ def _splat(
 
 
 _SIDE = 240
-"""Cells along the longer side of a window."""
+"""Number of cells along the longer side of a window."""
 _FINEST = 0.5
-"""Metres: no cell is smaller."""
+"""Minimum cell size in metres."""
 _BEYOND = 20.0
-"""A place whose misfit is that much greater than the best one's is looked at no closer."""
+"""Excess of misfit over the best place above which a place is not refined."""
 _ROUNDS = 3
 _ALIKE = 8
-"""Power of the cosine between two cameras' directions by which they count as one: 0.76 at 15 degrees, 0.06 at 45."""
+"""Exponent of the cosine between the directions of two cameras that measures how far they count as one: 0.76 at 15
+degrees, 0.06 at 45."""
 _SHRINKS = 0.5
-"""Another closer look is worth it where the window becomes that much smaller."""
+"""Factor by which a window must shrink for another refinement."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fused:
-    """On one raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density
-    of the posterior. `lift`: metres above ground from which the camera that sees least of a cell sees something.
-    `log_evidence`: logarithm of the probability density of all marks, over all places; -inf where none is possible.
-    `profile`: the same by the angle of a camera that is turned.
-    """
+    """Fused raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density of
+    the posterior. `lift`: metres above ground from which the camera with the worst view of a cell sees something.
+    `log_evidence`: logarithm of the probability density of all marks, over all places; -inf if none is possible.
+    `profile`: the same by the angle of a turned camera."""
 
     window: GridGeometry
     misfit: Float64Array
@@ -112,9 +112,9 @@ class Fused:
 
 
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """All sights together, as finely as the places that they allow in common ask for.
+    """Fuse all sights at the resolution that their common places need.
 
-    `turned`: of a camera that is turned by nobody knows how much.
+    `turned`: sights of a camera that is turned by an unknown angle.
     """
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
@@ -151,7 +151,7 @@ def _shared(sights: Sequence[Sight]) -> dict[str, float]:
 
 
 def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
-    """Several posteriors of which one is true, on one raster."""
+    """Return the mixture of several posteriors, one of which is true, on one raster."""
     if len(parts) == 1:
         return parts[0]
     bounds = np.array([part.window.bounds for part in parts])
@@ -174,7 +174,8 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
 
 
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
-    """Whole multiples of the resolution from the map's origin, so that equal places give equal rasters."""
+    """Return a grid at whole multiples of the resolution from the map's origin, so that equal places give equal
+    rasters."""
     return GridGeometry.snapped(bounds, resolution, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Locates what is marked in the pictures of one or several cameras: from sightings to a posterior over the map.
+"""Locate marks in the images of one or several cameras: from sightings to a posterior over the map.
 
 For a place x, camera c and its marked direction m_c (`sight_likelihood`), with the chance that a plume is higher than
 h, S(h) = exp(-h / plume_height), and the chance to notice a fire at range r, D(r) = 1 / (1 + (r / detection_range)^2):
@@ -43,18 +43,17 @@ from ltm_core.raster.dem import Dem
 
 MOST_SIGHTINGS = 64
 _NEGLIGIBLE = 0.02
-"""Probability of a camera to be the wrong one below which the answer without it does not count."""
+"""Probability of a wrong camera below which the solution without it is ignored."""
 _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
-"""Of one in fifty wrong cameras, which mark something else: density of their marks, in any azimuth."""
+"""Density of marks, in any azimuth, of the one in fifty wrong cameras that mark another object."""
 
 
 @dataclass(frozen=True)
 class CameraAgreement:
-    """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
-    where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
-    one, where they disagree; else empty. `wrong`: the one that is named, `verdict` being sure of it. `turns`: what the
-    marks say of each camera's turn, to be taken together with other fires' (`wrong_camera`); `verdict`: of these alone.
-    """
+    """Agreement of the cameras. `statistic`: log likelihood ratio of one wrong camera to none; +inf if no place fits
+    all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong one if they disagree; else empty.
+    `wrong`: the reported camera, if `verdict` is certain. `turns`: evidence of each camera's turn, to be combined with
+    that of other fires."""
 
     statistic: float
     limit: float
@@ -70,10 +69,9 @@ class CameraAgreement:
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """`posterior`: in the map frame; where cameras disagree, without each by its probability to be wrong. `misfit`: T
-    at the best place, of one camera's sightings too. `agreement`: None where one camera has seen it. `lift`: metres
-    above the ground from which the camera that sees least of it sees smoke, mean over the posterior.
-    """
+    """Result of `locate`. `posterior`: in the map frame; if cameras disagree, a mixture over the wrong camera.
+    `misfit`: T at the best place, also of one camera's sightings. `agreement`: None with one camera. `lift`: metres
+    above the ground from which the camera with the worst view sees smoke, mean over the posterior."""
 
     posterior: Posterior
     misfit: float
@@ -82,7 +80,7 @@ class Location:
 
 
 class Locator:
-    """Locates over one terrain.
+    """Locator of marks on one terrain.
 
     Args:
         dem: what cameras see of the terrain (`Site.open_surface`), in the frame of the poses; a stack too.
@@ -96,7 +94,7 @@ class Locator:
         self.config = config
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
-        """Where the marked thing stands.
+        """Locate the marked object.
 
         Args:
             sightings: one or several, of one or several cameras, of the same thing.
@@ -107,7 +105,7 @@ class Locator:
         camera under the ground or a covariance that is none.
         """
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
-            raise RegionError(f"1 to {MOST_SIGHTINGS} sightings are located at once, got {len(sightings)}")
+            raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")
         terrain = LocatingTerrain(self.dem, self.bend, self.config, smoke)
         names = list(dict.fromkeys(sighting.name for sighting in sightings))
         sights = [terrain.look(sighting) for sighting in sightings]
@@ -138,20 +136,21 @@ class Locator:
 
     @property
     def limit(self) -> float:
-        """Of the misfit of one camera's sightings of one thing."""
+        """Return the maximum misfit of one camera's sightings of one object."""
         return float(chdtri(2, self.config.false_alarm))
 
 
 def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
     posterior = Posterior.of_raster(fused.weight, fused.window)
     if posterior is None:
-        raise RegionError("no place on the map is possible for all sightings: they show different things")
+        raise RegionError("no place on the map fits all sightings; they show different objects")
     lift = float(posterior.probability @ fused.lift[posterior.rows, posterior.cols])
     return Location(posterior, fused.least, agreement, lift)
 
 
 def _shares(evidences: Float64Array) -> list[float]:
-    """Probabilities of hypotheses that are equally likely before; where nothing is possible under any, still equal."""
+    """Return the probabilities of hypotheses that are equally likely before; where nothing is possible under any, still
+    equal."""
     if not np.isfinite(evidences.max()):
         return [1 / len(evidences)] * len(evidences)
     weights = np.exp(evidences - evidences.max())

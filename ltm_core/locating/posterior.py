@@ -19,7 +19,8 @@ from ltm_core.geometry.grid import GridGeometry
 
 @dataclass(frozen=True)
 class Ellipse:
-    """`centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one, from grid north."""
+    """Ellipse. `centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one, from grid
+    north."""
 
     centre: tuple[float, float]
     major: float
@@ -28,11 +29,11 @@ class Ellipse:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Return the area in square metres."""
         return math.pi * self.major * self.minor
 
     def outline(self, count: int = 72) -> Float64Array:
-        """(count + 1, 2) x, y around it, closed, counter-clockwise."""
+        """Return (count + 1, 2) x, y of the closed outline, counter-clockwise."""
         angle = np.linspace(0, 2 * np.pi, count + 1)
         azimuth = math.radians(self.azimuth_deg)
         along = np.array([math.sin(azimuth), math.cos(azimuth)])
@@ -43,7 +44,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Mode:
-    """One connected part of the densest region. `share`: of all probability. `centre`: its mean, x, y."""
+    """Connected part of the densest region. `share`: of all probability. `centre`: its mean, x, y."""
 
     share: float
     centre: tuple[float, float]
@@ -64,9 +65,8 @@ class Posterior:
 
     @classmethod
     def of_raster(cls, raster: Float64Array, geometry: GridGeometry, least: float = 1e-9) -> Posterior | None:
-        """From unnormalised densities (H, W); cells with less than `least` of the greatest are left out. None where
-        there is no probability at all.
-        """
+        """Return the posterior of unnormalised densities (H, W); cells with less than `least` of the maximum are
+        dropped. None if all densities are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:
             return None
@@ -77,7 +77,7 @@ class Posterior:
 
     @cached_property
     def places(self) -> Float64Array:
-        """Cell centres, (N, 2) x, y."""
+        """Return the cell centres, (N, 2) x, y."""
         return np.column_stack(self.geometry.to_map(self.rows, self.cols))
 
     @cached_property
@@ -87,19 +87,18 @@ class Posterior:
 
     @cached_property
     def covariance(self) -> Float64Array:
-        """(2, 2) square metres, the cells' own size included."""
+        """Return the covariance (2, 2) in square metres, including the cells' own size."""
         off = self.places - np.array(self.mean)
         return np.asarray((off * self.probability[:, None]).T @ off + np.eye(2) * self.geometry.resolution**2 / 12)
 
     @property
     def sigma(self) -> float:
-        """Metres: root mean square of the distance to the mean."""
+        """Return the root mean square distance to the mean in metres."""
         return math.sqrt(float(np.trace(self.covariance)))
 
     def ellipse(self, share: float) -> Ellipse:
-        """Of the covariance's shape, around the mean, as large as holds `share` of the probability: of a normal
-        distribution the usual ellipse, of any other one that is as honest.
-        """
+        """Return the ellipse with the covariance's shape around the mean that contains `share` of the probability; for
+        a normal distribution it is the usual one."""
         values, vectors = np.linalg.eigh(self.covariance)
         along = vectors[:, 1]
         azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
@@ -112,40 +111,38 @@ class Posterior:
         return Ellipse(unit.centre, unit.major * scale, unit.minor * scale, azimuth)
 
     def densest(self, share: float) -> BoolArray:
-        """(N,) the cells of the smallest region that holds at least `share` of the probability."""
+        """Return (N,) the cells of the smallest region with at least `share` of the probability."""
         before = np.concatenate([[0.0], np.cumsum(self.probability)[:-1]])
         return np.asarray(before < share)
 
     def densest_area(self, share: float) -> float:
-        """Square metres of that region."""
+        """Return the area of that region in square metres."""
         return float(self.densest(share).sum()) * self.geometry.resolution**2
 
     def credibility(self, x: float, y: float) -> float:
-        """Share of the probability in cells more probable than that of a place: it lies in the densest region of any
-        share above this. 1 where it lies in none.
-        """
+        """Return the share of the probability in cells more probable than that of a place: the place is in the densest
+        region of any larger share. 1 if it is in none."""
         row, col = (int(v) for v in self.geometry.cell_of(x, y))
         here = np.flatnonzero((self.rows == row) & (self.cols == col))
         return float(self.probability[: here[0]].sum()) if len(here) else 1.0
 
     def holds(self, ellipse: Ellipse, x: float, y: float) -> bool:
-        """Whether a place lies in an ellipse."""
+        """Return whether a place is in an ellipse."""
         return bool(_reach(ellipse, np.array([[x, y]]))[0] <= 1)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
-        """Connected parts of the densest 95 %, most probable first; those of less than a hundredth are left out."""
+        """Return the connected parts of the densest 95 %, most probable first; those below 1 % are dropped."""
         return self._parts(0.95)
 
     @cached_property
     def likeliest(self) -> tuple[float, float]:
-        """Mean of the most probable connected part of the densest half, x, y: where to look first. The mean of all may
-        lie between two places.
-        """
+        """Return the mean x, y of the most probable connected part of the densest half: the first place to search. The
+        mean of all may lie between two places."""
         return self._parts(0.5)[0].centre
 
     def _parts(self, share: float) -> tuple[Mode, ...]:
-        """Connected parts of the densest region."""
+        """Return the connected parts of the densest region."""
         chosen = self.densest(share)
         rows, cols, probability = self.rows[chosen], self.cols[chosen], self.probability[chosen]
         top, left = int(rows.min()), int(cols.min())
@@ -164,14 +161,14 @@ class Posterior:
         return tuple(sorted(found, key=lambda mode: -mode.share))
 
     def raster(self) -> Float64Array:
-        """(H, W) of `geometry`."""
+        """Return the raster (H, W) of `geometry`."""
         full = np.zeros(self.geometry.shape)
         full[self.rows, self.cols] = self.probability
         return full
 
 
 def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
-    """Distance from the centre over that of the outline in the same direction, (N,)."""
+    """Return the distance from the centre over that of the outline in the same direction, (N,)."""
     azimuth = math.radians(ellipse.azimuth_deg)
     along = np.array([math.sin(azimuth), math.cos(azimuth)])
     off = places - np.array(ellipse.centre)
@@ -181,9 +178,9 @@ def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
 
 
 def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """A picture of the camera's size whose pixels that are not black are masked, (H, W).
+    """Read a mask of the camera's image size; non-black pixels are masked, (H, W).
 
-    Raises ImageError for a file that is no picture, RegionError for one of another size.
+    Raises ImageError for a file that is no image, RegionError for one of another size.
     """
     from ltm_core.storage.text_io import open_picture
 
@@ -191,14 +188,14 @@ def read_mask(path: Path, camera: Camera) -> BoolArray:
         mask = np.asarray(source.convert("L")) > 0
     if mask.shape != (camera.height, camera.width):
         raise RegionError(
-            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, the camera's pictures have "
+            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, but the camera's images have "
             f"{camera.width} x {camera.height}"
         )
     return mask
 
 
 def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
-    """Probability a cell, float32, in the frame's CRS; 0 where there is none."""
+    """Write the probability of each cell, float32, in the frame's CRS; 0 outside the posterior."""
     from ltm_core.raster.raster_io import write_geotiff
 
     geometry = posterior.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)

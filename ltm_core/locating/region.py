@@ -1,4 +1,4 @@
-"""Describe regions that are marked in photos, and what locating assumes."""
+"""Regions marked in photos, and the settings of locating."""
 
 from __future__ import annotations
 
@@ -15,49 +15,54 @@ from ltm_core.geometry.camera import Camera
 
 
 class LocatingConfig(StrictModel):
-    """Lengths in metres. Which were chosen how, and on what, stands in docs/locating.md."""
+    """Settings of locating. Lengths in metres. docs/locating.md describes how the values were chosen."""
 
     dem_sigma: float = Field(1.0, ge=0)
-    """Of the heights of the terrain that the cameras see; a raster whose cells are larger than ten times it has a tenth
-    of a cell instead, since what lies between its nodes is not known."""
+    """Standard deviation of terrain heights in metres. A raster with cells larger than ten times this value has a tenth
+    of a cell instead, because heights between its nodes are unknown."""
     plume_height: float = Field(150.0, gt=0)
-    """Mean height above its foot of a plume that is noticed; heights are taken for exponentially distributed."""
+    """Mean height in metres of a plume's top above its base when it is noticed; heights are exponentially distributed.
+    """
     plume_lean: float = Field(0.35, ge=0)
-    """Sigma of the metres by which a plume's axis drifts, in any one direction, for each that it rises."""
+    """Standard deviation of a plume's horizontal drift in metres per metre of rise, along any one direction."""
     detection_range: float = Field(10_000.0, gt=0)
-    """At which a fire is noticed half as often as close by; the chance falls as 1 / (1 + (r / detection_range)^2)."""
+    """Range in metres at which a fire is noticed half as often as nearby. The probability is 1 / (1 + (r /
+    detection_range)^2)."""
     min_range: float = Field(30.0, ge=3.0)
-    """Nothing is looked for nearer: there a camera whose place is half a metre off may mark anything."""
+    """Minimum range in metres to search; nearer, an error of half a metre in the camera's position makes any mark
+    possible."""
     max_range: float = Field(40_000.0, ge=100.0)
-    """Nothing is looked for beyond it."""
+    """Maximum range in metres to search."""
     pixel_sigma: float = Field(2.0, gt=0)
-    """Pixels by which a marked place is off, in each direction."""
+    """Standard deviation of a marked pixel in pixels, in each direction."""
     box_sigma: float = Field(0.04, ge=0)
-    """Share of a box's or polygon's height by which its lower edge is off, where that is more."""
+    """Standard deviation of the lower edge of a box or polygon, as a share of its height, if this exceeds
+    `pixel_sigma`."""
     focal_sigma: float = Field(0.002, ge=0)
-    """Of the focal length, as a share."""
+    """Standard deviation of the focal length, as a share of it."""
     false_alarm: float = Field(0.03, gt=0, lt=0.5)
-    """Share of one camera's sightings of one thing that are taken for those of two."""
+    """Share of a camera's sightings that belong to another object than assumed."""
     wrong_odds: float = Field(2.0, gt=0)
-    """How many times likelier marks must be with one camera wrong than with none, until cameras disagree."""
+    """Odds ratio of one wrong camera against none above which cameras are reported to disagree."""
     sure_of_wrong: float = Field(0.75, ge=0.5, lt=1)
-    """Probability above which a camera is named as turned."""
+    """Probability above which a camera is reported as turned."""
 
 
 MOST_VERTICES = 1_000
-"""Of a polygon: a detector's outline has tens."""
+"""Maximum number of vertices of a polygon; outlines of detectors have tens."""
 _COLUMNS = 17
-"""Places at which a lower edge is sampled."""
+"""Number of places at which a lower edge is sampled."""
 _OVERLAP = 0.6
-"""Sigma of a sampled place as a share of the distance to the next: their sum is then flat within some percent."""
+"""Standard deviation of a sampled place as a share of the distance to the next; the sum is then flat within a few
+percent."""
 _FOOT = 0.15
-"""Of a smoke's height in the picture: a leaning plume's lower edge rises from its foot, and places that much higher
-are the foot e times less often."""
+"""Share of a plume's height in the image over which the probability of its base falls by a factor e. The lower edge of
+a leaning plume rises from its base."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Where in a picture something may meet the ground.
+    """Places in an image where an object may meet the ground.
 
     `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
     """
@@ -68,25 +73,25 @@ class ImageMark:
 
 
 def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> ImageMark:
-    """One place (u, v). Raises RegionError: not in the picture, or masked."""
+    """Return the mark of one place (u, v). Raises RegionError if it is outside the image or masked."""
     place = np.asarray(pixel, np.float64)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
     u, v = place
     if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) is not in the picture of {camera.width} x {camera.height}; (0, 0) is the centre of "
+            f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}; (0, 0) is the centre of "
             "its top-left pixel"
         )
     if _masked(camera, place[None], mask)[0]:
-        raise RegionError(f"pixel ({u:g}, {v:g}) is masked: what it shows is not to be located")
+        raise RegionError(f"pixel ({u:g}, {v:g}) is masked and cannot be located")
     return ImageMark(place[None], np.ones(1), np.full((1, 2), sigma))
 
 
 def marked_box(
     camera: Camera, box: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """A box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
+    """Return the mark of a box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
     corners = np.asarray(box, np.float64)
     if corners.shape != (4,) or not np.isfinite(corners).all():
         raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
@@ -102,15 +107,15 @@ def marked_box(
 def marked_polygon(
     camera: Camera, outline: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
 ) -> ImageMark:
-    """The lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
+    """Return the mark of the lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
 
     Args:
-        sigma: of a place in the picture, pixels.
+        sigma: of a place in the image, pixels.
         share: of the region's height by which its lower edge is off, where that is more.
         smoke: the region's lowest part is its foot, what is higher leans over; else every place of the edge may be it.
-        mask: (H, W) of the picture; what is True there is left out (sky, a mast in view).
+        mask: (H, W) of the image; what is True there is left out (sky, a mast in view).
 
-    Raises RegionError: not a polygon, not in the picture, its lower edge cut off by the picture's border, all masked.
+    Raises RegionError: not a polygon, not in the image, its lower edge cut off by the image's border, all masked.
     """
     points = np.asarray(outline, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MOST_VERTICES:
@@ -123,13 +128,13 @@ def marked_polygon(
     u_high, v_high = points.max(axis=0)
     if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
         raise RegionError(
-            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is not in the picture of "
+            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is outside the image of "
             f"{camera.width} x {camera.height}"
         )
     if v_high >= camera.height - 1:
         raise RegionError(
-            f"the region's lower edge is cut off by the picture's (row {v_high:g} of {camera.height}): its foot may be "
-            "out of view; turn the camera down, or mark the foot as a pixel"
+            f"the region touches the image's lower edge (row {v_high:g} of {camera.height}), so its base may be "
+            "out of view; turn the camera down, or mark the base as a pixel"
         )
     left, right = max(u_low, 0.0), min(u_high, camera.width - 1.0)
     columns = np.linspace(left, right, _COLUMNS) if right - left > sigma else np.array([(left + right) / 2])
@@ -139,7 +144,7 @@ def marked_polygon(
     pixels = np.column_stack([columns, edge])
     kept = ~_masked(camera, pixels, mask) if len(pixels) else np.zeros(0, np.bool_)
     if not kept.any():
-        raise RegionError("the region's lower edge is masked, or above the picture: there is nothing to locate")
+        raise RegionError("the region's lower edge is masked or above the image; nothing can be located")
     spacing = (right - left) / max(1, _COLUMNS - 1)
     height = float(v_high - v_low)
     weights = np.ones(len(pixels))
@@ -153,7 +158,7 @@ def marked_polygon(
 
 
 def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:
-    """The greatest v of the outline over each u, NaN where it has none."""
+    """Return the greatest v of the outline over each u, NaN where it has none."""
     ends = np.roll(points, -1, axis=0)
     u0, v0, u1, v1 = (a[:, None] for a in (points[:, 0], points[:, 1], ends[:, 0], ends[:, 1]))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,7 +174,7 @@ def _masked(camera: Camera, pixels: Float64Array, mask: BoolArray | None) -> Boo
     if mask is None:
         return np.zeros(len(pixels), np.bool_)
     if mask.shape != (camera.height, camera.width):
-        raise RegionError(f"a mask of shape {mask.shape} does not fit a picture of {camera.height} x {camera.width}")
+        raise RegionError(f"a mask of shape {mask.shape} does not fit an image of {camera.height} x {camera.width}")
     col = np.clip(np.rint(pixels[:, 0]), 0, camera.width - 1).astype(np.int64)
     row = np.clip(np.rint(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
     return np.asarray(mask[row, col], np.bool_)

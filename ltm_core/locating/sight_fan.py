@@ -2,8 +2,8 @@
 
 Terrain in a sector around a camera: heights along rays of the map, from near to far, and what stands before what.
 
-A query looks at a sector of a degree or two, so that the terrain is sampled there and nowhere else: no picture needs to
-be traced for it. Its lines of sight are held against `visibility.PointVisibility` by the tests.
+A query covers a sector of a degree or two, so the terrain is sampled only there, and no image is traced. Tests compare
+its lines of sight with `visibility.PointVisibility`.
 """
 
 from __future__ import annotations
@@ -18,20 +18,19 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Arr
 from ltm_core.raster.dem import Dem
 
 NEAREST = 3.0
-"""Metres at which a fan begins."""
+"""Range in metres at which a fan begins."""
 _LEAST_STEP = 0.5
 _STEP = 0.003
-"""Of the range, as a share of it."""
+"""Step as a share of the range."""
 _STEPS_INSIDE = 1_000
 NO_LEVEL = np.uint8(255)
 
 
 @dataclass(frozen=True, eq=False)
 class SightFan:
-    """`azimuths`: (A,) radians, ascending. `ranges`: (R,) horizontal metres, ascending; `steps`: (R,) metres from
-    the one before. `heights`: (A, R) float32 metres, NaN where not known. `levels`: (A, R) uint8, the raster of a stack
-    that a height is from, NO_LEVEL where none is.
-    """
+    """Terrain samples of a sector. `azimuths`: (A,) radians, increasing. `ranges`: (R,) horizontal metres, increasing;
+    `steps`: (R,) metres from the previous one. `heights`: (A, R) float32 metres, NaN if unknown. `levels`: (A, R)
+    uint8, the raster of a stack that a height is from, NO_LEVEL for none."""
 
     azimuths: Float64Array
     ranges: Float64Array
@@ -41,12 +40,12 @@ class SightFan:
 
     @property
     def spacing(self) -> float:
-        """Radians between azimuths, the greatest."""
+        """Return the largest spacing of azimuths in radians."""
         return float(np.diff(self.azimuths).max())
 
     @property
     def widths(self) -> Float64Array:
-        """(A,) radians for which each azimuth stands."""
+        """Return (A,) the angle in radians that each azimuth covers."""
         return np.asarray(np.gradient(self.azimuths), np.float64)
 
 
@@ -76,9 +75,8 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that is asked
-    for.
-    """
+    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, at least half a metre, finer on
+    request."""
     turn = _LEAST_STEP / _STEP
     near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
     far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))
@@ -109,7 +107,7 @@ def _sample(
     heights: Float32Array,
     levels: UInt8Array,
 ) -> None:
-    """Bilinear heights at the places that no finer raster has been over."""
+    """Return the bilinear heights at the places that no finer raster has been over."""
     last_row, last_col = elevation.shape[0] - 1, elevation.shape[1] - 1
     for a in range(len(sines)):
         for k in range(len(ranges)):
@@ -128,9 +126,8 @@ def _sample(
 
 
 class RayTerrain(NamedTuple):
-    """`heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of each range. `z0`:
-    height of the camera, metres. `bend`: curvature coefficient of rays.
-    """
+    """Terrain along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of
+    each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays."""
 
     heights: Float32Array
     levels: UInt8Array
@@ -141,7 +138,7 @@ class RayTerrain(NamedTuple):
 
 
 class RayMark(NamedTuple):
-    """(A, J) each: density of the marked azimuth, mean and variance of the slope that is marked there."""
+    """Mark along rays, (A, J) each: density of the marked azimuth, mean and variance of the marked slope."""
 
     azimuth_density: Float64Array
     slope_mean: Float64Array
@@ -149,17 +146,17 @@ class RayMark(NamedTuple):
 
 
 class HeightErrors(NamedTuple):
-    """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
+    """Height errors by raster of the terrain, (L,): variance of heights, and distance in metres beyond which their
+    errors are independent."""
 
     variance: Float64Array
     apart: Float64Array
 
 
 class SmokeDensities(NamedTuple):
-    """(A, R) each, filled by the loops: densities with the foot `seen` and `hidden`, and these over the greatest that
-    the sample could have; `unseen`: the chance that the terrain hides the foot; `lifts`: metres above the ground from
-    which something is seen.
-    """
+    """Densities of smoke, (A, R) each, filled by the loops: densities with the base `seen` and `hidden`, and these over
+    the sample's maximum; `unseen`: the probability that the terrain hides the base; `lifts`: metres above the ground
+    from which something is visible."""
 
     seen: Float64Array
     hidden: Float64Array
@@ -170,9 +167,8 @@ class SmokeDensities(NamedTuple):
 
 
 class Drifts(NamedTuple):
-    """Of plumes that drift. `widths`: (A,) of the fan. `density`: (D, A, J), and its greatest (D, J), of the marked
-    azimuth by drift. `lean`: sigma of the drift a metre of rise. `next_drift`: (D - 1,) from which the next one counts.
-    """
+    """Drifts of plumes. `widths`: (A,) of the fan. `density`: (D, A, J), and its maximum (D, J), of the marked azimuth
+    by drift. `lean`: sigma of the drift per metre of rise. `next_drift`: (D - 1,) start of the next drift."""
 
     widths: Float64Array
     density: Float64Array
@@ -182,7 +178,7 @@ class Drifts(NamedTuple):
 
 
 class FanSamples(NamedTuple):
-    """Of a `SightFan`: `ranges`, `steps`: (R,); `widths`, `sines`, `cosines`: (A,) of its azimuths."""
+    """Samples of a `SightFan`: `ranges`, `steps`: (R,); `widths`, `sines`, `cosines`: (A,) of its azimuths."""
 
     ranges: Float64Array
     steps: Float64Array
@@ -192,7 +188,7 @@ class FanSamples(NamedTuple):
 
 
 class SplatSums(NamedTuple):
-    """(H, W) each, filled: density times area, area, lift times both, and the best fit."""
+    """Sums of a splat, (H, W) each, filled: density times area, area, lift times both, and the best fit."""
 
     total: Float64Array
     area: Float64Array

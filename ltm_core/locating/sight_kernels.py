@@ -18,18 +18,18 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 from ltm_core.locating.sight_fan import NO_LEVEL, Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
 
 CRESTS = 6
-"""Crests that are kept of a ray: those that may be the highest."""
+"""Maximum number of crests kept per ray: those that may be the highest."""
 _STRETCH = 0.01
-"""Of the range: samples so near each other count as erring alike, however fine the raster."""
+"""Share of the range within which errors of samples are fully correlated, however fine the raster is."""
 _SPARSE = 4
-"""Of so many samples of which it is not sure whether their ground is seen, for one the chance is worked out."""
+"""Interval at which the visibility probability is computed among samples whose visibility is uncertain."""
 FOREGROUND = 15.0
-"""Metres."""
+"""Metres of foreground."""
 _SURE = 3.5
-"""Sigmas from which one slope is higher than another one."""
+"""Number of sigmas from which one slope is higher than another."""
 _UPPER = 2.0
-"""Of the samples that err alike the one stands for all that is highest by its height and so many sigmas: close to the
-camera a low one may be the one that hides most."""
+"""Number of sigmas added to a height when the highest of several correlated samples represents them; close to the
+camera, a low sample may hide the most."""
 ROOT_2PI = math.sqrt(2 * math.pi)
 
 
@@ -42,7 +42,8 @@ def ground_along(
     fit: Float32Array,
     lifts: Float32Array,
 ) -> None:
-    """Of something on the ground: where the terrain model hides it by a little, with the chance that it errs."""
+    """Compute densities of an object on the ground: where the terrain model hides it slightly, with the probability
+    that the model errs."""
     heights, levels, ranges, knots, z0, bend = terrain
     azimuth_density, slope_mean, slope_variance = mark
     for a in range(heights.shape[0]):
@@ -74,10 +75,9 @@ def ground_along(
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: float, found: SmokeDensities) -> None:
-    """Densities of the marked slope with the foot `seen` and `hidden`, without drift; `unseen`: the chance that the
-    terrain hides the foot. (A, R) each; the densities only where the azimuth is possible, `unseen` only where the mark
-    is higher above the foot than `rise`, a slope.
-    """
+    """Compute densities of the marked slope with the base `seen` and `hidden`, without drift; `unseen`: the probability
+    that the terrain hides the base. (A, R) each; the densities only at possible azimuths, `unseen` only where the mark
+    is higher above the base than `rise`, a slope."""
     heights, levels, ranges, knots, z0, bend = terrain
     azimuth_density, slope_mean, slope_variance = mark
     height_variance, apart = errors
@@ -215,9 +215,8 @@ def _add_crest(
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _one(mean: float, variance: float, low: float, edge: float, edge_var: float) -> tuple[float, float, float, float]:
-    """Density of a marked slope where smoke comes up at an edge, that over its greatest, and the edge's slope as mark
-    and terrain together have it, with variance. `low`: the edge one sample before.
-    """
+    """Return the density of a marked slope where smoke comes up at an edge, that over its greatest, and the edge's
+    slope as mark and terrain together have it, with variance. `low`: the edge one sample before."""
     total = variance + edge_var
     sigma = math.sqrt(total)
     value = mean_density((low - mean) / sigma, (edge - mean) / sigma)
@@ -227,7 +226,7 @@ def _one(mean: float, variance: float, low: float, edge: float, edge_var: float)
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _all_lower(slope: float, variance: float, mu: Float64Array, var: Float64Array, count: int, but: int) -> float:
-    """The chance that all crests, `but` one, are lower than a slope."""
+    """Return the chance that all crests, `but` one, are lower than a slope."""
     chance = 1.0
     for j in range(count):
         if j != but:
@@ -239,7 +238,7 @@ def _all_lower(slope: float, variance: float, mu: Float64Array, var: Float64Arra
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def higher(a: float, a_var: float, b: float, b_var: float) -> float:
-    """The chance that one normal variable is greater than another."""
+    """Return the probability that one normal variable is greater than another."""
     off, variance = a - b, a_var + b_var + 1e-14
     if off * off > _SURE * _SURE * variance:
         return 1.0 if off > 0 else 0.0
@@ -248,7 +247,7 @@ def higher(a: float, a_var: float, b: float, b_var: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mean_density(first: float, last: float) -> float:
-    """Mean of the standard normal density between two values."""
+    """Return the mean of the standard normal density between two values."""
     if min(abs(first), abs(last)) > 7 and first * last > 0:
         return 0.0
     if abs(last - first) > 0.3:
@@ -257,15 +256,14 @@ def mean_density(first: float, last: float) -> float:
 
 
 _REACH = 2.5
-"""Sigmas of drift to which neighbouring azimuths count."""
+"""Number of sigmas of drift within which neighbouring azimuths count."""
 _NEIGHBOURS = 9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: SmokeDensities) -> None:
-    """Makes densities of the marked direction out of those of its slope, in place. Smoke of a hidden foot comes up at
-    the marked azimuths, wherever the foot is: over these its slope's density is averaged, range by range.
-    """
+    """Convert densities of the slope to densities of the direction, in place. Smoke with a hidden base appears at the
+    marked azimuths, wherever the base is: over these its slope's density is averaged, range by range."""
     heights, levels, ranges, knots, z0, bend = terrain
     widths, azimuth_density, azimuth_peak, lean, next_drift = drifting
     slope_mean = mark.slope_mean
@@ -305,9 +303,8 @@ def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: Smo
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def add_smeared(terrain: RayTerrain, mark: RayMark, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
-    """Adds to the slope's density at a seen foot that at a hidden one, averaged over the azimuths to which a plume may
-    have drifted; evenly spaced azimuths.
-    """
+    """Add to the slope's density at a visible base that at a hidden one, averaged over the azimuths to which a plume
+    may have drifted; evenly spaced azimuths."""
     heights, levels, ranges, knots, z0, bend = terrain
     slope_mean = mark.slope_mean
     density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit

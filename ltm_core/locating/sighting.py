@@ -1,4 +1,4 @@
-"""A sighting: one mark in one picture; and the terrain around its direction, with what the mark says of it."""
+"""Sighting: one mark in one image, the terrain around its direction, and the likelihood of places."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 
 Bounds = tuple[float, float, float, float]
-"""x_min, y_min, x_max, y_max."""
+"""Bounds x_min, y_min, x_max, y_max in metres."""
 
 IMPOSSIBLE = math.exp(-15.0)
-"""A place that fits a mark worse than this does not explain it."""
+"""Misfit above which a place does not explain a mark."""
 _SIGMAS = 5.0
-"""Of the azimuth, to which a fan reaches."""
+"""Number of sigmas of the azimuth that a fan covers."""
 _FIRST, _MOST = 40, 120
-"""Azimuths of a fan at first, and at most when it is looked at closely."""
+"""Initial number of azimuths of a fan, and the maximum after refinement."""
 _WING, _WINGS = math.radians(3.0), 12
-"""How far a fan reaches on either side for what plumes drift, and its azimuths there."""
+"""Width that a fan adds on either side for drifting plumes, and its number of azimuths there."""
 _CREST = 16
-"""Azimuths over the mark in every fan for smoke: there it comes up, wherever its foot is."""
+"""Number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is."""
 _PER_CELL = 1.5
-"""Samples a cell's side: fewer leave some cells without any."""
+"""Number of samples per cell side; with fewer, some cells get none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One mark in one picture. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
+    """Mark in one image. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
 
     name: str
-    """The camera's: sightings of one name share its pose's error."""
+    """Name of the camera; sightings with the same name share its pose error."""
     camera: Camera
     pose: Pose
     covariance: Float64Array
@@ -57,7 +57,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A sighting with its fan. `cell`: metres, the least size of cells of which each has a sample of the fan."""
+    """Sighting with its fan. `cell`: metres, the smallest cells that all have a sample of the fan."""
 
     sighting: Sighting
     directions: MarkedDirections
@@ -76,7 +76,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class LocatingTerrain:
-    """What sightings are looked at over. `dem`: what cameras see of it. `bend`: curvature coefficient of rays."""
+    """Terrain for locating. `dem`: the surface that cameras see. `bend`: curvature coefficient of rays."""
 
     dem: Dem
     bend: float
@@ -84,7 +84,7 @@ class LocatingTerrain:
     smoke: bool
 
     def look(self, sighting: Sighting) -> Sight:
-        """All that a sighting may show.
+        """Return the likelihood of all places that a sighting may show.
 
         Raises PoseError for a camera under the ground or a covariance that is none, RegionError for a mark that has no
         direction, or that nothing on the ground explains.
@@ -109,7 +109,7 @@ class LocatingTerrain:
         return sight
 
     def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """The same sighting over a part of the map, sampled for cells of a resolution, as far as that is feasible."""
+        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible."""
         azimuths = sight.fan.azimuths
         low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
         low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
@@ -129,7 +129,7 @@ class LocatingTerrain:
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
 
     def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """As `look_closer`, of a camera that is turned by nobody knows how much."""
+        """Return the sighting as in `look_closer` for a camera turned by an unknown angle."""
         around = float(sight.directions.azimuth @ sight.directions.weights)
         low, high = _azimuths_of(sight.position, bounds, around)
         low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
@@ -145,13 +145,13 @@ class LocatingTerrain:
         return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
-        """That a plume is higher."""
+        """Return the probability that a plume is higher."""
         if not self.smoke:
             return np.ones(lift.shape)
         return np.exp(-np.asarray(lift, np.float64) / self.config.plume_height)
 
     def support(self, sight: Sight) -> tuple[Bounds, float]:
-        """Bounds of the places that a sighting allows, and the size of cells there of which each has a sample."""
+        """Return the bounds of the places that a sighting allows, and the size of cells that all have a sample."""
         weight = sight.likelihood.density * self.chance(sight.likelihood.lifts)
         a, k = np.nonzero(weight > weight.max() * IMPOSSIBLE)
         r, azimuth, fan = sight.fan.ranges[k], sight.fan.azimuths[a], sight.fan
@@ -181,33 +181,33 @@ class LocatingTerrain:
         return found
 
     def _check(self, sight: Sight) -> None:
-        """Raises RegionError where nothing on the ground explains the mark."""
+        """Raise RegionError where nothing on the ground explains the mark."""
         if sight.likelihood.fit.max() > IMPOSSIBLE:
             return
         name, fan = sight.name, sight.fan
         if not np.isfinite(fan.heights).any():
-            raise RegionError(f"{name}: no terrain is known in the direction of the mark; is the DEM large enough?")
+            raise RegionError(f"{name}: no known terrain in the direction of the mark; check the extent of the DEM")
         with np.errstate(invalid="ignore"):
             slopes = (fan.heights - sight.position[2]) / fan.ranges - self.bend * fan.ranges
         highest, lowest = float(np.nanmax(slopes)), float(np.nanmin(slopes))
         marked = float(sight.directions.slope @ sight.directions.weights)
         if marked > highest:
             above = math.degrees(math.atan(marked) - math.atan(highest))
-            what = "smoke that stands clear of the ground" if self.smoke else "sky"
+            what = "smoke clear of the ground" if self.smoke else "sky"
             raise RegionError(
                 f"{name}: the mark shows {what}: it is {above:.1f} degrees above the highest ground known there; mark "
-                + ("its foot, or where it rises from a ridge" if self.smoke else "a place on the ground")
+                + ("its base, or where it rises from a ridge" if self.smoke else "a place on the ground")
             )
         near = fan.ranges < self.config.min_range
         if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
             raise RegionError(
-                f"{name}: the mark shows ground nearer than {self.config.min_range:g} m, too near to be located"
+                f"{name}: the mark is on ground nearer than {self.config.min_range:g} m, too near to be located"
             )
-        raise RegionError(f"{name}: the mark shows ground that the terrain model does not know (a hole, or its edge)")
+        raise RegionError(f"{name}: the mark is on unknown terrain (a hole or the edge of the DEM)")
 
 
 def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
-    """Least and greatest horizontal distance to a rectangle."""
+    """Return the minimum and maximum horizontal distance to a rectangle."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     near = math.hypot(max(x_min - x, x - x_max, 0.0), max(y_min - y, y - y_max, 0.0))
@@ -216,7 +216,7 @@ def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
 
 
 def _azimuths_of(position: Float64Array, bounds: Bounds, around: float) -> tuple[float, float]:
-    """Azimuths between which a rectangle is seen, within half a turn of `around`; all where one stands in it."""
+    """Return the azimuths between which a rectangle is visible, within half a turn of `around`; all from inside."""
     x_min, y_min, x_max, y_max = bounds
     x, y = float(position[0]), float(position[1])
     if x_min <= x <= x_max and y_min <= y <= y_max:

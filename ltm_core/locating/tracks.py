@@ -26,7 +26,7 @@ from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.wrong_camera import FireMemory, TurnVerdict
 
 MOST = 200
-"""Poses that are remembered; the one told longest ago goes first."""
+"""Maximum number of poses kept; the least recently received one is dropped first."""
 
 
 class KnownPoses:
@@ -46,15 +46,15 @@ class KnownPoses:
 
     @property
     def newest(self) -> tuple[Pose, Float64Array, int]:
-        """The one told last, with its stamp. After a clock was set back earlier ones have later stamps, and a head
-        looks elsewhere by now. Raises LookupError: none is known."""
+        """Return the last received pose with its stamp. After a clock was set back, earlier poses have later stamps,
+        and a PTZ camera has moved since. Raises LookupError without poses."""
         if not self._poses:
             raise LookupError("no pose is known")
         stamp = next(reversed(self._poses))
         return *self._poses[stamp], stamp
 
     def at(self, stamp: int, age_ns: int) -> tuple[Pose, Float64Array] | None:
-        """The pose of a stamp, or the last before it; None: none is known of then, or of `age_ns` before."""
+        """Return the pose of a stamp, or the last before it; None if none is known then, or within `age_ns` before."""
         earlier = [known for known in self._poses if known <= stamp]
         if not earlier or stamp - max(earlier) > age_ns:
             return None
@@ -62,12 +62,13 @@ class KnownPoses:
 
 
 NEARBY_DEG = 4.0
-"""Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
+"""Maximum angle in degrees between a sighting's azimuth and a track's place for both to be the same fire if a camera is
+wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenAt:
-    """A sighting with its time and who marked it: `detector` or `person`."""
+    """Sighting with its time and its origin, `detector` or `person`."""
 
     sighting: Sighting
     stamp_ns: int
@@ -76,10 +77,9 @@ class SeenAt:
 
 @dataclass(eq=False)
 class Track:
-    """One fire. `sightings`: newest last. `fire`: number of the first track of those that may be of the same fire, some
-    camera being wrong. `disputed`: cameras that disagree about it. `wrong`: the one of them that is wrong, once that is
-    known. `closed`: it takes no more sightings (`Tracks.forget`).
-    """
+    """Track of one fire. `sightings`: newest last. `fire`: number of the first track of those that may be of the same
+    fire if a camera is wrong. `disputed`: cameras that disagree about it. `wrong`: the wrong one of them, once known.
+    `closed`: it accepts no more sightings (`Tracks.forget`)."""
 
     number: int
     sightings: list[SeenAt]
@@ -134,10 +134,8 @@ class Tracks:
         self.fires = FireMemory(self.locator.config.sure_of_wrong, self.memory_ns)
 
     def add(self, seen: SeenAt) -> tuple[Track, Location, str | None]:
-        """The track that a sighting belongs to now, where the sighting alone is, and, where it does not agree with a
-        track nearby, the camera that is wrong, if that is known. Raises RegionError, PoseError as `Locator.locate`;
-        nothing has changed then.
-        """
+        """Add a sighting. Return its track, its own location, and, if it disagrees with a nearby track, the wrong
+        camera if known. Raises RegionError, PoseError as `Locator.locate`; nothing changes then."""
         alone = self.locator.locate([seen.sighting], self.smoke)
         self.expire(seen.stamp_ns)
         best: tuple[float, Track, Location] | None = None
@@ -175,8 +173,8 @@ class Tracks:
         return track, alone, track.wrong
 
     def forget(self, camera: str) -> bool:
-        """Begin anew with a camera whose mount has been fitted again: what it has marked was seen from other poses, and
-        nothing is to be told from it. Whether anything was.
+        """Reset a camera whose mount was fitted again: its earlier marks had other poses and are not used any more.
+        Return whether there were any.
 
         A track that others have marked too goes on by their marks. One that only it has marked stays where it is, and
         takes no more, until it ends.
@@ -198,9 +196,8 @@ class Tracks:
         return found
 
     def rename(self) -> TurnVerdict:
-        """Say of each track which of its cameras is wrong, by what is known now, which is returned. Of a camera that is
-        newly named, what it had kept apart is put together.
-        """
+        """Update which camera is wrong in each track by current knowledge, and return it. Tracks that a newly reported
+        camera kept apart are merged."""
         verdict = self.fires.verdict
         if verdict.wrong is not None and verdict.wrong != self._named:
             for fire in dict.fromkeys(track.fire for track in self.tracks if verdict.wrong in track.disputed):
@@ -211,13 +208,13 @@ class Tracks:
         return verdict
 
     def _with(self, seen: SeenAt, track: Track) -> Track:
-        """The track of a sighting; naming a camera may have moved it from the one that it has joined."""
+        """Return the track of a sighting; naming a camera may have moved it from the one that it has joined."""
         return next((one for one in self.tracks if seen in one.sightings), track)
 
     def _reunite(self, fire: int, wrong: str) -> None:
-        """A turned camera in between lets right ones mark a fire apart: with it one of them agrees by chance, the other
-        then does not. What they have marked becomes one track where they agree, what the wrong one has marked another.
-        """
+        """Merge tracks of one fire that a turned camera separated: with it one of them agrees by chance,
+        the other then does not. What they have marked becomes one track where they agree, what the wrong one has marked
+        another."""
         open_ones = [track for track in self.tracks if track.fire == fire and not track.closed]
         parts = [(track, [s for s in track.sightings if s.sighting.name != wrong]) for track in open_ones]
         apart = sorted((part for part in parts if part[1]), key=lambda part: part[0].number)
@@ -240,12 +237,12 @@ class Tracks:
         self.tracks = sorted((t for t in self.tracks if t not in others), key=lambda track: track.last_ns)
 
     def expire(self, now_ns: int) -> None:
-        """End tracks that nobody has seen for long, and forget what was said of cameras long ago."""
+        """End tracks without recent sightings, and drop old evidence about cameras."""
         self.fires.expire(now_ns)
         self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
-        """The newest of each camera."""
+        """Return the newest of each camera."""
         ordered = sorted(sightings, key=lambda each: each.stamp_ns)
         kept: list[SeenAt] = []
         counts: dict[str, int] = {}
@@ -263,11 +260,11 @@ def _agree(location: Location, limit: float) -> bool:
 
 
 def _nearby(sighting: Sighting, track: Track, alone: Location) -> bool:
-    """Whether a track's place is in the direction of a sighting, as far as a wrong camera may be off."""
+    """Return whether a track's place is in the direction of a sighting, as far as a wrong camera may be off."""
     position = sighting.pose.position
 
     def azimuths(location: Location) -> tuple[float, float]:
-        """Of the mean place, and how far its densest region reaches from it."""
+        """Return the azimuth of the mean place, and the angle that its densest region extends from it."""
         posterior = location.posterior
         off = posterior.places[posterior.densest(0.95)] - position[:2]
         x, y = np.array(posterior.mean) - position[:2]

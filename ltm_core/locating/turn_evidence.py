@@ -1,4 +1,4 @@
-"""What marks say of a camera that is turned about the vertical: their probability density by the angle of it.
+"""Evidence of marks for a turn of a camera about the vertical: their probability density by the angle.
 
 One fire cannot always tell which camera is turned. The directions of three cameras make a triangle on the map, and at
 each of its corners two agree and the third one is off by some angle: only slopes, and that small turns are likelier,
@@ -23,18 +23,17 @@ if TYPE_CHECKING:
 
 STEP = math.radians(0.05)
 TURNS: Float64Array = STEP * np.arange(-round(MOST_TURNED / STEP), round(MOST_TURNED / STEP) + 1, dtype=np.float64)
-"""Radians by which a stated azimuth may be too great, (T,)."""
+"""Angles in radians by which a stated azimuth may be too large, (T,)."""
 _LEAST_SIGMA = 0.8 * STEP
-"""Of a mark's azimuth: narrower ones would fall between the angles."""
+"""Minimum standard deviation of a mark's azimuth; narrower ones would fall between the angles."""
 _FAR = 1_000.0
-"""Metres from which on the position's error counts for little in an azimuth."""
+"""Distance in metres beyond which the position error has little effect on an azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
 class TurnProfile:
-    """Of one fire and one camera. `density`: (T,) logarithm of the density of all marks by the camera's turn. `apart`:
-    the same of the other cameras' marks alone.
-    """
+    """Turn profile of one fire and one camera. `density`: (T,) logarithm of the density of all marks by the camera's
+    turn. `apart`: the same of the other cameras' marks only."""
 
     density: Float64Array
     apart: float
@@ -42,10 +41,9 @@ class TurnProfile:
 
 @dataclass(frozen=True, eq=False)
 class TurnEvidence:
-    """Of one fire. `ratios`: by camera, (T,) logarithm of how much likelier its marks are where the camera is turned
-    than where none is. `sigmas`: of the azimuth of the camera's pose, radians, as its covariance has it. `azimuths`:
-    that it has marked, radians.
-    """
+    """Turn evidence of one fire. `ratios`: by camera, (T,) log likelihood ratio of its marks with the camera turned to
+    none turned. `sigmas`: of the azimuth of the camera's pose, radians, by its covariance. `azimuths`: marked by it,
+    radians."""
 
     ratios: Mapping[str, Float64Array]
     sigmas: Mapping[str, float]
@@ -60,7 +58,7 @@ def turn_profile(
     turned: Sequence[Sight],
     resolution: float,
 ) -> TurnProfile:
-    """From the cells of a raster that are possible.
+    """Compute the profile from the possible cells of a raster.
 
     Args:
         evidence: (N,) logarithm of the density of all marks by cell, with `turned` sightings of one camera that may be
@@ -99,7 +97,7 @@ def turn_evidence(
     elsewhere: float,
     marked: Mapping[str, Sequence[Sight]],
 ) -> TurnEvidence:
-    """Of one fire, by camera that may be turned.
+    """Compute the evidence of one fire, by camera that may be turned.
 
     Args:
         profiles: None where no place is possible with that camera turned.
@@ -123,12 +121,13 @@ def turn_evidence(
 
 
 def _pose_sigma(sights: Sequence[Sight]) -> float:
-    """Radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its sightings."""
+    """Return the radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its
+    sightings."""
     return math.sqrt(max(float(sight.sighting.covariance[5, 5]) for sight in sights))
 
 
 def _azimuth(directions: MarkedDirections) -> float:
-    """Radians, mean over the marked places."""
+    """Return the radians, mean over the marked places."""
     return float(directions.azimuth @ directions.weights)
 
 

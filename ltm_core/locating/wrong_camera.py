@@ -1,6 +1,6 @@
-"""Name the camera of a site that is turned, from the marks of several fires.
+"""Find the turned camera of a site from the marks of several fires.
 
-The pictures of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
+The images of a camera are judged elsewhere, by the watch of its mount (`pose_estimation.mount_watch`). Of that only
 the result counts here: the cameras whose pose is no longer known are `lost`.
 
 It is not known when a camera was turned. Its marks from before the turn do not contradict it: fires that a camera has
@@ -20,16 +20,17 @@ from ltm_core.base.utc_time import DAY_NS
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 
 _ONE_PLACE = math.radians(1.0)
-"""Fires that all cameras mark within this angle are at one place."""
+"""Angle within which fires that all cameras mark are at one place."""
 _SLIP_MEDIAN = math.radians(1.5)
 _SLIP_SPREAD = 0.8
-"""Logarithmic standard deviation of a slip's size, which is lognormal: 85 % of slips are between 0.5 and 5 degrees, 2 %
-above 8. These are assumptions: no record of slips is known to us."""
+"""Logarithmic standard deviation of the size of a slip, which is lognormal: 85 % of slips are between 0.5 and 5
+degrees, 2 % above 8. These are assumptions; we know of no record of slips."""
 _LOST = math.log(100.0)
-"""Logarithm of the factor by which a lost camera is likelier to be turned, before its last fire or after it. On
-rendered frames the watch of the mount reported 18 of 20 turned cameras, and none in 544 pictures of others."""
+"""Logarithm of the factor by which a camera reported as lost is more likely to be turned, before or after its last
+fire. On rendered frames, the mount monitor reported 18 of 20 turned cameras, and none in 544 images of others."""
 _SHORTEST_NS = 10_000_000_000
-"""The age of a turn is log-uniform from this to a day before the first fire: how often mounts slip is not known."""
+"""Minimum age of a turn; it is log-uniform from this to a day before the first fire, because the rate of slips is
+unknown."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def judged(
             they may be of two fires.
         slips: (T,) density of the angle of a camera that is turned.
         stamps: times of the fires, nanoseconds; None: all at one time.
-        lost: cameras whose pose is no longer known, by their own pictures.
+        lost: cameras whose pose is no longer known, by their own images.
     """
     marking = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
     names = [*marking, *sorted(set(lost) - set(marking))]
@@ -122,7 +123,7 @@ def judged(
 
 @dataclass
 class FireMemory:
-    """The evidence of a site's recent fires, newest last, and the cameras that are lost.
+    """Evidence of a site's recent fires, newest last, and the lost cameras.
 
     An error of the terrain model makes the same camera suspect again and again at one place, so fires at one place
     count as one: a chimney that is marked all day long is one fire.
@@ -193,7 +194,7 @@ def _turned_ratios(fires: Sequence[tuple[int, Float64Array]]) -> tuple[Float64Ar
 
 
 def _integral(logs: Float64Array, density: Float64Array) -> float:
-    """Logarithm of the mean of a likelihood over a density of turns."""
+    """Return the logarithm of the mean of a likelihood over a density of turns."""
     greatest = float(logs.max())
     if not math.isfinite(greatest):
         return -math.inf

@@ -1,4 +1,4 @@
-"""Maps of a fire over relief: when it comes, how long its flames are, and what an update of the map changes in that."""
+"""Draw fires over relief: arrival time, flame length, and their change by an update of the map."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ FLAME: Final = Scale.of(
     cv2.COLORMAP_PLASMA,
     upwards=False,
 )  # fmt: skip
-"""Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
+"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
 PROBABILITY: Final = Scale.of(
     ("below 5 %", "5 to 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 to 95 %", "95 % and more"),
     (0.05, 0.2, 0.4, 0.6, 0.8, 0.95),
     cv2.COLORMAP_VIRIDIS,
 )
 _SOON: Final = 5 / 60
-"""Hours by which two arrivals are called the same: the model's steps are minutes."""
+"""Hours within which two arrivals count as equal; the model's steps are minutes."""
 DIFFERENCE: Final = Scale(
     (
-        "burns only as the map is now", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
-        "later by 5 min to 1 h", "later by 1 h and more", "burns only as the map was",
+        "burns only with the updated map", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
+        "later by 5 min to 1 h", "later by 1 h and more", "burns only with the previous map",
     ),
     (
         (122, 4, 3), (214, 84, 50), (244, 165, 120), (226, 216, 176), (146, 197, 222), (50, 120, 190), (20, 40, 110),
@@ -57,16 +57,15 @@ FLAME_DIFFERENCE: Final = Scale(
 
 
 def arrival_scale(hours: float) -> Scale:
-    """Eight spans of time from ignition to the end, in whole or half hours where that fits."""
+    """Return eight spans of time from ignition to the end, in whole or half hours where that fits."""
     edges = np.round(np.linspace(0, hours, 9)[1:-1], 2)
     names = [f"{a:g} to {b:g} h" for a, b in zip([0, *edges], [*edges, hours], strict=True)]
     return Scale.of(names, edges.tolist(), cv2.COLORMAP_INFERNO, upwards=False)
 
 
 def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolArray]:
-    """(H, W) values on the scale DIFFERENCE, and where there are any. Where one fire alone comes, and only as time runs
-    out, the other may come a moment after: that is called the same.
-    """
+    """Return (H, W) values on the scale DIFFERENCE, and where there are any. Where one fire alone comes, and only as
+    time runs out, the other may come a moment after: that is called the same."""
     a, b = effect.before.burned, effect.after.burned
     was, now = (np.where(run.burned, run.arrival, effect.hours) for run in (effect.before, effect.after))
     later = now - was
@@ -76,42 +75,41 @@ def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolAr
 
 
 def terrain_of(landscape: Landscape) -> Dem:
-    """The elevations of a landscape as a DEM, unknown ones NaN."""
+    """Return the elevations of a landscape as a DEM, unknown ones NaN."""
     band = landscape.band("elevation")
     return Dem(np.where(band == NODATA, np.nan, band).astype(np.float32), landscape.geometry)
 
 
 def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
-    """Arrival and flame length before and after, their differences, and the burn probability of an ensemble; cells
-    whose fuel has changed are outlined. `cell`: where it starts.
-    """
+    """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble;
+    cells whose fuel has changed are outlined. `cell`: where it starts."""
     canvas = _canvas(effect, landscape, cell, width)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
     was, now = effect.before, effect.after
     both = _flames(was) & _flames(now)
     maps = {
-        "arrival on the map as it was": _drawn(canvas, was.arrival, was.burned, arrival, effect),
-        "arrival on the map as it is; outlined: its fuel has changed": _drawn(
+        "Fire arrival time with the previous map": _drawn(canvas, was.arrival, was.burned, arrival, effect),
+        "Fire arrival time with the updated map. Outlined: cells whose fuel changed.": _drawn(
             canvas, now.arrival, now.burned, arrival, effect
         ),
-        "flame length on the map as it was": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
-        "flame length on the map as it is": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
-        "what the update changes in the arrival": _drawn(canvas, values, known, DIFFERENCE, effect),
-        "what it changes in the flames, where both burn": _drawn(
+        "Flame length with the previous map": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
+        "Flame length with the updated map": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
+        "Change of the arrival time by the update": _drawn(canvas, values, known, DIFFERENCE, effect),
+        "Change of the flame length, where both burn": _drawn(
             canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
         ),
     }
     if effect.probability is not None:
         count = len(effect.members)
-        maps[f"probability to burn, of {count} landscapes drawn from what is known of the fuel"] = _drawn(
+        maps[f"probability to burn, of {count} landscapes drawn from the fuel probabilities"] = _drawn(
             canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
         )
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])
 
 
 def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:
-    """The arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
+    """Return the arrival with the updated map, (n H, n W, 3), as an overlay, and its legend."""
     arrival = arrival_scale(effect.hours)
     colors = label_colors(arrival.classes(effect.after.arrival, effect.after.burned), arrival)
     heights = terrain_of(landscape).elevation

@@ -35,7 +35,7 @@ _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
 _SURE: Final = 0.25
 _NO_MORE: Final = 0.85
-"""Entropies at which a life form's colour is full, and palest."""
+"""Entropies at which a life form's colour is full and palest."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class Scale:
 
     @classmethod
     def of(cls, names: Sequence[str], bounds: Sequence[float], colormap: int, upwards: bool = True) -> Scale:
-        """Colours evenly from a colour map of OpenCV's, dark to bright or the other way."""
+        """Return the colours evenly from a colour map of OpenCV's, dark to bright or the other way."""
         ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], colormap)[0, :, ::-1]
         places = np.linspace(12, 250, len(names)).astype(int)
         chosen = ramp[places if upwards else places[::-1]]
         return cls(tuple(names), tuple((int(r), int(g), int(b)) for r, g, b in chosen), tuple(bounds))
 
     def classes(self, values: NDArray[Any], known: BoolArray) -> UInt8Array:
-        """(H, W) classes, UNLABELLED where not known."""
+        """Return (H, W) classes, UNLABELLED where not known."""
         index = np.digitize(np.nan_to_num(values), self.bounds)
         return np.where(known, index, UNLABELLED).astype(np.uint8)
 
@@ -65,7 +65,7 @@ DOUBT: Final = Scale.of(
     (0.1, 0.2, 0.3, 0.4, 0.5, 0.7),
     cv2.COLORMAP_CIVIDIS,
 )
-"""Of the entropy of a cell's life forms: 0 certain, 1 nothing known."""
+"""Share of the maximum entropy of a cell's life forms: 0 certain, 1 unknown."""
 FRAMES: Final = Scale.of(
     ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more"), (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS
 )
@@ -80,7 +80,7 @@ FOOTPRINT: Final = Scale.of(
 
 @dataclass(frozen=True)
 class CameraMark:
-    """Where a camera stands, in the frame of the map, metres."""
+    """Position of a camera in the frame of the map, metres."""
 
     name: str
     x: float
@@ -120,7 +120,8 @@ class FuelCanvas:
         self._row, self._col = np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)
 
     def map(self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None) -> RgbImage:
-        """Colours (H, W, 3) of the known cells over relief, others bare; with outlines, cameras, north and axes."""
+        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, cameras, north and
+        axes."""
         shown = self._inside & known[self._row, self._col]
         tinted = np.clip(colors[self._row, self._col] * (0.4 + 0.62 * self._relief[..., :1] / 255.0), 0, 255)
         mixed = (self._relief * (1 - _OPACITY) + tinted * _OPACITY).round().astype(np.uint8)
@@ -130,36 +131,37 @@ class FuelCanvas:
         return with_axes(self._furnished(picture), self.view, self._offset)
 
     def classes(self, classes: UInt8Array, palette: ClassPalette, outlined: BoolArray | None = None) -> RgbImage:
-        """A map of classes (H, W), UNLABELLED none, over its scale bar and the names of the classes that occur."""
+        """Return a map of classes (H, W), UNLABELLED none, over its scale bar and the names of the classes that
+        occur."""
         picture = self.map(label_colors(classes, palette), classes != UNLABELLED, outlined)
         return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(classes).tolist()))
 
     def scaled(self, values: NDArray[Any], known: BoolArray, scale: Scale) -> RgbImage:
-        """A map of values (H, W) where they are known, with the whole scale."""
+        """Return a map of values (H, W) where they are known, with the whole scale."""
         picture = self.map(label_colors(scale.classes(values, known), scale), known)
         return self.finished(picture, label_legend(picture.shape[1], scale))
 
     def codes(self, codes: Int16Array, outlined: BoolArray | None = None) -> RgbImage:
-        """A map of fuel models (H, W)."""
+        """Return a map of fuel models (H, W)."""
         picture = self.map(code_colors(codes), codes >= 0, outlined)
         named = code_names(codes)
         legend = _Names(tuple(name for name, _ in named), tuple(color for _, color in named))
         return self.finished(picture, label_legend(picture.shape[1], legend))
 
     def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
-        """A map of life forms, paler where they are less sure, cells that are not the prior's outlined."""
+        """Return a map of life forms, paler where they are less sure, cells that are not the prior's outlined."""
         colors = faded(layers, palette)
         picture = self.map(colors, layers.life_form != UNLABELLED, layers.changed)
         return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(layers.life_form).tolist()))
 
     @cached_property
     def tallest(self) -> int:
-        """Pixels that no finished map exceeds in height: one with the name of every fuel model."""
+        """Return the pixels that no finished map exceeds in height: one with the name of every fuel model."""
         every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
         return len(self.codes(np.resize(every, self._shape)))
 
     def finished(self, picture: RgbImage, legend: RgbImage) -> RgbImage:
-        """A map with its scale bar and legend under it."""
+        """Return a map with its scale bar and legend under it."""
         bar = scale_bar(self.view)
         margin = picture.shape[1] - bar.shape[1]
         moved = np.full((bar.shape[0], picture.shape[1], 3), PAPER, np.uint8)
@@ -183,7 +185,7 @@ class FuelCanvas:
 
 
 def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
-    """(H, W, 3) colours of the life forms, fading to paper with the doubt about them, where that is known."""
+    """Return (H, W, 3) colours of the life forms, fading to paper with the doubt about them, where that is known."""
     colors = label_colors(layers.life_form, palette, _UNKNOWN).astype(np.float64)
     doubt = np.where(layers.life_form == LifeForm.BURNED, 0.0, np.nan_to_num(layers.entropy))
     sure = np.clip((_NO_MORE - doubt) / (_NO_MORE - _SURE), 0, 1)[..., None]
@@ -191,16 +193,16 @@ def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
 
 
 def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: float, palette: ClassPalette) -> RgbImage:
-    """(n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its cells,
-    changed cells outlined.
-    """
+    """Return (n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its
+    cells, changed cells outlined."""
     return bare_map(faded(layers, palette), np.ones(heights.shape, np.bool_), heights, cell, layers.changed)
 
 
 def bare_map(
     colors: RgbImage, shown: BoolArray, heights: NDArray[np.floating], cell: float, outlined: BoolArray
 ) -> RgbImage:
-    """(n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines alone."""
+    """Return (n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines
+    alone."""
     from scipy import ndimage  # here, for the live pictures do without it, and it takes a fifth of a second to load
 
     finer = 4
@@ -230,19 +232,19 @@ class _Names:
 
 
 def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
-    """Life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of which the
-    last two are not known, as of an earlier date, the first two alone."""
+    """Return the life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of
+    which the last two are not known, as of an earlier date, the first two alone."""
     known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
     maps = {
-        "life form; paler: less sure; outlined: no longer the prior map's": canvas.life_forms(layers, palette),
-        "surface fuel model; outlined: no longer the prior map's": canvas.codes(layers.code, layers.changed),
+        "Life form. Paler: less certain. Outlined: differs from the prior map.": canvas.life_forms(layers, palette),
+        "Surface fuel model. Outlined: differs from the prior map.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():
         maps |= {
-            "doubt about the life form: entropy, 0 certain to 1 nothing known": canvas.scaled(
+            "Uncertainty of the life form: entropy, 0 certain to 1 unknown": canvas.scaled(
                 layers.entropy, known, DOUBT
             ),
-            "cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
+            "Number of cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
         }
     return _sheet(maps)
 
@@ -250,7 +252,7 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) ->
 def change_sheet(
     canvas: FuelCanvas, before: FuelLayers, after: FuelLayers, palette: ClassPalette, names: tuple[str, str]
 ) -> RgbImage:
-    """Life forms and fuel models at two dates, cells whose code differs outlined; `names`: of the dates."""
+    """Return the life forms and fuel models at two dates, cells whose code differs outlined; `names`: of the dates."""
     changed = before.code != after.code
     then, now = names
     told = f"{int(changed.sum()):,} cells have changed"
@@ -271,11 +273,11 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
     """
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
-        maps[f"{name}: frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
+        maps[f"{name}: number of frames that saw a cell, {_area(seen.frames > 0, coverage)}"] = canvas.scaled(
             seen.frames, seen.frames > 0, FRAMES
         )
         known = np.isfinite(seen.footprint)
-        maps[f"{name}: ground under a pixel, at best"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
+        maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
     return _sheet(maps)
 
 
@@ -290,7 +292,7 @@ def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbIma
     }
     if len(maps) > 1:
         count = np.sum(list(by_camera.values()), axis=0)
-        maps["cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
+        maps["Number of cameras that see a cell"] = canvas.scaled(count, count > 0, CAMERAS)
     return _sheet(maps)
 
 
@@ -303,5 +305,5 @@ def _area(cells: BoolArray, coverage: CoverageMap) -> str:
 
 def _sheet(maps: Mapping[str, RgbImage]) -> RgbImage:
     if not maps:
-        raise ImageError("no camera has seen any cell of the fuel map: there is no coverage to draw")
+        raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])

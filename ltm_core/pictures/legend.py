@@ -38,7 +38,7 @@ def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def text_width(text: str, size: float) -> int:
-    """Pixels that `text` takes in a row."""
+    """Return the pixels that `text` takes in a row."""
     return int(np.ceil(font(size).getlength(text)))
 
 
@@ -49,7 +49,8 @@ def draw_texts(
     color: tuple[int, int, int],
     halo: tuple[int, int, int] | None = None,
 ) -> RgbImage:
-    """`picture` with each (text, x, y, anchor) written on it; `halo`: colour of an outline that keeps it legible."""
+    """Return `picture` with each (text, x, y, anchor) written on it; `halo`: colour of an outline that keeps it
+    legible."""
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
     for text, x, y, anchor in texts:
@@ -66,7 +67,7 @@ def draw_texts(
 
 
 def metres(value: float) -> str:
-    """A range as people write it: 500 m, 2 km."""
+    """Return a range as people write it: 500 m, 2 km."""
     return f"{value / 1000:g} km" if value >= 1000 else f"{value:g} m"
 
 
@@ -83,10 +84,10 @@ def to_png(picture: RgbImage) -> bytes:
 
 def _encode(picture: RgbImage, suffix: str, options: list[int]) -> bytes:
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or picture.size == 0:
-        raise ImageError(f"a picture must be (H, W, 3) uint8 RGB, got {picture.shape} {picture.dtype}")
+        raise ImageError(f"an image must be (H, W, 3) uint8 RGB, got {picture.shape} {picture.dtype}")
     done, data = cv2.imencode(suffix, np.ascontiguousarray(picture[..., ::-1]), options)
     if not done:
-        raise ImageError(f"OpenCV could not write a picture of {picture.shape} as {suffix}")
+        raise ImageError(f"OpenCV could not write an image of {picture.shape} as {suffix}")
     return bytes(data)
 
 
@@ -110,7 +111,8 @@ class RangeScale:
 
     @classmethod
     def of(cls, ranges: ArrayLike) -> RangeScale:
-        """The scale from the 0.5th to the 99.5th percentile of the finite ranges, rounded outwards to 1, 2 or 5."""
+        """Return the scale from the 0.5th to the 99.5th percentile of the finite ranges, rounded outwards to 1, 2 or
+        5."""
         values = np.asarray(ranges)
         values = values[np.isfinite(values) & (values > 0)]
         if values.size == 0:
@@ -121,7 +123,8 @@ class RangeScale:
         return cls(near, far if far > near else near * 10)
 
     def fraction(self, ranges: ArrayLike) -> Float32Array:
-        """Place of each range on the scale, 0 near to 1 far; NaN where the range is not a finite positive number."""
+        """Return the place of each range on the scale, 0 near to 1 far; NaN where the range is not a finite positive
+        number."""
         values = np.asarray(ranges, np.float32)
         usable = np.isfinite(values) & (values > 0)
         log = np.log(np.where(usable, values, 1.0))
@@ -130,7 +133,8 @@ class RangeScale:
         return np.where(usable, placed, np.nan).astype(np.float32)
 
     def ticks(self) -> list[float]:
-        """Round ranges (1, 2, 5 times a power of ten) inside the scale, its ends included where they are round."""
+        """Return the round ranges (1, 2, 5 times a power of ten) inside the scale, its ends included where they are
+        round."""
         return [t for t in _one_two_five(self.near, self.far) if self.near <= t <= self.far]
 
 
@@ -141,7 +145,7 @@ def _one_two_five(low: float, high: float) -> list[float]:
 
 @lru_cache(maxsize=1)
 def scale_colors() -> RgbImage:
-    """(256, 3) colours from near to far: turbo, reversed."""
+    """Return (256, 3) colours from near to far: turbo, reversed."""
     ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
     colors = np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO)[:, 0, ::-1])
     colors.flags.writeable = False
@@ -154,7 +158,7 @@ def depth_colors(
     sky: tuple[int, int, int] = SKY_COLOR,
     unknown: tuple[int, int, int] = UNKNOWN_COLOR,
 ) -> RgbImage:
-    """Colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
+    """Return the colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
     values = np.asarray(ranges, np.float32)
     fraction = (scale or RangeScale()).fraction(values)
     known = np.isfinite(fraction)
@@ -171,7 +175,8 @@ INK = (38, 40, 44)
 
 
 def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> RgbImage:
-    """The colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no range."""
+    """Return the colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no
+    range."""
     scale = scale or RangeScale()
     ticks = [(tick, float(scale.fraction(tick))) for tick in scale.ticks()]
     others = [("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)] if sky else []
@@ -181,9 +186,8 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
 def ramp_legend(
     width: int, ramp: RgbImage, ticks: Sequence[tuple[float, float]], others: Sequence[tuple[str, Color]] = ()
 ) -> RgbImage:
-    """A strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (metres, where between 0 and 1), and the
-    colours of what is not on the scale.
-    """
+    """Return a strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (metres, where between 0 and 1), and
+    the colours of what is not on the scale."""
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
     strip = _paper(height, width)
@@ -212,7 +216,8 @@ def ramp_legend(
 
 
 def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
-    """A swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`, 3)."""
+    """Return a swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`,
+    3)."""
     shown = sorted(set(ids)) if ids is not None else range(len(label_set.names))
     size = _text_size(width)
     swatch, row_height = round(size * 1.1), round(size * 1.9)
@@ -238,7 +243,7 @@ def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None 
 
 
 def with_legend(picture: RgbImage, *legends: RgbImage) -> RgbImage:
-    """`picture` with strips of the same width under it."""
+    """Return `picture` with strips of the same width under it."""
     return np.concatenate([picture, *legends], axis=0)
 
 
@@ -271,7 +276,7 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
 
 
 def error_legend(width: int) -> RgbImage:
-    """The colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
+    """Return the colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
     ticks = [(tick, float(_place(np.float32(tick)))) for tick in _TICKS]
     return ramp_legend(width, _ramp(), ticks, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])
 

@@ -19,7 +19,7 @@ from ltm_core.visibility.point_visibility import PointState
 _WIDTH = 760
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _LEAST_VIEW = 300.0
-"""Metres that the close map shows at least."""
+"""Minimum width in metres of the detail map."""
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
 _FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
 _TRUTH = (0, 120, 60)
@@ -40,7 +40,7 @@ def location_picture(
     titles: tuple[str, str],
     truth: tuple[float, float] | None = None,
 ) -> RgbImage:
-    """Two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely.
+    """Return two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely.
 
     `dem`, `posterior`, `cameras`: in the map frame. `ellipses`: with their names, smallest first. `offset`: of the map
     frame in its CRS, for the axes. `truth`: x, y of a known place, marked.
@@ -68,8 +68,8 @@ def location_picture(
 def places_picture(
     photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]], marked: Float64Array | None = None
 ) -> RgbImage:
-    """A photo with places of the map drawn where they lie in it: green seen, orange hidden by terrain, grey where
-    unknown ground decides. `marked`: (N, 2) where they were marked, a cross each with a line to where they lie.
+    """Return a photo with places of the map drawn where they lie in it: green seen, orange hidden by terrain, grey
+    where unknown ground decides. `marked`: (N, 2) where they were marked, a cross each with a line to where they lie.
     """
     picture = photo.copy()
     size = max(12, round(photo.shape[1] / 80))
@@ -110,7 +110,7 @@ def _close_bounds(
 
 
 def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:
-    """Bounds of points with a margin, a third as high as wide or more."""
+    """Return the bounds of points with a margin, a third as high as wide or more."""
     low, high = points.min(axis=0), points.max(axis=0)
     centre, half = (low + high) / 2, (high - low) / 2 * (1 + 2 * share)
     half = np.maximum(half, least / 2)
@@ -124,7 +124,8 @@ def _padded(points: Float64Array, share: float, least: float) -> tuple[float, fl
 
 
 def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbImage:
-    """Cells by the share of the probability that is in more probable ones: a colour says the same on every map."""
+    """Return the cells by the share of the probability that is in more probable ones: a colour says the same on every
+    map."""
     before = np.concatenate([[0.0], np.cumsum(posterior.probability)[:-1]])
     chosen = before < 0.99
     cells = np.zeros(posterior.geometry.shape)

@@ -47,7 +47,7 @@ class MapCamera:
     reach: float = 3000.0
 
     def sector(self, steps: int = 24) -> Float64Array:
-        """Outline (N, 2) of the sector in map coordinates, from the camera round and back."""
+        """Return the outline (N, 2) of the sector in map coordinates, from the camera round and back."""
         half = self.camera.hfov_deg / 2
         angles = np.deg2rad(np.linspace(self.azimuth_deg - half, self.azimuth_deg + half, steps))
         arc = np.column_stack([np.sin(angles), np.cos(angles)]) * self.reach
@@ -62,7 +62,8 @@ def labelled_shade(
     view: GridGeometry,
     opacity: float = 0.8,
 ) -> RgbImage:
-    """Class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare relief.
+    """Return the class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare
+    relief.
 
     Cells of both rasters are looked up at the centres of the view's pixels. Raises RasterError where classes and
     geometry disagree or the rasters are in different CRSs.
@@ -92,7 +93,7 @@ def fuel_map_picture(
     title: str | None = None,
     outlined: BoolArray | None = None,
 ) -> RgbImage:
-    """The fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
+    """Return the fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
 
     `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras. `outlined`:
     (H, W) cells to mark.
@@ -110,7 +111,7 @@ def fuel_map_picture(
 
 
 def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
-    """The inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
+    """Return the inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
     line = max(1, round(cell / 3.5))
     # Beyond its border a picture neither adds nor takes away.
     sides = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -128,7 +129,7 @@ def terrain_map_picture(
     width: int = 1200,
     title: str | None = None,
 ) -> RgbImage:
-    """Tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover."""
+    """Return the tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover."""
     if seen is not None and seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
     if bounds is None:
@@ -145,7 +146,7 @@ def terrain_map_picture(
 
 
 def scale_bar(view: GridGeometry) -> RgbImage:
-    """A strip as wide as the map, with a bar of a round length in four parts, (h, view.width, 3)."""
+    """Return a strip as wide as the map, with a bar of a round length in four parts, (h, view.width, 3)."""
     size = _text_size(view)
     target = view.width * view.resolution / 4
     power = 10 ** math.floor(math.log10(target))
@@ -169,7 +170,8 @@ def relief(dem: Dem, view: GridGeometry) -> RgbImage:
 
 
 def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray[Any]]) -> Float32Array:
-    """What `draw(factor, window)` gives of a part of the DEM, at the view's pixel centres, bilinear; NaN outside.
+    """Return what `draw(factor, window)` gives of a part of the DEM, at the view's pixel centres, bilinear; NaN
+    outside.
 
     Only the part under the view is drawn, as means over `factor` cells where the view is that much coarser.
     """
@@ -199,9 +201,8 @@ def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray
 
 
 def _blocks(places: Float64Array, size: int, factor: int) -> tuple[int, int]:
-    """The cells between two places along one side, with two blocks of `factor` cells more, in whole blocks; at least
-    two blocks, also of a raster that lies elsewhere.
-    """
+    """Return the cells between two places along one side, with two blocks of `factor` cells more, in whole blocks; at
+    least two blocks, also of a raster that lies elsewhere."""
     most = size // factor
     first = min(max(0, math.floor(places.min() / factor) - 2), most - 2)
     last = max(min(most, math.ceil(places.max() / factor) + 3), first + 2)
@@ -209,7 +210,7 @@ def _blocks(places: Float64Array, size: int, factor: int) -> tuple[int, int]:
 
 
 def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:
-    """The cell under each of the view's pixel centres."""
+    """Return the cell under each of the view's pixel centres."""
     x, _ = view.to_map(0, np.arange(view.width))
     _, y = view.to_map(np.arange(view.height), 0)
     row, col = geometry.cell_of(x[None, :], y[:, None])
@@ -229,7 +230,7 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 def interesting_bounds(
     mask: BoolArray, geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
-    """Bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
+    """Return the bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
     xs, ys = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
     rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if len(rows):
@@ -247,7 +248,7 @@ def interesting_bounds(
 
 
 def furnished(picture: RgbImage, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> RgbImage:
-    """Cameras, north arrow and title drawn on a map."""
+    """Return the cameras, north arrow and title drawn on a map."""
     picture = picture.copy()
     size = _text_size(view)
     labels: list[tuple[str, float, float, Anchor]] = []
@@ -296,7 +297,8 @@ def _draw_camera(
 def draw_north(
     picture: RgbImage, size: int, texts: Sequence[tuple[str, float, float, Anchor]] = ()
 ) -> tuple[str, float, float, Anchor]:
-    """The arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its N."""
+    """Return the arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its
+    N."""
     x, y = picture.shape[1] - 2 * size, size
     if any(place[1] + text_width(place[0], size) > x - size and place[2] < 5 * size for place in texts):
         y = picture.shape[0] - 5 * size

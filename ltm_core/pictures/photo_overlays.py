@@ -33,7 +33,8 @@ from ltm_core.vision.segmenter import Segmentation
 def label_colors(
     labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
 ) -> RgbImage:
-    """Colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are `unlabelled`."""
+    """Return the colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are
+    `unlabelled`."""
     table = np.empty((256, 3), np.uint8)
     table[:] = unlabelled
     colors = np.asarray(label_set.colors, np.uint8)
@@ -45,7 +46,7 @@ def label_colors(
 def overlay_depth(
     image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
 ) -> RgbImage:
-    """Range colours over the photo, which stays plain where the range is sky or unknown.
+    """Return the range colours over the photo, which stays plain where the range is sky or unknown.
 
     `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
     nearest). `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes that disagree.
@@ -61,7 +62,7 @@ def overlay_depth(
 
 
 def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
-    """Class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
+    """Return the class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
 
     `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
     """
@@ -74,13 +75,14 @@ def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette,
 
 
 def _mix(image: RgbImage, colors: RgbImage, opacity: float) -> RgbImage:
-    """Colours over the photo's brightness alone: the photo's own hues would shift them away from the legend."""
+    """Return the colours over the photo's brightness alone: the photo's own hues would shift them away from the
+    legend."""
     grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
 
 
 def _edges(ids: Int16Array) -> BoolArray:
-    """Pixels whose right or lower neighbour differs."""
+    """Return the pixels whose right or lower neighbour differs."""
     edge = np.zeros(ids.shape, np.bool_)
     edge[:, :-1] |= ids[:, :-1] != ids[:, 1:]
     edge[:-1] |= ids[:-1] != ids[1:]
@@ -110,7 +112,8 @@ COLORS = (
 
 
 def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence[bool]) -> RgbImage:
-    """(H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as outlines."""
+    """Return (H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as
+    outlines."""
     drawn = photo.copy()
     texts: list[tuple[str, float, float, str]] = []
     size = max(14.0, photo.shape[1] / 45)
@@ -120,7 +123,7 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
             drawn[hidden] = (0.45 * drawn[hidden] + 0.55 * color).astype(np.uint8)
         outlines, _ = cv2.findContours(hidden.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(drawn, outlines, -1, color.tolist(), max(2, photo.shape[1] // 500))
-        # The number stands in the thickest place, clear of the picture's edge.
+        # The number is in the thickest place, clear of the picture's edge.
         depth = cv2.distanceTransform(np.pad(hidden.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
         v, u = np.unravel_index(int(np.argmax(depth)), depth.shape)
         u_text = float(np.clip(u, size, photo.shape[1] - size))
@@ -135,8 +138,8 @@ _WIDEST = 1600
 def pose_fit_picture(
     photo: RgbImage, camera: Camera, horizon: TerrainHorizon, poses: list[tuple[str, Camera, Pose]]
 ) -> RgbImage:
-    """The photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the terrain's
-    horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
+    """Return the photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the
+    terrain's horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
     step = max(1, -(-camera.width // _WIDEST))
     small = cv2.resize(photo, (camera.width // step, camera.height // step), interpolation=cv2.INTER_AREA)
     sheets = []

@@ -13,7 +13,7 @@ from ltm_core.base.types import Float32Array, Float64Array, RgbImage
 from ltm_core.raster.dem import Dem
 
 Window = tuple[int, int, int, int]
-"""Row, column, height and width of a part of a raster."""
+"""Part of a raster: row, column, height and width."""
 
 # Lights from four sides, north-west strongest: ridges of every direction keep a lit and a dark side.
 _LIGHTS = ((315.0, 0.5), (270.0, 0.2), (360.0, 0.2), (225.0, 0.1))
@@ -22,7 +22,7 @@ _TINTS = np.array(
 )
 _NODATA = (214, 216, 220)
 _GREY = 0.7
-"""Brightness where there is no height."""
+"""Brightness of cells without height."""
 _STRIP_CELLS = 1 << 20
 _SPAN_CELLS = 1 << 22
 
@@ -30,7 +30,8 @@ _SPAN_CELLS = 1 << 22
 def hillshade(
     dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0, factor: int = 1, window: Window | None = None
 ) -> Float32Array:
-    """Brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides; NaN where there is no height.
+    """Return the brightness (h, w) float32 in [0, 1] of a white matte surface lit from four sides; NaN where there is
+    no height.
 
     Slopes by Horn's 3 x 3 differences (Horn 1981), the border row and column by the same with repeated edges. `factor`,
     `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
@@ -41,8 +42,8 @@ def hillshade(
 def drawn(
     dem: Dem, draw: Callable[[Float32Array, float], Float32Array], factor: int = 1, window: Window | None = None
 ) -> Float32Array:
-    """What `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip: nothing but the
-    result is ever held whole.
+    """Return what `draw` makes of the heights, as means over `factor` x `factor` cells, strip after strip: nothing but
+    the result is ever held whole.
 
     `draw`: takes heights (h, w) and their resolution, gives (h, w) or (h, w, 3) float32; what it draws of a cell may
     depend on the cell's neighbours alone. `window`: (row, col, height, width) of the part that is drawn, all multiples
@@ -66,7 +67,8 @@ def drawn(
 
 
 def brightness_at(dem: Dem, x: NDArray[np.floating], y: NDArray[np.floating]) -> Float64Array:
-    """Hillshade at map points (N,), bilinear; NaN outside the DEM, a middling grey where there is no height."""
+    """Return the hillshade at map points (N,), bilinear; NaN outside the DEM, a middling grey where there is no
+    height."""
     row, _ = dem.geometry.to_grid(x, y)
     rows, cols = dem.elevation.shape
     at_once = max(2, _STRIP_CELLS // cols)
@@ -112,7 +114,8 @@ def _slopes(elevation: Float32Array, resolution: float) -> tuple[Float32Array, F
 
 
 def hypsometric(elevation: Float32Array, low: float | None = None, high: float | None = None) -> RgbImage:
-    """Height tints (H, W, 3), green lowland to white summits, between the 1st and 99th percentile unless given."""
+    """Return the height tints (H, W, 3), green lowland to white summits, between the 1st and 99th percentile unless
+    given."""
     if low is None or high is None:
         bottom, top = height_span(elevation)
         low, high = (bottom if low is None else low), (top if high is None else high)
@@ -120,9 +123,8 @@ def hypsometric(elevation: Float32Array, low: float | None = None, high: float |
 
 
 def height_span(elevation: Float32Array) -> tuple[float, float]:
-    """The 1st and 99th percentile of the known heights, of a large raster those of evenly taken ones; 0 to 1 where
-    none is known.
-    """
+    """Return the 1st and 99th percentile of the known heights, of a large raster those of evenly taken ones; 0 to 1
+    where none is known."""
     step = max(1, math.isqrt(elevation.size // _SPAN_CELLS))
     taken = elevation[::step, ::step]
     known = taken[np.isfinite(taken)]
@@ -133,7 +135,7 @@ def height_span(elevation: Float32Array) -> tuple[float, float]:
 
 
 def terrain_colors(dem: Dem, strength: float = 0.75, factor: int = 1, window: Window | None = None) -> RgbImage:
-    """Height tints under shaded relief, (h, w, 3); `strength` 0 leaves the shade away, 1 applies it fully.
+    """Return the height tints under shaded relief, (h, w, 3); `strength` 0 leaves the shade away, 1 applies it fully.
 
     `factor`, `window`: as of `drawn`; the whole DEM, cell by cell, unless given.
     """

@@ -18,7 +18,8 @@ _LEAST_TICKS = 3
 
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
-    """`picture` (of the raster `view`) with eastings below and northings on the left, metres, every round distance.
+    """Return `picture` (of the raster `view`) with eastings below and northings on the left, metres, every round
+    distance.
 
     `offset`: what is added to the view's coordinates, such as the map frame's origin.
     """
@@ -46,7 +47,7 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
 
 
 def round_step(length: float) -> float:
-    """The greatest of 1, 2, 5 times a power of ten that goes into `length` three times or more."""
+    """Return the greatest of 1, 2, 5 times a power of ten that goes into `length` three times or more."""
     power = 10.0 ** math.floor(math.log10(length / _LEAST_TICKS))
     return max(n * power for n in _STEPS if n * power * _LEAST_TICKS <= length)
 
@@ -60,7 +61,7 @@ def _number(value: float) -> str:
 
 
 def fit(picture: RgbImage, width: int) -> RgbImage:
-    """`picture` at `width` pixels, its proportions kept."""
+    """Return `picture` at `width` pixels, its proportions kept."""
     height = max(1, round(picture.shape[0] * width / picture.shape[1]))
     if (height, width) == picture.shape[:2]:
         return picture
@@ -69,9 +70,9 @@ def fit(picture: RgbImage, width: int) -> RgbImage:
 
 
 def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, gap: int = 14) -> RgbImage:
-    """A sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
+    """Return a sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
     if not pictures or columns < 1:
-        raise ImageError(f"a panel needs at least one picture and one column, got {len(pictures)} and {columns}")
+        raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
     size = max(13, round(width / 42))
     title = round(size * 1.8)
     columns = min(columns, len(pictures))

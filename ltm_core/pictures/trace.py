@@ -32,7 +32,8 @@ _WIDEST = 2200
 
 
 def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
-    """Ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a legend.
+    """Return the ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a
+    legend.
 
     `photo`: (H, W, 3) uint8 of the camera's size. `dem`: the terrain that was traced. A picture wider than 2200 pixels
     is drawn at every second, third, ... pixel.
@@ -50,7 +51,7 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
 
 
 def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
-    """Shaded relief with the cells that the picture sees, its camera and its field of view.
+    """Return the shaded relief with the cells that the picture sees, its camera and its field of view.
 
     `counts`: pixels a cell, shape of the DEM.
     """
@@ -63,7 +64,8 @@ def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | 
 
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
-    """The traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W, 3)."""
+    """Return the traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W,
+    3)."""
     height, width = traced.range.shape
     fade = np.linspace(0, 1, height)[:, None, None]
     picture = np.broadcast_to(
@@ -78,7 +80,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
-    """`picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
+    """Return `picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
 
     Where unknown ground meets the sky there is no line: that edge is the DEM's, not the landscape's.
     """
@@ -129,7 +131,7 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 def coverage_picture(
     coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str | None = None
 ) -> UInt8Array:
-    """The number of cameras that see each cell over shaded relief, RGB (H, W, 3), with the cameras and a legend.
+    """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with the cameras and a legend.
 
     `dem`: in the frame of the coverage.
     """

@@ -1,4 +1,4 @@
-"""A frame in the steps of its camera, for whoever has a frame and no graph: its votes, and what the terrain takes."""
+"""Run the steps of a camera's frame without a graph: its votes, and its measurements for the terrain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ltm_core.vision.segmenter import Segmentation
 
 @dataclass(frozen=True)
 class FrameVotes:
-    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its picture was used, or empty."""
+    """Votes of a frame: `columns` as in `vote_columns`; `reason`: why its image was not used, or empty."""
 
     columns: Columns
     reason: str
@@ -34,8 +34,8 @@ class FrameVotes:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFrame:
-    """What the terrain takes from a frame: `depth`, `sigma` (h, w) metres that the depth network measures, NaN where it
-    does not; `labels` (H, W) class ids. `trouble`: why the network gave nothing, where it failed."""
+    """Depth measured for the terrain: `depth`, `sigma` (h, w) metres from the depth network, NaN where it measures
+    nothing; `labels` (H, W) class ids. `trouble`: the error of the network, if it failed."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -44,8 +44,8 @@ class MeasuredFrame:
 
 
 class FrameSteps:
-    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier pictures tell, is
-    not told. `fusing`: None: what frames measure is not asked for."""
+    """All steps for the frames of one camera; frames may come in any order, so smoke, which needs earlier images, is
+    not detected. `fusing`: None if measurements are not needed."""
 
     def __init__(
         self,
@@ -62,32 +62,32 @@ class FrameSteps:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum."""
+        """Return the name and checksum of the label network."""
         return self.labelling.described
 
     def of(self, frame: PosedImage) -> FrameAtWork:
-        """A frame, for what is asked of it."""
+        """Return the steps of a frame, for the requested results."""
         return FrameAtWork(self, frame)
 
 
 class FrameAtWork:
-    """A frame in the steps of its camera: each is taken once, when something asks for what it makes, so that votes are
-    the same whether or not anybody asks what was measured. Methods raise LtmError as the steps do."""
+    """Frame in the steps of its camera: each step runs once, when its result is first requested, so that votes do not
+    depend on whether measurements are requested. Methods raise LtmError as the steps do."""
 
     def __init__(self, steps: FrameSteps, frame: PosedImage) -> None:
         self._steps, self._frame = steps, frame
 
     def votes(self, covariance: Float64Array | None) -> FrameVotes:
-        """`covariance`: (6, 6) of the frame's pose; None: it is exact."""
+        """Return the votes. `covariance`: (6, 6) of the frame's pose; None: it is exact."""
         found, view = self._labelled
         if view.reason is not None:
-            return FrameVotes(no_columns(), view.unusable)  # a picture that shows nothing needs no ranges
+            return FrameVotes(no_columns(), view.unusable)  # an image that shows nothing needs no ranges
         frame, voting = self._frame, self._steps.voting
         cast = voting.cast(self._depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
         return FrameVotes(votes_to_columns(voting.carried(cast), voting.labels.names), view.unusable)
 
     def measured(self, covariance: Float64Array | None) -> MeasuredFrame:
-        """Of steps that fuse. `covariance`: (6, 6) of the frame's pose as it is known; None: it is not."""
+        """Return the measurement of steps that fuse. `covariance`: (6, 6) of the frame's pose; None: unknown."""
         assert self._steps.fusing is not None  # nosec B101 # tells the type checker what holds
         found, view = self._labelled
         measured, trouble = self._steps.fusing.measure(self._depth, self._frame, found.labels, covariance, view)
@@ -101,6 +101,6 @@ class FrameAtWork:
 
     @cached_property
     def _depth(self) -> Float32Array:
-        """(H, W) traced, along the optical axis."""
+        """Return (H, W) traced, along the optical axis."""
         camera, pose, tracing = self._frame.camera, self._frame.pose, self._steps.tracing
         return seen(tracing.trace(camera, pose).ranges.depth(), tracing.hidden(camera, pose))

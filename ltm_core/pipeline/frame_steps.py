@@ -1,6 +1,6 @@
 """Run the steps from a posed frame to votes, each once for a camera: trace, label, vote.
 
-The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
+The steps from a posed image to votes, each made once for a camera: trace, label, vote.
 
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
 (`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
@@ -54,28 +54,30 @@ class PosedImage:
         if self.image.shape != expected or self.image.dtype != np.uint8:
             raise ImageError(
                 f"image of {self.camera_name} is {self.image.shape} {self.image.dtype}, "
-                f"its calibration says {expected} uint8"
+                f"its calibration expects {expected} uint8"
             )
 
 
 class TracingConfig(StrictModel):
     surface: bool = True
-    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
-    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+    """Whether to trace to the tops of trees and buildings where the site has a surface raster. Both hits are kept; the
+    one on bare earth is published on `depth/ground` while the topic has subscribers."""
 
 
 class LabellingConfig(StrictModel):
     model: str = ""
-    """Manifest name or path; empty: the site's."""
+    """Manifest name or path of the network; empty: that of the site."""
     threads: int = Field(1, ge=1)
-    """Cores that the network may use."""
+    """Number of cores that the network may use."""
     zoom: float = Field(1.0, ge=1, le=4)
-    """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
+    """Magnification of a second inference of the slopes along the skyline; 1: none. It costs one to several more runs
+    of the network."""
     confidence: float | None = Field(None, ge=0, lt=1)
-    """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
+    """Probability below which labels are withdrawn; None: the value of the network's manifest or the camera's label
+    head."""
     tree_contrast: float | None = Field(None, ge=0)
-    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps) and the picture shows more shrub:
-    hazy far slopes are called so. None: as the network's manifest or the camera's head says."""
+    """Local contrast in 8-bit steps below which *tree* is withdrawn if the image shows more shrub, because hazy far
+    slopes are labelled as trees; None: the value of the network's manifest or the camera's label head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,24 +91,24 @@ class _Tracers:
 
 @dataclass(frozen=True, eq=False)
 class TracedFrame:
-    """`ranges`: to what the camera sees of the terrain. `over`: what it was traced with."""
+    """Traced frame. `ranges`: to the visible terrain. `over`: the terrain it was traced on."""
 
     ranges: RangeImage
     over: _Tracers
 
     @property
     def version(self) -> str:
-        """Of the confirmed surface; AS_GIVEN where it was the site's rasters."""
+        """Return the version of the confirmed surface; AS_GIVEN for the site's rasters."""
         return self.over.version
 
     def bare_earth(self) -> RangeImage:
-        """The ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        """Return the ranges to bare earth of the same version; the same ranges if nothing is known to stand on it."""
         over, seen_from = self.over, self.ranges
         return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
 
 
 class TracingStep:
-    """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
+    """Trace every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
 
     def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
@@ -115,13 +117,13 @@ class TracingStep:
         self.trace_to(given_terrain(site))
 
     def trace_to(self, terrain: ConfirmedTerrain) -> None:
-        """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
+        """Use this terrain from now on. It is built completely before it replaces the previous one. Raises
+        RasterError."""
         self._over = self._tracers(terrain)
 
     def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
-        """Raises PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
-        below a confirmed surface is traced to the terrain as given.
-        """
+        """Trace a frame. Raises PoseError as the tracer does; but a frame from below a confirmed surface (growth around
+        a mast) is traced to the terrain as given."""
         over = self._over
         try:
             return TracedFrame(over.tracer.trace(camera, pose), over)
@@ -134,16 +136,16 @@ class TracingStep:
 
     @property
     def statistics(self) -> TracerStatistics:
-        """Of the tracer in use."""
+        """Return the statistics of the tracer in use."""
         return self._over.tracer.statistics
 
     @property
     def version(self) -> str:
-        """Of the confirmed surface in use."""
+        """Return the version of the confirmed surface in use."""
         return self._over.version
 
     def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
-        """(H, W) bool, where the mask of what the camera looks at has it that something else is seen; None: nowhere."""
+        """Return (H, W) bool, True where the mask of this direction hides the landscape; None: nowhere."""
         return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
 
     def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
@@ -155,7 +157,7 @@ class TracingStep:
 
 
 def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
-    """Depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
+    """Return depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) is True."""
     if hidden is None:
         return values
     result = values.copy()
@@ -164,7 +166,7 @@ def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
 
 
 class LabellingStep:
-    """Labels every pixel of a camera's pictures. Raises ConfigError, ModelError for a network that cannot be taken."""
+    """Label every pixel of a camera's images. Raises ConfigError, ModelError for an invalid network."""
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
@@ -178,22 +180,22 @@ class LabellingStep:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum."""
+        """Return the name and checksum of the label network."""
         return self._segmenter.described
 
     @property
     def manifest(self) -> NetworkManifest:
-        """Of the network."""
+        """Return the network's manifest."""
         return self._segmenter.manifest
 
     @property
     def withdrawal(self) -> Withdrawal:
-        """Which labels are withdrawn."""
+        """Return which labels are withdrawn."""
         return self._segmenter.withdrawal
 
     @property
     def by_view(self) -> bool:
-        """Whether the camera has masks of single views, so that a picture's labels hang on where it looks."""
+        """Return whether the camera has masks of single views, so that labels depend on the viewing direction."""
         return self._scene.by_view
 
     def label(
@@ -203,10 +205,10 @@ class LabellingStep:
         stamp_ns: int | None = None,
         in_order: bool = True,
     ) -> tuple[Segmentation, SceneView]:
-        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
+        """Label an image (H, W, 3) RGB. Return its labels and the scene view.
 
-        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: when it was taken; None:
-        nobody knows. `in_order`: pictures come as they were taken, so that smoke is detected by comparison with
+        `looking`: viewing direction; None: only the mask of all views is used. `stamp_ns`: time of the image; None:
+        unknown. `in_order`: images arrive in the order of their times, so that smoke is detected by comparison with
         previous ones; a single image shows no smoke.
         """
         view = self._scene.look(photo, looking, stamp_ns)
@@ -227,7 +229,7 @@ class LabellingStep:
 
 
 class VotingStep:
-    """Turns a camera's depth and labels into votes for the fuel cells that it sees."""
+    """Convert a camera's depth and labels to votes for the fuel cells that it sees."""
 
     def __init__(self, site: Site, camera: str) -> None:
         self._camera = camera
@@ -240,7 +242,7 @@ class VotingStep:
         limits = GroundLimits(growth, self.geometry, dem, self.labels) if growth.any else None
         self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend, limits)
         self.assumed = site.assumed_pose_error.covariance()
-        """(6, 6): of poses of which nothing else is known."""
+        """(6, 6) covariance assumed for poses without one."""
 
     def cast(
         self,
@@ -251,12 +253,12 @@ class VotingStep:
         stamp_ns: int,
         covariance: Float64Array | None,
     ) -> CellVotes:
-        """All votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None: it
-        is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
+        """Return all votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None:
+        it is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
         return self._caster.cast(
             depth, camera, pose, found.labels, stamp_ns, self._camera, found.confidence, covariance
         )
 
     def carried(self, votes: CellVotes) -> CellVotes:
-        """Those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
+        """Return the votes that are counted: those that fit into a message (`vote_columns.fitting`)."""
         return fitting(votes, turn_of(votes.stamp_ns))

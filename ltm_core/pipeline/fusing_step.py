@@ -1,6 +1,5 @@
-"""The step from a frame's traced depth, photo and labels to fused depth and what the network measures, made once for a
-camera. The node `topodepth` is this step with messages around it, and an archive's frames go through the same one.
-"""
+"""Fuse a frame's traced depth, photo and labels; one object per camera. The node `topodepth` adds messages to this
+step, and archives use the same one."""
 
 from __future__ import annotations
 
@@ -34,22 +33,22 @@ from ltm_core.vision.scene_view import SceneView
 
 class FusingConfig(StrictModel):
     model: str = ""
-    """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    """Manifest name or path of a depth network; empty: `depth_model` of the site."""
     label_model: str = ""
-    """Manifest name or path of the network that makes the labels, which says how fine they are; empty: the site's
-    `model`."""
+    """Manifest name or path of the segmentation network, which states the resolution of its labels; empty: `model` of
+    the site."""
     threads: int = Field(1, ge=1)
-    """Cores that the network may use."""
+    """Number of cores that the network may use."""
     angle_sigma_deg: float = Field(0.03, ge=0)
-    """Standard deviation of a camera's direction, beside what its pose's covariance says."""
+    """Standard deviation of a camera's direction in degrees, in addition to the covariance of its pose."""
     dem_sigma: float = Field(1.0, ge=0)
-    """Standard deviation of the terrain's heights, metres."""
+    """Standard deviation of the terrain's heights in metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class FusedFrame:
-    """`view`: what of the photo was taken to show the landscape. `trouble`: why the network gave nothing, where it
-    failed; the terrain's depth is worth having without one."""
+    """Fused frame. `view`: scene view of the photo. `trouble`: the error of the network, if it failed; the terrain's
+    depth is then used alone."""
 
     fused: FusedDepth
     view: SceneView
@@ -57,20 +56,21 @@ class FusedFrame:
 
 
 class FusingStep:
-    """Fuses a camera's frames. Raises ConfigError without a depth network, ModelError for one that cannot be taken."""
+    """Fuse a camera's frames. Raises ConfigError without a depth network, ModelError for an invalid one."""
 
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
         self._config, self._site = config, site
         self._scene = site_scene_filter(site, camera)
         self.label_columns = label_columns(site, camera, config)
-        """Of the network that makes the labels; 0: not known."""
+        """Columns of the network that makes the labels; 0: unknown."""
         self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
         # Bare earth is asked for only where depth is traced to something else.
         self.trace_to(None if site.surface is None else site.open_dem())
 
     def trace_to(self, ground: Dem | None) -> None:
-        """`ground`: bare earth where depth is traced to what stands on it, which is then traced here besides."""
+        """Use this terrain from now on. `ground`: bare earth if depth is traced to objects on it; it is then traced as
+        well."""
         rays = self._site.curvature, self._site.refraction, self._site.possible_ground
         self._ground = None if ground is None else TerrainTracer(ground, *rays)
 
@@ -82,8 +82,8 @@ class FusingStep:
         covariance: Float64Array | None,
         view: SceneView | None = None,
     ) -> FusedFrame:
-        """`depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: they did not come.
-        `covariance`: (6, 6) of the pose as it is known; None: it is not. `view`: what was found of the photo already.
+        """Fuse a frame. `depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: missing.
+        `covariance`: (6, 6) of the pose; None: unknown. `view`: scene view of the photo, if already known.
 
         Raises ImageError and PoseError as `fuse` and the tracer do.
         """
@@ -100,8 +100,8 @@ class FusingStep:
         covariance: Float64Array | None,
         view: SceneView | None = None,
     ) -> tuple[NetworkMeasurement, str]:
-        """What the network measures of a frame that `fuse` would fuse, in less time, and why it gave nothing, where it
-        failed; arguments and errors as there."""
+        """Return the network's measurement of a frame that `fuse` would fuse, in less time, and the error of the
+        network, if it failed; arguments and errors as there."""
         seen, network, trouble = self._look(frame, view)
         ground, _ = self._terrain(depth, frame)
         known = self._classes, self._settings(covariance), self.network.fusion, seen.hidden, seen.unusable
@@ -113,7 +113,7 @@ class FusingStep:
         return (traced, None) if self._ground is None else (self._ground.trace(frame.camera, frame.pose), traced)
 
     def _look(self, frame: PosedImage, view: SceneView | None) -> tuple[SceneView, NetworkDepth | None, str]:
-        """What of the photo shows the landscape, and what the network makes of it, or why it failed."""
+        """Return what of the photo shows the landscape, and what the network makes of it, or why it failed."""
         looking = Looking.of(frame.camera, frame.pose)
         seen = self._scene.look(frame.image, looking, frame.stamp_ns) if view is None else view
         try:
@@ -122,7 +122,7 @@ class FusingStep:
             return seen, None, str(error)
 
     def _settings(self, covariance: Float64Array | None) -> FusionSettings:
-        """With the camera's direction as sure as its pose's covariance says, where that is given."""
+        """Return the settings with the sigma of the camera's direction from its pose's covariance, if given."""
         known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self._config.angle_sigma_deg)
         return FusionSettings(
@@ -130,7 +130,7 @@ class FusingStep:
         )
 
     def compile_kernels(self) -> None:
-        """Now, or load them from numba's cache: the first frame shall not wait for it."""
+        """Compile the kernels, or load them from numba's cache, so that the first frame does not wait."""
         camera = Camera.from_fov(96, 64, 50.0)
         rows, cols = np.mgrid[0:64, 0:96]
         depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
@@ -144,16 +144,17 @@ class FusingStep:
 
 
 def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
-    """The depth network of a camera: one with a head has that of the network which the head corrects, so that the
-    encoder runs once. Raises ConfigError where the site names none, ModelError for one that is not there."""
+    """Return the depth network of a camera; with a label head, that of the network which the head corrects, so that the
+    encoder runs once. Raises ConfigError if the site names none, ModelError if it is missing."""
     model = config.model or site.depth_model
     if not model:
-        raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
+        raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
     return NetworkManifest.find(model).serving(site.camera(camera).label_head)
 
 
 def label_columns(site: Site, camera: str, config: FusingConfig) -> int:
-    """Of the network that labels a camera's pictures; 0 where it is not known here: another computer may run it."""
+    """Return the columns of the network that labels a camera's images; 0 if it is unknown here, because another
+    computer may run it."""
     try:
         return (
             NetworkManifest.find(config.label_model or site.model).serving(site.camera(camera).label_head).label_columns

@@ -39,7 +39,7 @@ from ltm_core.vision.labels import LabelSet
 
 
 def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
-    """An empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
+    """Return an empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
     Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken.
     """
@@ -47,7 +47,7 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
 
 
 def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable[[], LivingFuelMap]:
-    """Makes such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
+    """Return a function that makes such maps from files that are read once, now. Raises as `site_evidence_map`."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     climate = FuelClimate.named(fuel.climate)
@@ -56,13 +56,13 @@ def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable
 
 
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
-    """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
+    """Return the elevations of the prior on the fuel grid (in the map frame); None: it has none."""
     return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
 
 
 @dataclass(frozen=True, eq=False)
 class SiteCanopy:
-    """`note`: what is to be told of it; empty: nothing."""
+    """Canopy of a site. `note`: remark for the user; empty: none."""
 
     seen: SeenCanopy
     note: str = ""
@@ -78,7 +78,7 @@ def site_canopy(
     evidence: EvidenceMap | None = None,
     state: Path | None = None,
 ) -> SiteCanopy:
-    """Of the cells of the fuel grid `grid` (in the map frame).
+    """Return the canopy of the cells of the fuel grid `grid` (in the map frame).
 
     Args:
         terrain: that of the same moment as the layers.
@@ -124,10 +124,9 @@ def provenance_of(
     surface: SurfaceVersion | None = None,
     prior: FuelPrior | None = None,
 ) -> Provenance:
-    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen.
-    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'. `prior`: that the codes of
-    a landscape were made with.
-    """
+    """Return the provenance of a map's layers; `moment_ns`: the requested time, for which the newest frame is unknown.
+    `surface`: the confirmed surface of its heights; None: the site's rasters. `prior`: the prior of a landscape's
+    codes."""
     known = layers.code != NODATA
     cells = int(known.sum())
     newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns

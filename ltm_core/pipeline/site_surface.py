@@ -1,4 +1,5 @@
-"""Make the surface map of a site, the terrain that its cameras have confirmed, and what poses are compared with."""
+"""Create the surface map of a site, the terrain that its cameras have confirmed, and the terrain for pose
+estimation."""
 
 from __future__ import annotations
 
@@ -49,7 +50,7 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
         return given_terrain(site)
     entry = versions.manifest().entry(name)
     if entry is None:
-        raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+        raise StoreError(f"{versions.folder}: no confirmed surface {name!r}; old ones are deleted")
     # The version first: a follower tries a damaged file again and again, and must not read the rasters each time.
     surface = versions.load(entry)
     given = given_terrain(site)
@@ -66,17 +67,15 @@ def confirmed_terrain(site: Site, versions: SurfaceVersions, name: str) -> Confi
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
-    """Those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
+    """Return the surface versions that a site's terrain node keeps in `folder`. Raises as `Site.open_dem`."""
     resolution = None if site.terrain is None else site.terrain.resolution
     return SurfaceVersions(folder, site.name, terrain_grid(site.open_dem().geometry, resolution))
 
 
 def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
-    """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
-    the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing that
-    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
-    moment of which no surface is kept any more.
-    """
+    """Return the terrain for exports of a map whose store is in the folder `state`: as confirmed, now or at a time, if
+    the site enables it and its terrain keeps its surfaces there; else bare earth as given. Raises StoreError, also for
+    a time whose surface is not kept any more."""
     note = ""
     if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
         versions = surface_versions(site, state / FOLDER)
@@ -93,7 +92,8 @@ def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = Non
 
 
 def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
-    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
+    """Return the grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of
+    `resolution`."""
     cell = resolution or dem.resolution
     height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
     return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
@@ -101,9 +101,9 @@ def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
 
 STORE_FILE = "terrain.sqlite"
 STABLE_CLASSES = ("grass", "bare", "built")
-"""Whose surface stays where it is: what a frame is registered on."""
+"""Classes whose surface does not move; frames are registered on them."""
 UNCOMMITTED = 500
-"""Frames that wait to be stored at most."""
+"""Maximum number of frames that wait to be stored."""
 
 
 class SiteTerrain:
@@ -156,44 +156,46 @@ class SiteTerrain:
 
 
 TERRAIN_STORE: Final = "terrain.sqlite"
-"""Name of a site's store in the folder in which its terrain node keeps it."""
+"""Name of a site's store in the folder of its terrain node."""
 
 
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
-    """The surface map in a store (`terrain.sqlite`), also while a graph writes it; nothing is written to it.
+    """Open the surface map in a store (`terrain.sqlite`) read-only, also while a graph writes it.
 
     Raises ConfigError where there is no store, the site has no terrain, or the store is of another grid.
     """
     if site.terrain is None:
-        raise ConfigError(f"site {site.name} has no section `terrain`; {path} needs that of the site that made it")
+        raise ConfigError(f"site {site.name} has no section `terrain`; use the site file that created {path}")
     if not is_file(path):
-        raise ConfigError(f"{path}: no such file; a terrain store is terrain.sqlite in the folder that keeps the map")
+        raise ConfigError(f"{path}: no such file; the terrain store is terrain.sqlite in the folder of the map")
     bare = site.open_dem()
     surface = site.open_surface(bare) if site.surface is not None else None
     reference = Reference.of(bare, surface, site.terrain.resolution)
     store = TileStore.open_read_only(path, KIND)
     if differences := schema_of(site.in_crs(reference.geometry)).differences(store.schema):
         store.close()
-        raise ConfigError(f"{path}: not a terrain of site {site.name}: {differences}; name the site that made it")
+        raise ConfigError(
+            f"{path}: not a terrain of site {site.name}: {differences}; use the site file that created it"
+        )
     return SurfaceMap(reference, site.terrain, tuple(site.cameras), store, site.curvature, site.refraction)
 
 
 def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
-    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
-    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
+    """Return the hexadecimal SHA-256 of all inputs of a correction of a camera's poses. `seen`: the calibration of its
+    images; None if the site states none. Raises StoreError for a missing raster."""
     stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
     rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
     try:
         files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
     except OSError as error:
-        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
+        raise StoreError(f"{error.filename}: {error.strerror}; correct `dem` in the site file") from error
     ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
     lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
     return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
 
 
 def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
-    """The site's ground, with the tops of trees where it has a surface raster, and the constants that fit it.
+    """Return the site's ground with the tops of trees if it has a surface raster, and the constants that fit it.
 
     Raises DemError as `Site.open_dem`.
     """

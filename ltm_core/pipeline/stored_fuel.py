@@ -28,25 +28,25 @@ from ltm_core.surface.change import Changed
 
 STORE_KIND: Final = "fuel"
 STORE_FILE: Final = "fuel_map.ltm"
-"""Name of a site's store in the folder that the site's fuel map keeps its files in."""
+"""Name of a site's store in the folder of its fuel map."""
 JOURNALED: Final = ("life_form", "code")
-"""Layers whose changes the store's journal holds."""
+"""Layers whose changes are in the store's journal."""
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
-"""Of the journal: what is recorded of the changed surface in each cell (`LivingFuelMap.surface_changes`)."""
+"""Journal layer with the recorded surface change of each cell (`LivingFuelMap.surface_changes`)."""
 _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
-    """What the store of a site's map states; `geometry`: the fuel grid in the map frame.
+    """Return the schema of the store of a site's map; `geometry`: the fuel grid in the map frame.
 
-    The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
+    It does not depend on the rules of fusion: evidence is stored, and weighted when the map is read.
     """
     return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 
 
 def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
-    """Fill an empty map with what a store holds; the tiles that the store does not hold in their last state.
+    """Fill an empty map with a store's content; return the tiles that the store does not have in their last state.
 
     Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
     """
@@ -62,7 +62,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
 
 
 def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileStore:
-    """A site's store for reading, also while a node writes it; fills the `empty` map of the site.
+    """Open a site's store for reading, also while a node writes it; fills the `empty` map of the site.
 
     The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
     ConfigError for another site's store and as `restore` does.
@@ -80,7 +80,7 @@ def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileS
 
 
 def votes_to_bytes(votes: CellVotes) -> bytes:
-    """All of a frame's votes but the grid, their source and stamp, exactly."""
+    """Return all of a frame's votes, without the grid, their source and stamp, losslessly."""
     columns: dict[str, NDArray[Any]] = {"row": votes.rows, "col": votes.cols, "z": votes.z, "counts": votes.counts}
     if votes.confidence is not None:
         columns["confidence"] = votes.confidence
@@ -103,7 +103,7 @@ def _description(dtype: np.dtype[Any]) -> Any:
 
 
 def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
-    """The votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
+    """Return the votes of a frame that waits in a store. Raises ConfigError on an invalid payload."""
     what = f"the store's frame {frame.stamp_ns} of {frame.source}"
     table = load_array(frame.payload, what, ConfigError)
     try:
@@ -123,19 +123,19 @@ def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:
 
 
 class SurfaceMoves:
-    """How far the surface has moved, by cell of the terrain's `grid` (in the map frame), as far as it was told."""
+    """Movement of the surface by cell of the terrain's `grid` (in the map frame), as received so far."""
 
     def __init__(self, grid: GridGeometry) -> None:
         self._grid = grid
         self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
 
     def take(self, changed: Changed) -> None:
-        """Cells whose change is new, which must lie in the grid."""
+        """Add cells with new changes, which must be in the grid."""
         self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
 
     def news(self, kinds: UInt8Array, window: Window, evidence: LivingFuelMap) -> SurfaceNews:
-        """What the kinds of change (`SurfaceLayers.told`) in a window (row, col, height, width) of the grid are news
-        of to a fuel map."""
+        """Return the news for a fuel map in the kinds of change (`SurfaceLayers.told`) of a window (row, col, height,
+        width) of the grid."""
         row, col, height, width = window
         shift = self._shift[row : row + height, col : col + width]
         known = np.where(shift != 0, shift, np.float32(np.nan))
@@ -144,8 +144,8 @@ class SurfaceMoves:
 
 @dataclass(frozen=True, eq=False)
 class RecordedNews:
-    """News that the map has taken: the state of the tiles that they void, to be put in place of the map's; what belongs
-    into its journal; and the window (row, col, height, width) of the fuel grid that they touch."""
+    """News applied to a map: the state of the tiles that they void, which replaces the map's; the entries for its
+    journal; and the affected window (row, col, height, width) of the fuel grid."""
 
     tiles: Mapping[Key, Tile]
     change: CellChanges
@@ -153,7 +153,7 @@ class RecordedNews:
 
 
 def take_news(evidence: LivingFuelMap, news: SurfaceNews, stamp_ns: int) -> RecordedNews:
-    """Have a map start from what stands now in the cells of the news, of which there must be some."""
+    """Restart a map from the present surface in the cells of the news, which must not be empty."""
     recorded, tiles = record(evidence, news)
     cells = news.rows, news.cols
     change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.surface_changes[cells], recorded)

@@ -1,1 +1,1 @@
-"""Estimates camera poses from images: resection from surveyed control points."""
+"""Estimate camera poses from images: control points, skylines and mounts."""

@@ -1,1 +1,1 @@
-"""Reads, stacks and writes elevation rasters, and stores maps as tiles in one file."""
+"""Read, stack and write elevation rasters."""

@@ -22,12 +22,12 @@ from ltm_core.raster.raster_io import check_size, open_raster
 Bounds = tuple[float, float, float, float]
 
 _ROWS = 256
-"""Rows read at a time, or the file's own blocks where they are higher."""
+"""Number of rows read at a time, or the height of the file's blocks if that is larger."""
 _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -scale 0 1 0 0.3048 -a_srs EPSG:...)"
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
-    """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
+    """Read band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
 
     The prepared heights of a large raster are mapped (see `prepared_heights_io`).
     """
@@ -51,7 +51,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
 
 
 def prepare_heights(path: Path | str) -> Path | None:
-    """Decode a large raster once, for all who read its heights after; the file, None where it is there or not worth it.
+    """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
 
     Raises RasterError: not readable; OSError: no file can be written beside it.
     """
@@ -62,8 +62,8 @@ def prepare_heights(path: Path | str) -> Path | None:
 
 
 def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
-    """Band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped where its own
-    grid is another; degrees will do.
+    """Read band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped if its
+    own grid differs; degrees are allowed.
 
     Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
     """
@@ -103,15 +103,15 @@ def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) 
 
 
 def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridGeometry:
-    """The cells of `whole` that `bounds` touch."""
+    """Return the cells of `whole` that `bounds` touch."""
     x_min, y_min, x_max, y_max = bounds
     row0, col0 = (max(0, int(v)) for v in whole.cell_of(x_min, y_max))
     row1, col1 = (int(v) for v in whole.cell_of(x_max, y_min))
     row1, col1 = min(row1, whole.height - 1), min(col1, whole.width - 1)
     if row1 <= row0 or col1 <= col0:
         raise RasterError(
-            f"{path}: covers {tuple(round(v) for v in whole.bounds)} in {whole.crs}, nothing of "
-            f"{tuple(round(v) for v in bounds)}: it is not around this site"
+            f"{path}: covers {tuple(round(v) for v in whole.bounds)} in {whole.crs}, which does not overlap "
+            f"{tuple(round(v) for v in bounds)}; give a DEM of this site"
         )
     return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
 
@@ -125,7 +125,7 @@ def _read(
     width: int | None = None,
     scaling: tuple[float, float] | None = None,
 ) -> Float32Array:
-    """A window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
+    """Return a window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
     height, width = height or source.height, width or source.width
     if scaling is None:
         check_size(source, path, height, width)
@@ -135,7 +135,7 @@ def _read(
 
 
 def _fill(elevation: Float32Array, source: Any, row0: int, col0: int, scaling: tuple[float, float]) -> None:
-    """Strip after strip, so that nothing but the result is ever held whole."""
+    """Reduce strip by strip, so that only the result is held as a whole."""
     from rasterio.windows import Window
 
     (height, width), (scale, offset) = elevation.shape, scaling
@@ -170,7 +170,8 @@ def _check_heights(source: Any, path: Path | str) -> None:
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
-    """The horizontal CRS: what a site is compared with; a stated height system is only checked to be in metres."""
+    """Return the horizontal CRS: what a site is compared with; a stated height system is only checked to be in
+    metres."""
     from pyproj.exceptions import CRSError
 
     try:
@@ -179,7 +180,7 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
         raise RasterError(f"{path}: unknown CRS {given!r}: give an EPSG code such as EPSG:32611 ({error})") from error
     crs = named if stated is None else CRS.from_user_input(stated)
     if crs is None:
-        raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
+        raise RasterError(f"{path}: the raster has no CRS; give it with --crs or `dem: {{crs: EPSG:...}}`")
     for axis in crs.axis_info[2:]:
         if axis.unit_name != "metre":
             raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; {_TO_METRES}")
@@ -190,12 +191,12 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
 
 
 def horizontal(crs: CRS) -> CRS:
-    """Lidar DEMs often name their height system too (a compound CRS), which a site's CRS does not."""
+    """Return the horizontal part of a CRS: lidar DEMs often have a compound CRS, a site does not."""
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
 def name_of(crs: CRS) -> str:
-    """`EPSG:...` where it has such a name, else WKT."""
+    """Return `EPSG:...` if the CRS has such a code, else WKT."""
     authority = crs.to_authority()
     return ":".join(authority) if authority else str(crs.to_wkt())
 
@@ -218,12 +219,12 @@ class Dem:
         if min(elevation.shape) < 2:
             raise RasterError(f"a DEM needs at least 2 x 2 heights to span a surface, got {elevation.shape}")
         if not any(np.isfinite(row).any() for row in elevation):  # no mask of the whole raster
-            raise RasterError("the DEM holds no height at all: every cell is nodata")
+            raise RasterError("the DEM has no height: every cell is nodata")
         object.__setattr__(self, "elevation", elevation)
 
     @property
     def levels(self) -> tuple[Dem, ...]:
-        """The rasters that the terrain consists of, finest first: of a single one, itself (see `dem_stack`)."""
+        """Return the rasters that the terrain consists of, finest first: of a single one, itself (see `dem_stack`)."""
         return (self,)
 
     @classmethod
@@ -236,7 +237,7 @@ class Dem:
         return cls(*read_heights(path, crs))
 
     def in_frame(self, frame: SiteFrame) -> Dem:
-        """The same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
+        """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
         crs = self.geometry.crs
         if crs is None or CRS.from_user_input(crs) != horizontal(CRS.from_user_input(frame.crs)):
             raise RasterError(
@@ -245,7 +246,8 @@ class Dem:
         return Dem(self.elevation, self.geometry.translated(-frame.x_origin, -frame.y_origin))
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
-        """Bilinear height at map points, metres; NaN outside the outermost cell centres and beside nodata."""
+        """Return the bilinear height at map points, metres; NaN outside the outermost cell centres and beside
+        nodata."""
         row, col = self.geometry.to_grid(x, y)
         height, width = self.elevation.shape
         inside = (row >= 0) & (row <= height - 1) & (col >= 0) & (col <= width - 1)

@@ -43,7 +43,7 @@ def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array) -> None:
-    """Row after row from the north; of each column the two ends of the hole that it is in are kept."""
+    """Return the row after row from the north; of each column the two ends of the hole that it is in are kept."""
     height, width = fine.shape
     above, below = np.full(width, -1, np.int64), np.full(width, 0, np.int64)
     from_above, from_below = np.zeros(width), np.zeros(width)
@@ -111,7 +111,7 @@ def blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Fl
 
 
 BAND = 3.0
-"""Coarse cells over which the fine heights give way to the coarser ones; never more than a quarter of the raster."""
+"""Width in coarse cells over which fine heights blend into coarse ones; at most a quarter of the raster."""
 
 
 def fill_holes(
@@ -132,7 +132,7 @@ def lead_over(
 
 
 def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
-    """Where the fine rows and columns lie in the coarse raster."""
+    """Return where the fine rows and columns lie in the coarse raster."""
     x, _ = fine.to_map(0, np.arange(fine.width))
     _, y = fine.to_map(np.arange(fine.height), 0)
     rows, _ = coarse.to_grid(coarse.x_min, y)

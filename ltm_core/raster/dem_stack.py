@@ -7,9 +7,9 @@ would otherwise hold 400 MB a node.
 
 Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
 
-Fire cameras look at ridges tens of kilometres away, where nobody has, or needs, a raster of 1 m. A stack holds rasters
-of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how they
-are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds
+rasters of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how
+they are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
 """
 
 from __future__ import annotations
@@ -35,11 +35,9 @@ _lock = threading.Lock()
 
 
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
-    """What `read` makes of the files at `paths`, or what it made of them before, if somebody still holds that and no
-    file has changed.
+    """Return the result of `read` for the files at `paths`, shared while it is in use and no file has changed.
 
-    `way`: all else that the result depends on. Nobody may write to a terrain that is shared. Errors
-    are those of `read`.
+    `way`: all other inputs of the result. A shared terrain must not be modified. Errors are those of `read`.
     """
     with _lock:
         try:
@@ -59,7 +57,7 @@ def _state(path: Path | str) -> tuple[str, int, int, int]:
 
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0
-"""Metres around the finest raster to which coarser ones are read."""
+"""Distance in metres around the finest raster to which coarser ones are read."""
 
 
 class DemStack(Dem):
@@ -75,7 +73,7 @@ class DemStack(Dem):
     """
 
     coarser: tuple[Dem, ...]
-    """The levels but the finest, finest of them first."""
+    """Coarser levels, finest first."""
 
     def __init__(self, levels: Sequence[Dem]) -> None:
         self._assemble([Dem(level.elevation.copy(), level.geometry) for level in levels[:-1]] + list(levels[-1:]))
@@ -85,8 +83,8 @@ class DemStack(Dem):
         """Open the finest raster as `Dem.open` does, and around it, out to REACH, the (path, CRS or None) of coarser
         ones. These may be in another CRS, in degrees too: they are warped, bilinearly, to that of the finest.
 
-        Heights of all levels count as one datum's: mend a datum shift of more than a few metres beforehand (gdalwarp
-        with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
+        All levels must have the same vertical datum: correct a datum shift of more than a few metres beforehand
+        (gdalwarp with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
         """
         finest = Dem.open(path, crs)
         x_min, y_min, x_max, y_max = finest.geometry.bounds
@@ -100,15 +98,16 @@ class DemStack(Dem):
 
     @property
     def levels(self) -> tuple[Dem, ...]:
-        """All rasters, finest first."""
+        """Return all rasters, finest first."""
         return (Dem(self.elevation, self.geometry), *self.coarser)
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
-        """The same stack in a site's map frame; see `Dem.in_frame`."""
+        """Return the same stack in a site's map frame; see `Dem.in_frame`."""
         return DemStack.of_fitted([level.in_frame(frame) for level in self.levels])
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
-        """Bilinear height at map points of the finest level over them; NaN beyond the coarsest and in holes."""
+        """Return the bilinear height at map points of the finest level over them; NaN beyond the coarsest and in
+        holes."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height = np.full(x.shape, np.nan)
         left = np.ones(x.shape, np.bool_)
@@ -133,7 +132,7 @@ class DemStack(Dem):
 
     @classmethod
     def of_fitted(cls, fitted: list[Dem]) -> DemStack:
-        """Of levels, finest first, that have been fitted to each other already."""
+        """Return a stack of levels, finest first, that are already fitted to each other."""
         stack = cls.__new__(cls)
         stack._hold(fitted)
         return stack
@@ -151,7 +150,7 @@ def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
 
 
 def with_surface(ground: Dem, surface: Dem) -> Dem:
-    """The terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
+    """Return the terrain with the tops of trees and buildings where `surface` has them, and bare earth elsewhere.
 
     `surface` heights are elevations, as the ground's; where it is NaN, the ground shows. Raises RasterError as
     `DemStack` does.
@@ -174,7 +173,8 @@ def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
 
 
 def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, int]:
-    """How many of its rows and columns a raster has beyond another's outermost nodes: west, north, east, south."""
+    """Return how many of its rows and columns a raster has beyond another's outermost nodes: west, north, east,
+    south."""
     x0, y0 = (float(v) for v in coarse.to_map(0, 0))
     x1, y1 = (float(v) for v in coarse.to_map(coarse.height - 1, coarse.width - 1))
     row0, col0 = (float(v) - _ROUNDING for v in fine.to_grid(x0, y0))
@@ -184,7 +184,7 @@ def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, in
 
 
 def _within(fine: Dem, coarse: Dem) -> Dem:
-    """`fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
+    """Return `fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
 
     Raises RasterError where that is more than a coarse cell, or the two do not go together.
     """
@@ -193,7 +193,7 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
         raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")
     if a.resolution > b.resolution:
         raise RasterError(
-            f"a stack's rasters go from fine to coarse, but one of {a.resolution:g} m stands before one of "
+            f"a stack's rasters go from fine to coarse, but one of {a.resolution:g} m comes before one of "
             f"{b.resolution:g} m"
         )
     west, north, east, south = _excess(a, b)

@@ -1,4 +1,4 @@
-"""Reads the lines and areas of a GeoPackage layer.
+"""Read the lines and areas of a GeoPackage layer.
 
 A GeoPackage is an SQLite file whose geometries are blobs: a header, then well-known binary (OGC 12-128r19, clause
 2.1.3; OGC 06-103r4, clause 8). GDAL is not used for it: rasterio offers rasters only, and another GDAL beside it ends
@@ -24,7 +24,7 @@ from ltm_core.base.types import Float64Array
 
 MOST_FEATURES: Final = 1_000_000
 _ENVELOPE: Final = {0: 0, 1: 32, 2: 48, 3: 48, 4: 64}
-"""Bytes of the header's envelope by its kind."""
+"""Size in bytes of the header's envelope by its kind."""
 _LINE, _POLYGON, _MULTILINE, _MULTIPOLYGON, _COLLECTION = 2, 3, 5, 6, 7
 
 
@@ -38,7 +38,7 @@ class VectorLayer:
 
 
 def read_geopackage(path: Path, layer: str | None = None) -> VectorLayer:
-    """The lines and areas of a layer, points left out; `layer` may be left away where the file has one.
+    """Read the lines and areas of a layer, without points; `layer` is optional if the file has only one.
 
     Raises RasterError for a file that is no GeoPackage or damaged, a layer that it lacks, or one without CRS.
     """
@@ -63,7 +63,7 @@ def _layer(database: sqlite3.Connection, path: Path, layer: str | None) -> Vecto
         raise RasterError(f"{path}: name the layer; it has the layers {there}")
     name = next(iter(tables)) if layer is None else layer
     if name not in tables:
-        raise RasterError(f"{path}: no layer is called {name!r}; it has the layers {there}")
+        raise RasterError(f"{path}: no layer {name!r}; it has the layers {there}")
     column, number = tables[name]
     crs = _crs(database, path, number)
     lines: list[Float64Array] = []
@@ -72,7 +72,7 @@ def _layer(database: sqlite3.Connection, path: Path, layer: str | None) -> Vecto
     rows = database.execute("SELECT {} FROM {}".format(*quoted))
     for count, (blob,) in enumerate(rows):
         if count >= MOST_FEATURES:
-            raise RasterError(f"{path}: more than {MOST_FEATURES} features in {name}: cut out the site's part")
+            raise RasterError(f"{path}: more than {MOST_FEATURES} features in {name}: clip it to the site")
         for line, rings in _shapes(blob):
             if line is not None:
                 lines.append(line)
@@ -91,19 +91,19 @@ def _crs(database: sqlite3.Connection, path: Path, number: Any) -> str:
             return str(CRS.from_user_input(text).to_wkt())
         except CRSError:
             continue
-    raise RasterError(f"{path}: the layer carries no CRS that is known; write it again with one")
+    raise RasterError(f"{path}: the layer has no known CRS; write it again with one")
 
 
 def _shapes(blob: Any) -> Iterator[tuple[Float64Array | None, list[Float64Array]]]:
-    """A line, or the rings of an area, for each part of a geometry."""
+    """Return a line, or the rings of an area, for each part of a geometry."""
     if not isinstance(blob, bytes) or len(blob) < 8 or blob[:2] != b"GP":
         if blob is None:
             return
-        raise ValueError("a geometry without the header of one")
+        raise ValueError("a geometry has no valid header")
     flags = blob[3]
     envelope = _ENVELOPE.get(flags >> 1 & 7)
     if envelope is None:
-        raise ValueError("a geometry's envelope is of no known kind")
+        raise ValueError("a geometry has an unknown type of envelope")
     if not flags & 16:  # empty
         yield from _Wkb(blob, 8 + envelope).shapes()
 
@@ -131,7 +131,7 @@ class _Wkb:
             for _ in range(self._count(order, 5)):
                 yield from self.shapes(depth + 1)
         else:
-            raise ValueError(f"geometries of kind {kind} are not known: write lines and areas without arcs")
+            raise ValueError(f"unsupported geometry type {kind}: write lines and areas without arcs")
 
     def _take(self, form: str) -> tuple[Any, ...]:
         found = struct.unpack_from(form, self._blob, self._at)
@@ -139,10 +139,10 @@ class _Wkb:
         return found
 
     def _count(self, order: str, least: int) -> int:
-        """Of what follows, at least so many bytes each: a damaged count asks for no memory."""
+        """Read the count of items of at least `least` bytes each; a damaged count must not allocate memory."""
         (count,) = self._take(f"{order}I")
         if count * least > len(self._blob) - self._at:
-            raise ValueError("a geometry says that it is longer than it is")
+            raise ValueError("a geometry is shorter than it states")
         return int(count)
 
     def _points(self, order: str, width: int) -> Float64Array:
@@ -150,5 +150,5 @@ class _Wkb:
         points = np.frombuffer(self._blob, f"{order}f8", count * width, self._at).reshape(count, width)
         self._at += 8 * count * width
         if not np.isfinite(points[:, :2]).all():
-            raise ValueError("a geometry has coordinates that are no numbers")
+            raise ValueError("a geometry has non-finite coordinates")
         return points[:, :2].astype(np.float64)

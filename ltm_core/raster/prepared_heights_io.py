@@ -1,4 +1,4 @@
-"""Heights of a large raster as they lie in memory, in a file beside it that all processes of a site map.
+"""Decoded heights of a large raster in a file beside it that all processes of a site map into memory.
 
 A raster of 10,000 x 10,000 cells takes 400 MB in each process that opens it, and seconds to decode. Its prepared file
 `<raster>.ltm-heights` holds the decoded heights; who maps it shares their pages with all others, and reads none that it
@@ -6,8 +6,8 @@ does not look at. It is made by `write_heights`, in one step, and belongs to exa
 of which that consists, each with its inode, size and times. `ctime`, which no program can set, is among these: a file
 that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
 state, or was written by another version, counts as absent; and so does one of an owner who is neither this process's,
-nor the raster's, nor root: whoever may write into the folder could else put heights under a raster that he may not
-write. Nobody may read it who may not read the raster.
+nor the raster's, nor root: otherwise, users with access to the folder could replace the heights of a raster that they
+may not write. Its read permissions are those of the raster.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from ltm_core.base.types import Float32Array
 from ltm_core.storage.disk_io import free_bytes
 
 VERSION = 1
-"""To be raised when the same raster is read into other heights."""
+"""Version of the preparation; increase it when the same raster gives other heights."""
 LEAST_CELLS = 16 << 20
-"""Of a raster that is worth a file (64 MB); a smaller one is decoded in half a second."""
+"""Minimum number of cells of a raster for a prepared file (64 MB); a smaller one is decoded in half a second."""
 SPARE_BYTES = 1 << 30
-"""That must be left free on the disk."""
+"""Minimum free space on the disk in bytes."""
 _HEADER_BYTES = 1 << 16
 _SUFFIX = ".ltm-heights"
 _MARK = b'{"ltm heights":'
@@ -44,7 +44,8 @@ def heights_path(raster: Path | str) -> Path:
 
 
 def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
-    """The prepared heights (H, W) of `source`, the open dataset of `raster`; None where there are none of its state.
+    """Return the prepared heights (H, W) of `source`, the open dataset of `raster`; None if there are none of its
+    state.
 
     They are mapped copy-on-write: what is written to them stays in this process, and the arrays are of the type for
     which the kernels are compiled.
@@ -65,9 +66,8 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
 
 
 def own_copy(heights: Float32Array) -> Float32Array:
-    """A copy (H, W) that may be written to. Of prepared heights it is another mapping of their file: only pages that
-    are written to are this process's own, where a copy in memory of 10,000 x 10,000 cells would take 400 MB.
-    """
+    """Return a writable copy (H, W). Of prepared heights it is another mapping of their file, so that only modified
+    pages use memory; a copy of 10,000 x 10,000 cells in memory would take 400 MB."""
     mapped: Any = heights
     while mapped is not None and not isinstance(mapped, np.memmap):
         mapped = getattr(mapped, "base", None)
@@ -91,7 +91,7 @@ def own_copy(heights: Float32Array) -> Float32Array:
 
 
 def _stale_makes_room(path: Path, raster: Path | str) -> None:
-    """Removes what another state of the raster was prepared as: nobody believes it any more."""
+    """Remove prepared files of another state of the raster, which are never used again."""
     with contextlib.suppress(OSError):
         with path.open("rb") as file:
             ours = file.read(len(_MARK)) == _MARK
@@ -101,10 +101,10 @@ def _stale_makes_room(path: Path, raster: Path | str) -> None:
 
 
 def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array], None]) -> Path | None:
-    """Prepare `source`, the open dataset of `raster`; the file, or None where it is there already or not worth it.
+    """Prepare `source`, the open dataset of `raster`; return the file, or None if it exists already or is not needed.
 
     `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
-    cannot be written; what was there before is left then, unless it is of another state and stands in the way.
+    cannot be written; the previous file is kept then, unless it is of another state.
     """
     cells, path = source.height * source.width, heights_path(raster)
     if map_heights(raster, source) is not None:
@@ -145,9 +145,8 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
 
 
 def _header(source: Any) -> bytes | None:
-    """What the prepared file of an open dataset begins with; None where its heights may lie in files that GDAL does not
-    name. Raises OSError.
-    """
+    """Return what the prepared file of an open dataset begins with; None where its heights may lie in files that GDAL
+    does not name. Raises OSError."""
     if source.driver == "VRT" or not source.files:
         return None
     files = []

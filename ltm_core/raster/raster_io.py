@@ -15,23 +15,23 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.disk_io import is_file
 
 _GDAL = {"GDAL_CACHEMAX": 32}
-"""MB; GDAL's own default is a twentieth of the machine's memory."""
+"""GDAL settings; the cache in MB replaces GDAL's default of a twentieth of the memory."""
 MOST_CELLS = 1 << 30
-"""Of a raster that is read whole: 32 km a side at 1 m."""
+"""Maximum number of cells of a raster that is read whole: 32 km per side at 1 m."""
 _UNSUSPECTED = 16 << 20
-"""Cells up to which a raster may be of any contents."""
+"""Number of cells up to which a raster is not checked."""
 MOST_BANDS = 100
-"""Landscape files have ten. Where a file interleaves its bands by cell, one band is not read without all others: of
-4,097 bands a block of 256 x 256 cells is a gigabyte."""
+"""Maximum number of bands; landscape files have ten. In a file interleaved by cell, one band cannot be read without the
+others: with 4,097 bands, a block of 256 x 256 cells is a gigabyte."""
 _GRIDS_OF_TEXT = ("AAIGrid", "GRASSASCIIGrid", "ISG")
 _MOST_FOR_A_BYTE = 1000
-"""Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
-file may state any size, and need not hold the tiles of it."""
+"""Maximum number of cells per byte of the file; compressed elevations and codes need at least a tenth of a byte per
+cell. A file may state any size without containing its tiles."""
 
 
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
-    """The open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
+    """Open a dataset. Any GDAL error in the block becomes a RasterError that names the file."""
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
     from rasterio.errors import CRSError, RasterioError
@@ -48,9 +48,12 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
 
 def _check_bands(source: Any, path: Path | str) -> None:
-    """Raises RasterError."""
+    """Raise RasterError."""
     if source.count > MOST_BANDS:
-        raise RasterError(f"{path}: has {source.count} bands, at most {MOST_BANDS}; cut out the one that is meant (-b)")
+        raise RasterError(
+            f"{path}: has {source.count} bands, at most {MOST_BANDS} are supported; extract the one you need "
+            "(gdal_translate -b)"
+        )
 
 
 def _check_rows(source: Any, path: Path | str) -> None:
@@ -61,13 +64,13 @@ def _check_rows(source: Any, path: Path | str) -> None:
 
     size = Path(path).stat().st_size if is_file(Path(path)) else None
     if size is not None and 2 * source.width > size + 1:
-        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; fetch it again")
+        raise RasterError(f"{path}: states rows of {source.width} numbers in a file of {size} bytes; download it again")
     for row in range(source.height):
         try:
             source.read(1, window=Window(0, row, source.width, 1))
         except RasterioError as error:
             raise RasterError(
-                f"{path}: row {row + 1} of {source.height} is missing or holds what is no number; fetch it again"
+                f"{path}: row {row + 1} of {source.height} is missing or not numeric; download it again"
             ) from error
 
 
@@ -80,12 +83,12 @@ def _check_is_data(path: Path) -> None:
     except OSError:
         return  # a folder, or GDAL's name of a part of a file; what is not there GDAL says best
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"<", b"{") and b"<VRTDataset" not in head:
-        raise RasterError(f"{path}: not a raster but a text that names other places ({head[:40]!r}); give the raster")
+        raise RasterError(f"{path}: not a raster but a text file ({head[:40]!r}); give the raster itself")
 
 
 def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
-    """Before so many cells of a raster are read at once. Raises RasterError where they are more than a map has, or than
-    the file can hold."""
+    """Check the number of cells before a raster is read at once. Raises RasterError if it exceeds the limit, or what
+    the file can contain."""
     cells = height * width
     if cells <= _UNSUSPECTED:
         return
@@ -94,14 +97,14 @@ def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
     # A VRT holds nothing itself, and names files that may be elsewhere.
     if cells > MOST_CELLS or (source.driver != "VRT" and cells > size * _MOST_FOR_A_BYTE):
         raise RasterError(
-            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells are read, "
-            f"and {_MOST_FOR_A_BYTE} for each byte: cut it to the site (gdalwarp -te)"
+            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells, "
+            f"and {_MOST_FOR_A_BYTE} per byte, are read: clip it to the site (gdalwarp -te)"
         )
 
 
 _BLOCK = 256
 _CACHE_MB = 64
-"""GDAL's own default is a twentieth of the machine's memory."""
+"""Cache size in MB; GDAL's default is a twentieth of the memory."""
 
 
 def write_geotiff(
@@ -122,7 +125,7 @@ def write_geotiff(
     from rasterio.windows import Window
 
     if geometry.crs is None:
-        raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
+        raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster has none")
     bands = array if array.ndim == 3 else array[None]
     if bands.shape[1:] != geometry.shape:
         raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")

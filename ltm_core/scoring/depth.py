@@ -14,7 +14,7 @@ from ltm_core.base.types import Float32Array, Float64Array, Int64Array
 Value = TypeVar("Value", bound=np.generic)
 
 RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
-"""Edges of the range bins that depth is scored in, metres of true depth."""
+"""Edges in metres of true depth of the range bins in which depth is scored."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class DepthTally:
         return float(self._count.sum() / self._true) if self._true else float("nan")
 
     def scores(self) -> list[DepthScore]:
-        """By range bin, then over all."""
+        """Return the scores by range bin, then over all."""
         rows = [
             _score(near, far, self._count[i], self._sums[:, i], self._sizes[i])
             for i, (near, far) in enumerate(zip(self.edges[:-1], self.edges[1:], strict=True))
@@ -100,7 +100,8 @@ def _score(near: float, far: float, count: np.int64, sums: Float64Array, sizes: 
 
 
 def _median(sizes: Int64Array) -> float:
-    """The middle of a histogram over `_EDGES`, placed inside its bin by the share of it that lies below the middle."""
+    """Return the middle of a histogram over `_EDGES`, placed inside its bin by the share of it that lies below the
+    middle."""
     below = np.cumsum(sizes)
     middle = below[-1] / 2
     place = int(np.searchsorted(below, middle))
@@ -115,14 +116,15 @@ def _median(sizes: Int64Array) -> float:
 
 
 def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Value]:
-    """`depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th from 0.
+    """Return `depth`, or labels, at the pixels that truth of `shape` (h, w) samples of an `image` (H, W): every n-th
+    from 0.
 
     An array of any other size is taken to cover the same field of view and is read at the nearest pixel. Raises
     ImageError where truth is no such sampling.
     """
     step = max(1, round(image[1] / shape[1]))
     if (-(-image[0] // step), -(-image[1] // step)) != tuple(shape):
-        raise ImageError(f"truth of {shape} is no sampling of an image of {image}")
+        raise ImageError(f"truth of {shape} is not a sampling of an image of {image}")
     if depth.shape == shape:
         return depth
     if depth.shape == image:
@@ -133,5 +135,5 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
 
 
 def _nearest(places: Int64Array, size: int, other: int) -> Int64Array:
-    """The pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
+    """Return the pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
     return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

@@ -16,7 +16,7 @@ from ltm_core.geometry.grid import GridGeometry
 
 @dataclass(frozen=True, eq=False)
 class FuelScore:
-    """`cells`: of the map. `seen`: with a class and a known truth. `right`: of those.
+    """Score of a fuel map. `cells`: of the map. `seen`: with a class and a known truth. `right`: of those.
 
     `confusion`: (K, K) cells by [true class, mapped class].
     """
@@ -34,7 +34,7 @@ def score_fuel(
     truth_geometry: GridGeometry,
     class_count: int,
 ) -> FuelScore:
-    """Score a map on the cells that both rasters hold; both in one CRS with coinciding cells.
+    """Score a map on the cells that both rasters cover, in one CRS with coinciding cells.
 
     Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
     """
@@ -47,7 +47,7 @@ def score_fuel(
 
 
 def on_grid(truth: UInt8Array, truth_geometry: GridGeometry, geometry: GridGeometry) -> UInt8Array:
-    """Classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none.
+    """Return the classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none.
 
     Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
     """
@@ -80,7 +80,7 @@ class Share:
 
 @dataclass(frozen=True)
 class MapScore:
-    """Over cells that frames voted in and whose truth is known.
+    """Score over cells with votes and known truth.
 
     `right`: cells of the true life form. `found`: of cells whose true form is not the prior's, those that the map has
     changed to it: the producer's accuracy of change. `mistaken`: of the same cells, those that it has changed to
@@ -97,12 +97,12 @@ class MapScore:
 
     @property
     def prevalence(self) -> float:
-        """Share of cells whose true form is not the prior's."""
+        """Return the share of cells whose true form is not the prior's."""
         return self.found.of / (self.found.of + self.false_flips.of) if self.right.of else float("nan")
 
     def users_accuracy(self, prevalence: float | None = None) -> float:
-        """Share of the changes that the map reports that are right, where so large a share of cells has truly changed
-        and each is reported as often as here; None: as many as here. NaN where nothing is reported, or nothing known.
+        """Return the share of reported changes that are right if this share of cells has changed and changes are
+        reported as often as here; None: as many as here. NaN without reports or truth.
 
         Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change.
         """
@@ -120,7 +120,7 @@ def score_map(
     prior: Int16Array | None,
     seen: BoolArray,
 ) -> MapScore:
-    """(H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
+    """Score a map, (H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
     cells = seen & (truth >= 1) & (truth <= len(LifeForm))
     form, true = life_form[cells], truth[cells]
     right = form == true
@@ -144,7 +144,7 @@ def score_map(
 
 
 def held_forms(prior: Int16Array, forms: UInt8Array) -> BoolArray:
-    """(N,) whether a cell of this life form is no change of the prior's code; none is where that tells no form."""
+    """Return (N,) whether a cell of this life form is unchanged from the prior's code; False if that has no form."""
     agreeing = forms_of(prior)
     return np.asarray(agreeing[np.arange(len(forms)), forms - 1] | ~agreeing.any(axis=1), np.bool_)
 

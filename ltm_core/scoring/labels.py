@@ -26,7 +26,7 @@ class SegmentationScore:
         return cls(np.zeros((classes, classes + 1), np.int64))
 
     def plus(self, truth: UInt8Array, predicted: UInt8Array) -> SegmentationScore:
-        """With one more pair of label images (H, W). Raises ImageError where their shapes differ."""
+        """Return the score with one more pair of label images (H, W). Raises ImageError if their shapes differ."""
         if truth.shape != predicted.shape:
             raise ImageError(f"labels of shape {predicted.shape} cannot be scored against truth of {truth.shape}")
         classes = len(self.confusion)
@@ -38,7 +38,7 @@ class SegmentationScore:
 
     @property
     def pixels(self) -> int:
-        """Pixels of known truth."""
+        """Return the pixels of known truth."""
         return int(self.confusion.sum())
 
     @property
@@ -47,22 +47,22 @@ class SegmentationScore:
 
     @property
     def true(self) -> Int64Array:
-        """(K,) pixels of each class in the truth."""
+        """Return (K,) pixels of each class in the truth."""
         return np.asarray(self.confusion.sum(axis=1))
 
     @property
     def predicted(self) -> Int64Array:
-        """(K,) pixels given to each class."""
+        """Return (K,) pixels given to each class."""
         return np.asarray(self.confusion[:, :-1].sum(axis=0))
 
     @property
     def iou(self) -> Float64Array:
-        """(K,) intersection over union."""
+        """Return (K,) intersection over union."""
         return _ratio(self.right, self.true + self.predicted - self.right)
 
     @property
     def f1(self) -> Float64Array:
-        """(K,) harmonic mean of precision and recall."""
+        """Return (K,) harmonic mean of precision and recall."""
         return _ratio(2 * self.right, self.true + self.predicted)
 
     @property
@@ -75,17 +75,17 @@ class SegmentationScore:
 
     @property
     def accuracy(self) -> float:
-        """Share of pixels of known truth that are right."""
+        """Return the share of pixels of known truth that are right."""
         return float(_ratio(self.right.sum(), self.confusion.sum()))
 
     @property
     def unlabelled(self) -> float:
-        """Share of pixels of known truth that were left unlabelled."""
+        """Return the share of pixels of known truth that were left unlabelled."""
         return float(_ratio(self.confusion[:, -1].sum(), self.confusion.sum()))
 
     @property
     def mean_iou(self) -> float:
-        """Mean IoU over the classes that occur in the truth; NaN where none does."""
+        """Return the mean IoU over the classes that occur in the truth; NaN where none does."""
         present = self.iou[self.true > 0]
         return float(present.mean()) if present.size else float("nan")
 
@@ -95,13 +95,13 @@ class SegmentationScore:
         return self.macro_f1(range(len(self.confusion)))
 
     def macro_f1(self, classes: Iterable[int]) -> float:
-        """Mean F1 over those of `classes` that occur in the truth; NaN where none does."""
+        """Return the mean F1 over those of `classes` that occur in the truth; NaN where none does."""
         present = [self.f1[k] for k in classes if self.true[k] > 0]
         return float(np.mean(present)) if present else float("nan")
 
 
 def score_labels(truth: UInt8Array, predicted: UInt8Array, classes: int) -> SegmentationScore:
-    """Score of one label image (H, W) uint8; truth of 255 is not counted."""
+    """Return the score of one label image (H, W) uint8; truth of 255 is not counted."""
     return SegmentationScore.empty(classes).plus(truth, predicted)
 
 
@@ -141,8 +141,8 @@ class CalibrationScore:
 
     @property
     def ece(self) -> float:
-        """Expected calibration error (Guo et al. 2017): mean |share right - mean confidence| over bins of equal width
-        of confidence, weighted by pixels; NaN without pixels."""
+        """Return the expected calibration error (Guo et al. 2017): mean |share right - mean confidence| over bins of
+        equal width of confidence, weighted by pixels; NaN without pixels."""
         total = self.pixels.sum()
         if total == 0:
             return float("nan")
@@ -150,8 +150,8 @@ class CalibrationScore:
         return float(np.abs(np.bincount(_BIN, excess, BINS)).sum() / total)
 
     def risk(self, coverage: float = 1.0) -> float:
-        """Share of wrong labels among the part `coverage` of the pixels whose confidence is highest (El-Yaniv and
-        Wiener 2010); NaN without pixels. Pixels of one confidence are taken to err alike."""
+        """Return the share of wrong labels among the part `coverage` of the pixels whose confidence is highest
+        (El-Yaniv and Wiener 2010); NaN without pixels. Pixels of one confidence are taken to err alike."""
         pixels, wrong = np.cumsum(self.pixels[::-1]), np.cumsum(self.wrong[::-1])
         if pixels[-1] == 0 or coverage <= 0:
             return float("nan")

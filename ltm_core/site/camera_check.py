@@ -1,4 +1,4 @@
-"""Checks the cameras of a site file before anything runs: where they stand, what they look at, what hides it."""
+"""Check the cameras of a site file before a run: position, view and masks."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
 
 _MUCH_MASKED = 0.6
-"""Share of a picture above which a mask may be inverted."""
+"""Masked share of an image above which a mask may be inverted."""
 _TURNING = ("lens", "caption")
-"""Classes of polygons that hide the same pixels wherever a PTZ head looks."""
+"""Classes of polygons that hide the same pixels in every direction of a PTZ camera."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
 def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[SiteFinding]:
-    """Whether its calibration and pose, or its mount, can be. Where both stand in the site file, `views` gets it."""
+    """Check a camera's calibration and pose, or its mount. If both are in the site file, they are added to `views`."""
     config = site.cameras[name]
     try:
         camera = config.calibration.camera() if config.calibration is not None else None
         pose = config.pose.pose(dem, site.frame) if config.pose is not None else None
         if camera is not None and camera.width * camera.height > site.limits.pixels:
             raise PoseError(
-                f"calibration of {camera.width} x {camera.height} pixels, at most {site.limits.pixels} are taken: "
+                f"calibration of {camera.width} x {camera.height} pixels, the limit is {site.limits.pixels}: "
                 "raise pixels under `limits`"
             )
     except LtmError as error:
@@ -43,7 +43,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
-        yield SiteFinding("cameras", name, SiteVerdict.OK, f"{' and '.join(topics)} come as topics")
+        yield SiteFinding("cameras", name, SiteVerdict.OK, f"{' and '.join(topics)} are read from topics")
         return
     x, y, z = (float(v) for v in pose.position)
     ground = float(dem.elevation_at(x, y))
@@ -51,7 +51,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
         covered = dem.levels[-1].geometry.translated(*site.origin).described()
         doubt: str | None = f"stands at ({config.pose.x:g}, {config.pose.y:g}) beside the DEM, which covers {covered}"
     elif config.pose.height_above_ground is not None:
-        tall = f"height_above_ground {z - ground:g} m is more than masts have: if these are feet, write metres"
+        tall = f"height_above_ground {z - ground:g} m is higher than masts: if it is in feet, write metres"
         doubt = tall if z - ground > TALLEST_MAST else None
     else:
         doubt = doubt_of_height(z, ground)
@@ -59,7 +59,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
     width = "" if camera is None else f", {camera.hfov_deg:.0f} deg wide"
     found = f"{z - ground:.1f} m above the ground, looks {_WINDS[round(azimuth / 45) % 8]} ({azimuth:g} deg), "
     found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
-    found += "; calibration comes as topic" if camera is None else ""
+    found += "; calibration is read from a topic" if camera is None else ""
     yield (
         SiteFinding("cameras", name, SiteVerdict.OK, found)
         if doubt is None
@@ -70,7 +70,7 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
 
 
 def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
-    """Where a camera has one: what share of the picture it hides, if its size is known; and those of its views."""
+    """Check a camera's mask, with its share of the image if the size is known, and the masks of its views."""
     config = site.cameras[name]
     yield from _check_view_masks(site, name)
     if config.mask is None:
@@ -81,17 +81,17 @@ def check_mask(site: Site, name: str) -> Iterator[SiteFinding]:
     except LtmError as error:
         yield SiteFinding.of("cameras", called, error)
         return
-    found = "polygons, drawn when the calibration comes as topic"
+    found = "polygons, drawn when the calibration is read from a topic"
     doubts = []
     if mask is not None:
         found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
         if mask.share > _MUCH_MASKED:
-            doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+            doubts.append("little is left; non-zero pixels of a PNG are masked, so it may be inverted")
     turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
     if config.mount is not None and not turning:
         doubts.append(
             "the PTZ head turns, and the mask hides the same pixels in every view: only what turns with it belongs "
-            "into it, such as corners of the lens and captions; the others belong into view_masks"
+            "into it, such as corners of the lens and captions; put the others into view_masks"
         )
     verdict = SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK
     yield SiteFinding("cameras", called, verdict, ": ".join([found, *doubts]))
@@ -113,13 +113,11 @@ def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
         looking = Looking(view.azimuth_deg, view.pitch_deg, width or 1.0)
         doubts = []
         if lens is not None and width is None:
-            doubts.append(
-                "the lens zooms, and the view says not how wide it is: give hfov_deg, or it hides at any zoom"
-            )
+            doubts.append("the lens zooms, but the view has no field of view: give hfov_deg, or it applies at any zoom")
         others = [other for other in config.view_masks if other is not view]
         double = [o.name for o in others if looking.off_deg(o) <= min(view.within_deg, o.within_deg)]
         if double:
-            doubts.append(f"{', '.join(double)} looks there too; the nearer one is taken")
+            doubts.append(f"{', '.join(double)} has that direction too; the nearer one is used")
         found = f"azimuth {view.azimuth_deg:g}, pitch {view.pitch_deg:g}, within {view.within_deg:g} deg"
         if size is not None:
             try:
@@ -130,20 +128,20 @@ def _check_view_masks(site: Site, name: str) -> Iterator[SiteFinding]:
             share = 0.0 if hidden is None else float(hidden.mean())
             found += f": hides {share:.1%} of {size.width} x {size.height} pixels"
             if share > _MUCH_MASKED:
-                doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+                doubts.append("little is left; non-zero pixels of a PNG are masked, so it may be inverted")
         yield SiteFinding(
             "cameras", called, SiteVerdict.DOUBTFUL if doubts else SiteVerdict.OK, "; ".join([found, *doubts])
         )
 
 
 def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFinding:
-    """Of a camera on a PTZ head."""
+    """Check a camera on a PTZ head."""
     try:
         model = mount.model(dem, site.frame)
         lens = mount.lens
         if lens is not None and lens.width * lens.height > site.limits.pixels:
             raise PoseError(
-                f"lens of {lens.width} x {lens.height} pixels, at most {site.limits.pixels} are taken: raise pixels "
+                f"lens of {lens.width} x {lens.height} pixels, the limit is {site.limits.pixels}: raise pixels "
                 "under `limits`"
             )
     except LtmError as error:
@@ -152,7 +150,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
     worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
     if not mount.calibrated:
         doubt = (
-            f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
+            f"its mount is not calibrated: directions are uncertain by {worst:.1f} deg; `ltm pose --site SITE --camera "
             f"{name}` calibrates it (docs/cameras.md)"
         )
         return SiteFinding.of("cameras", name, doubt, SiteVerdict.DOUBTFUL)
@@ -162,7 +160,7 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
 
 
 def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
-    """Whether the azimuths of all, or of `cameras`, may be radians."""
+    """Check whether the azimuths of all `cameras`, or of some, may be in radians."""
     poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
     doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
     if doubt is not None:
@@ -170,7 +168,7 @@ def check_angles(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[SiteFinding]:
-    """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
+    """Check that the views of a recording are above the ground of the DEM, with a finding for each camera."""
     for name in dict.fromkeys(view.name for view in views):
         positions = np.array([view.pose.position for view in views if view.name == name])
         above = positions[:, 2] - dem.elevation_at(positions[:, 0], positions[:, 1])

@@ -1,4 +1,4 @@
-"""Open what a site file says about networks and masks of its cameras: segmenters, scene filters, label errors."""
+"""Open the networks and masks of a site's cameras: segmenters, scene filters, label errors."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ltm_core.vision.segmenter import Segmenter
 
 
 def site_label_errors(site: Site) -> LabelErrors:
-    """What is known of the errors of the site's network. Raises ConfigError."""
+    """Return the known label errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
     return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
-    """Return the label errors of cameras with a label head of their own, which errs otherwise than what it corrects.
+    """Return the label errors of cameras with their own label head, which differ from those of the network.
 
     Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
     """
@@ -51,8 +51,8 @@ def site_scene_filter(site: Site, camera: str) -> SceneFilter:
     size = None if calibration is None else (calibration.width, calibration.height)
     if size is not None and size[0] * size[1] > site.limits.pixels:
         raise ConfigError(
-            f"{where}.calibration: pictures of {size[0]} x {size[1]} pixels are larger than `limits: {{pixels: "
-            f"{site.limits.pixels}}}` allow; correct the calibration, or raise the limit"
+            f"{where}.calibration: images of {size[0]} x {size[1]} pixels exceed `limits: {{pixels: "
+            f"{site.limits.pixels}}}`; correct the calibration, or raise the limit"
         )
     views = None
     if config.view_masks:

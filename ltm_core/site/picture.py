@@ -1,4 +1,4 @@
-"""Picture of a site: what its cameras see of the terrain, and the fuel map that it starts from."""
+"""Draw a site: the terrain that its cameras see, and the prior fuel map."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from ltm_core.pictures.sheets import panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _WIDTH = 900
-"""Pixels of a map."""
+"""Width of the map in pixels."""
 _REACH = 0.14
-"""Of the map's width: how far the sectors of the cameras are drawn."""
+"""Length of a camera's sector on the map, as a share of the map's width."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def site_picture(
     offset: tuple[float, float],
     titles: tuple[str, str],
 ) -> RgbImage:
-    """What cameras see over relief, and beside it the prior fuel map where there is one, (H, W, 3).
+    """Draw the cameras' views over relief and beside it the prior fuel map, if there is one, (H, W, 3).
 
     `dem`, `seen_geometry`, `prior.geometry`: in the map frame. `seen_by`: (h, w) number of views that show a cell, -1
     where the ground is not known, a camera that turns having several; None: no view is known. `offset`: of the map
@@ -116,7 +116,7 @@ def _found(classes: UInt8Array) -> list[int]:
 
 
 def _outline(picture: RgbImage, prior: FuelPrior, view: GridGeometry) -> None:
-    """The edge of the ground that the prior knows, where it does not know all of it."""
+    """Return the edge of the ground that the prior knows, where it does not know all of it."""
     known: BoolArray = prior.codes != NODATA
     if not known.all():
         draw_outline(picture, nearest(known.astype(np.uint8), prior.geometry, view, 0) > 0, 8.0)

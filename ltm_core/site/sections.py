@@ -1,4 +1,4 @@
-"""The sections of a site file, one typed class each: what a site states of its rasters, cameras, limits and nodes."""
+"""Sections of a site file, one typed class each: rasters, cameras, limits and nodes."""
 
 from __future__ import annotations
 
@@ -22,90 +22,91 @@ from ltm_core.vision.masks import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
 class DemConfig(StrictModel):
     path: Path
-    """Raster file, relative to the site file."""
+    """Path of the raster file, relative to the site file."""
     crs: str | None = None
-    """Only for a raster that carries none."""
+    """CRS of a raster that does not state one."""
 
 
 class FuelConfig(StrictModel):
     resolution: float = Field(30.0, gt=0)
-    """Cell size, metres; LANDFIRE's is 30."""
+    """Cell size in metres; LANDFIRE uses 30."""
     phase: float = 15.0
-    """Cell edges lie at phase mod resolution in the site's CRS; LANDFIRE's at 15 mod 30."""
+    """Offset of the cell edges in metres: edges lie at `phase` modulo `resolution` in the site's CRS (LANDFIRE: 15
+    modulo 30)."""
     max_range: float = Field(6000.0, gt=0)
-    """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
+    """Range in metres beyond which a pixel does not vote, because its footprint is too coarse."""
     growth: GrowthLimits = GrowthLimits()
-    """Where the terrain says that no plant stands, so that none there votes."""
+    """Terrain limits (slope, elevation) above which vegetation labels do not vote."""
     prior: PriorConfig | None = None
-    """The fuel map that evidence starts from; None: nothing is known before it is seen."""
+    """Fuel map that evidence starts from; None: nothing is known before it is seen."""
     climate: str = "dry"
-    """Name of a file in config/fuel/climates, which holds the fuel models that changed cells get."""
+    """Name of a file in config/fuel/climates with the fuel models that changed cells get."""
     fusion: FusionRules = FusionRules()
-    """How evidence is weighed and when a cell changes."""
+    """Rules for weighting evidence and changing cells."""
     label_errors: str | None = None
-    """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
+    """Path of a YAML file with the network's label confusion and its correlations; None: the network's calibration."""
 
 
 class MessageLimits(StrictModel):
-    """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
+    """Maximum size of messages; larger ones are dropped and counted as `too_large` before they are processed.
 
     So that each node stays below a gigabyte at the bound (`test_memory_at_limits.py`).
     """
 
     image_bytes: int = Field(32 << 20, ge=1)
-    """Size of a compressed image."""
+    """Maximum size of a compressed image in bytes."""
     pixels: int = Field(12_600_000, ge=1)
-    """Number in an image and in a calibration: the depth of a pixel takes 44 bytes while it is traced."""
+    """Maximum number of pixels in an image or calibration; tracing needs 44 bytes per pixel."""
     waiting_bytes: int = Field(128 << 20, ge=1)
-    """Size of the image data that waits in a node for the other messages of its frame."""
+    """Maximum size in bytes of the image data that a node holds while it waits for the other messages of a frame."""
 
 
 class WatchdogConfig(StrictModel):
-    """When the runner takes a node for hung, kills it and starts it again. Seconds in which both run."""
+    """Criteria of the watchdog for restarting a process. Times in seconds."""
 
     silent: float = Field(8.0, ge=2)
-    """Without a sign of life, while it neither computes nor waits for a core or a disk: stopped, or deadlocked with
-    Python's lock in hand."""
+    """Seconds without a heartbeat after which a process is restarted, if it neither computes nor waits for a core or a
+    disk (stopped, or deadlocked while it holds Python's lock)."""
     stuck: float = Field(120.0, ge=2)
-    """On one message, or in one callback of its executor."""
+    """Seconds on one message, or in one executor callback, after which a process is restarted."""
     deaf: float = Field(120.0, ge=2)
-    """Without a message of any topic, while other processes of the graph send ten or more on topics that it listens to.
-    After each run in a row that heard nothing, the next has twice as long."""
+    """Seconds without a message of any topic after which a process is restarted, if other processes of the graph send
+    ten or more on its topics. The limit doubles after each consecutive run without a message."""
     slow: float = Field(600.0, ge=2)
-    """For what may take long: the start (kernels are compiled, the DEM is read), what a service was asked for, the end.
-    After each start in a row that was too slow, the next has twice as long."""
+    """Seconds allowed for slow operations: start (compiling kernels, reading the DEM), service calls and shutdown. The
+    limit doubles after each consecutive start that was too slow."""
 
 
 class CameraConfig(StrictModel):
     image: Literal["compressed", "raw"] = "compressed"
-    """`image_raw/compressed` (JPEG or PNG) or `image_raw`."""
+    """Image topic to subscribe to: `image_raw/compressed` (JPEG or PNG) or `image_raw`."""
     calibration: CalibrationConfig | None = None
-    """None: from the camera_info topic."""
+    """Calibration of the camera; None: the topic camera_info."""
     pose: PoseConfig | None = None
-    """None: from the pose topic."""
+    """Pose of a fixed camera; None: the topic pose."""
     sensors: SensorsConfig | None = None
-    """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+    """Sensors that give the pose instead of the pose topic: the topics `fix` (NavSatFix) and `imu` (Imu)."""
     mask: MaskConfig | None = None
-    """What of a camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
-    `ltm mask`. None: nothing of them."""
+    """Parts of the image that never show the landscape: a PNG in the site file's folder, or polygons (see `ltm mask`).
+    None: no mask."""
     view_masks: tuple[ViewMask, ...] = Field((), max_length=MOST_VIEW_MASKS)
-    """Of a turning camera: what hides the landscape besides, where it looks one way. A picture that looks nowhere near
-    any of them has `mask` alone."""
+    """Additional masks of a turning camera, each for one viewing direction. An image that matches none of them has only
+    `mask`."""
     label_head: str = SHIPPED_LABEL_HEAD
-    """Label head of the segmentation network for what this camera sees: `landscape` is the network's own, others are
-    taught (`ltm train head`); a name, or a path from the site's folder of label heads."""
+    """Label head of the segmentation network for this camera: `landscape` is the network's own; others are trained
+    (`ltm train head`). Give a name, or a path relative to the site's folder of label heads."""
     mount: MountConfig | None = None
-    """Of a PTZ head: what makes poses, and where it zooms calibrations, of what its encoders say."""
+    """Mount of a PTZ camera, which converts encoder readings to poses and, with zoom, to calibrations."""
     ptz: PtzConfig | None = None
-    """How the PTZ head is asked where it looks, and which presets it is driven to; needs `mount`."""
+    """Connection to the PTZ head and the presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
-    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
+    """Camera that the node `source` reads and publishes; None: a driver publishes the images."""
     judge_pictures: bool = True
-    """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
-    terrain or fit the pose."""
+    """Whether to classify images as usable, or as night, fog, glare, blank or blurred. Unusable images do not vote,
+    change the terrain or fit the pose."""
     judge_smoke: bool = True
-    """Of judged pictures: tell smoke before the land, which does not vote, by earlier pictures. False: each picture is
-    judged by itself alone, as in an archive, whose map is then that of the recording replayed."""
+    """Whether to detect smoke in front of the land in judged images by comparison with earlier ones; smoke does not
+    vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -113,20 +114,20 @@ class CameraConfig(StrictModel):
         if len(given) > 1:
             raise ValueError(
                 f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a PTZ head (mount), "
-                "or its sensors tell where it is (sensors)"
+                "or has sensors for its pose (sensors)"
             )
         if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
-            raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
+            raise ValueError("give either calibration (fixed lens) or mount.lens (zoom), not both")
         return self
 
     @model_validator(mode="after")
     def _views_turn(self) -> Self:
         if self.view_masks and self.pose is not None:
-            raise ValueError("view_masks are of a camera that turns; one with a pose looks one way: write `mask`")
+            raise ValueError("view_masks are for a camera that turns; for a camera with a pose write `mask`")
         names = [view.name for view in self.view_masks]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"view_masks: {', '.join(twice)} stands there twice; each view has its own name")
+            raise ValueError(f"view_masks: {', '.join(twice)} is repeated; give each view its own name")
         return self
 
     @model_validator(mode="after")
@@ -134,16 +135,16 @@ class CameraConfig(StrictModel):
         if self.ptz is None:
             return self
         if self.mount is None:
-            raise ValueError("ptz needs mount: what makes a pose of what the PTZ head says")
+            raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
         if self.source is None:
-            raise ValueError("ptz needs source: a PTZ head is asked where it looks before and after each picture")
+            raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
         if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
             raise ValueError(
-                f"a patrol needs a source of kind snapshot, which is asked at each preset, not {self.source.kind}"
+                f"a patrol needs a source of kind snapshot, which is read at each preset, not {self.source.kind}"
             )
         if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
             raise ValueError(
-                f"a source of kind {self.source.kind} has no address: write that of the PTZ head as ptz.url"
+                f"a source of kind {self.source.kind} has no address: give the address of the PTZ head as ptz.url"
             )
         return self
 
@@ -159,20 +160,21 @@ class CameraConfig(StrictModel):
 
 
 class HealthConfig(StrictModel):
-    """Where a tower answers monitoring systems; a site that has this section runs the node `health`."""
+    """HTTP endpoint of a tower for monitoring systems; a site with this section runs the node `health`."""
 
     port: int = Field(9464, ge=0, le=65535)
-    """TCP; 0: any that is free."""
+    """TCP port; 0: any free port."""
     address: str = "127.0.0.1"
-    """IP address to listen on. Any but this machine's own loopback needs `certificate`, `key` and `token`."""
+    """IP address to listen on. Any address other than loopback needs `certificate`, `key` and `token`."""
     certificate: Path | None = None
-    """PEM, with the chain; relative to the site file."""
+    """Path of the certificate chain (PEM), relative to the site file."""
     key: Path | None = None
-    """PEM. A systemd credential of the file's name goes before the file."""
+    """Path of the private key (PEM). A systemd credential with the file's name takes precedence."""
     token: Path | None = None
-    """File with the token that must be known (`Authorization: Bearer ...`); a credential goes before it, too."""
+    """File with the token that clients must send (`Authorization: Bearer ...`). A systemd credential with the file's
+    name takes precedence."""
     frame_age: float = Field(120.0, gt=0)
-    """Seconds; a camera whose newest frame is older is not ready."""
+    """Age of the newest frame in seconds above which a camera is not ready."""
 
     @model_validator(mode="after")
     def _closed_to_strangers(self) -> Self:
@@ -184,6 +186,6 @@ class HealthConfig(StrictModel):
             raise ValueError("give certificate and key together")
         if not local and (self.certificate is None or self.token is None):
             raise ValueError(
-                f"address {self.address} is not this machine alone: give certificate, key and token, or 127.0.0.1"
+                f"address {self.address} is reachable from other hosts: give certificate, key and token, or 127.0.0.1"
             )
         return self

@@ -1,4 +1,4 @@
-"""Typed configuration of one site. Defaults stand here and in the sections, and nowhere else."""
+"""Typed configuration of one site. Defaults are defined here and in the sections, and nowhere else."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from ltm_core.vision.manifest import DEFAULT_MODEL
 
 def _ros_name(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise ValueError(f"{name!r} becomes part of topic names: use a-z, 0-9 and _, starting with a letter")
+        raise ValueError(f"{name!r} is used in topic names: use a-z, 0-9 and _, starting with a letter")
     return name
 
 
 RosName = Annotated[str, AfterValidator(_ros_name)]
 
 FARTHEST_ORIGIN = 100_000.0
-"""Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
+"""Maximum distance in metres from the DEM to the origin; beyond it, float32 coordinates lose centimetres."""
 
 SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
-"""Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
+"""Names of nodes and topics in `/<site>/`, which no camera may have."""
 
 
 def _camera_name(name: str) -> str:
     if name in SITE_NAMES:
-        raise ValueError(f"{name!r} is a node of the site, so no camera can have this name")
+        raise ValueError(f"{name!r} is the name of a node; choose another name for the camera")
     return name
 
 
@@ -69,47 +69,50 @@ class Site(StrictModel):
     name: RosName
     crs: ProjectedCrs
     origin: tuple[float, float]
-    """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
+    """Origin (x, y) of the map frame in the CRS, in metres. Keep it near the site, so that float32 resolves
+    millimetres."""
     dem: DemConfig
-    """One, or in YAML a list: the finest first, then coarser ones around it (see `dem_stack`)."""
+    """The DEM; in YAML a single one, or a list from the finest to the coarsest (see `dem_stack`)."""
     coarser: tuple[DemConfig, ...] = ()
-    """The rest of such a list."""
+    """The coarser DEMs of such a list."""
     surface: DemConfig | None = None
-    """Tops of trees and houses as elevations; where it is nodata the ground shows."""
+    """Raster of the tops of trees and buildings, in metres; where it is nodata, the ground is used."""
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
-    """How high the ground may be where the DEM does not know it, beyond its end too: what is sky hangs on it."""
+    """Maximum height of ground that the DEM does not cover; it decides which pixels are sky."""
     fuel: FuelConfig = FuelConfig()
     assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None
-    """Where given, the surface is kept up to date from fused depth."""
+    """Settings of the updated terrain; if given, fused depth keeps the surface up to date."""
     locating: LocatingConfig | None = None
-    """Where given, what is marked in the cameras' pictures is located on the map."""
+    """Settings for locating marks in camera images on the map; None: the node does not run."""
     labels: str = "labels.yaml"
-    """Label set in config/."""
+    """Label set, a file in config/."""
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
     label_heads: Path | None = None
-    """Folder of label heads that is looked in first, relative to the site file; then beside the network's manifest."""
+    """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
+    comes second."""
     depth_model: str = ""
-    """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
+    """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     processes: Literal["site", "node"] = "site"
-    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
-    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    """How nodes share processes. `site`: the nodes of all cameras share one process, terrain and networks. `node`: each
+    node has its own process, for development and for several hosts."""
     workers: int | None = Field(None, ge=1)
-    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    """Number of frames that a site's process works on at a time; None: one per core."""
     refine_poses: PoseRefinementConfig | None = None
-    """None: poses are taken as they are stated."""
+    """Settings for refining poses; None: poses are used as stated."""
     limits: MessageLimits = MessageLimits()
     watchdog: WatchdogConfig = WatchdogConfig()
     health: HealthConfig | None = None
-    """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
+    """Settings of the HTTP endpoint of `ltm run` for monitoring systems and the status page; None: no endpoint."""
     region: UplinkConfig | None = None
-    """Where given, votes also go to the map of a region."""
+    """Settings for sending votes to the map of a region; None: they are not sent."""
     nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
-    """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
+    """Parameters by node type, for example `nodes: {capture: {pose_tolerance: 0.1}}`. A node rejects unknown
+    parameters."""
 
     @model_validator(mode="before")
     @classmethod
@@ -130,8 +133,8 @@ class Site(StrictModel):
         return ray_bend(self.curvature, self.refraction)
 
     def open_dem(self) -> Dem:
-        """The bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser rasters
-        too.
+        """Return the bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser
+        rasters too.
 
         Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
         """
@@ -158,16 +161,15 @@ class Site(StrictModel):
         x_middle, y_middle = (terrain.x_min + terrain.x_max) / 2, (terrain.y_min + terrain.y_max) / 2
         wanted = f"[{y:.10g}, {x:.10g}]" if swapped else f"[{round(x_middle, -3):.0f}, {round(y_middle, -3):.0f}]"
         raise ConfigError(
-            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km away from the DEM, which covers "
+            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km from the DEM, which covers "
             f"{terrain.described()}: "
             + ("x and y are swapped, write " if swapped else "it must lie near the site, such as ")
             + wanted
         )
 
     def open_surface(self, ground: Dem) -> Dem:
-        """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
-        where the site has a surface raster.
-        """
+        """Return the surface that cameras see, in the map frame: `ground` (of `open_dem`) with the tops of trees and
+        buildings if the site has a surface raster."""
         given = self.surface
         if given is None:
             return ground
@@ -176,7 +178,7 @@ class Site(StrictModel):
         return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
-        """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
+        """Return the fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
         x, y = self.origin
         x_min, y_min, x_max, y_max = dem.geometry.bounds
         snapped = GridGeometry.snapped(
@@ -185,16 +187,16 @@ class Site(StrictModel):
         return snapped.translated(-x, -y)
 
     def in_crs(self, geometry: GridGeometry) -> GridGeometry:
-        """A raster of the map frame as a raster of the site's CRS, for files."""
+        """Return a raster of the map frame as a raster of the site's CRS, for files."""
         return geometry.translated(*self.origin, crs=self.crs)
 
     def in_map(self, geometry: GridGeometry) -> GridGeometry:
-        """A raster of the site's CRS as a raster of the map frame."""
+        """Return a raster of the site's CRS as a raster of the map frame."""
         x, y = self.origin
         return geometry.translated(-x, -y)
 
     def camera(self, name: str) -> CameraConfig:
-        """Raises ConfigError naming the cameras there are."""
+        """Return a camera. Raises ConfigError with the list of cameras."""
         if name not in self.cameras:
             raise ConfigError(f"site {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
         return self.cameras[name]

@@ -1,6 +1,6 @@
-"""Checks a site file before anything runs: terrain, cameras, prior fuel map and networks, each with a remedy.
+"""Check a site file before a run: terrain, cameras, prior fuel map and networks, each with a remedy.
 
-What the graph's nodes would refuse one after the other, again at each start, is found here at once, by the code that
+What the graph's nodes would reject one after the other, again at each start, is found here at once, by the code that
 they read it with.
 """
 
@@ -33,21 +33,21 @@ from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD, NetworkManifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
-"""Metres from the origin beyond which float32 no longer holds millimetres."""
+"""Distance from the origin in metres beyond which float32 does not resolve millimetres."""
 _SAMPLES = 200
-"""Points a side at which two rasters' heights are compared."""
+"""Number of points per side at which two rasters' heights are compared."""
 
 
 @dataclass
 class SiteCheck:
-    """What a check has found, and what it has read for that; None, or empty, where it could not."""
+    """Result of a check with the data read for it; None or empty if reading failed."""
 
     findings: list[SiteFinding] = field(default_factory=list)
     site: Site | None = None
     dem: Dem | None = None
     prior: FuelPrior | None = None
     views: list[PosedCamera] = field(default_factory=list)
-    """Cameras whose calibration and pose stand in the site file."""
+    """Views of the cameras whose calibration and pose are in the site file."""
 
     @property
     def wrong(self) -> list[SiteFinding]:
@@ -55,7 +55,7 @@ class SiteCheck:
 
 
 def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
-    """Check all that a site file names. `cameras`: only these; none: all. Raises nothing that a user can mend."""
+    """Check all references of a site file. `cameras`: only these; none: all. User errors become findings."""
     check = SiteCheck()
     try:
         check.site = site = load_site(path)
@@ -97,7 +97,7 @@ def _terrain(site: Site, dem: Dem) -> Iterator[SiteFinding]:
     )
     away = geometry.distance_to(0.0, 0.0)
     if away > _FAR_ORIGIN:
-        said = f"{away / 1000:.0f} km from the DEM: coordinates lose their millimetres; take a corner of the DEM"
+        said = f"{away / 1000:.0f} km from the DEM: coordinates lose millimetres; use a corner of the DEM"
         yield SiteFinding(area, "origin", SiteVerdict.DOUBTFUL, said)
     for level, config in zip(dem.levels[1:], site.coarser, strict=True):
         heights, others = _sampled(dem, geometry), _sampled(level, geometry)
@@ -129,7 +129,7 @@ def _surface(site: Site, dem: Dem) -> SiteFinding:
 
 
 def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
-    """Heights at points spread evenly over a raster."""
+    """Return the heights at points spread evenly over a raster."""
     rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
     return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
 
@@ -143,7 +143,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
         yield SiteFinding.of(area, "climate and label errors", error)
     yield from _growth(site, check)
     if site.fuel.prior is None:
-        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: nothing is known of a cell before it is seen")
+        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: cells are unknown until they are seen")
     elif check.dem is not None:
         grid = site.in_crs(site.fuel_geometry(check.dem))
         try:
@@ -157,12 +157,12 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
             own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
             doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
             if doubt is not None:
-                verdict = SiteVerdict.WRONG if "its heights are feet" in doubt else SiteVerdict.DOUBTFUL
+                verdict = SiteVerdict.WRONG if "its heights are in feet" in doubt else SiteVerdict.DOUBTFUL
                 yield SiteFinding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
 
 
 def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
-    """A tree line in feet, or of another place, would withdraw no tree of the site, or every one."""
+    """Check the tree line: in feet, or of another place, it would withdraw no tree of the site or all of them."""
     line = site.fuel.growth.tree_line_m
     if line is None or check.dem is None:
         return
@@ -176,9 +176,9 @@ def _prior(prior: FuelPrior, grid: GridGeometry) -> SiteFinding:
     share = float((prior.codes != NODATA).mean())
     found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
     if prior.contradicting:
-        found += f"; in {prior.contradicting} cells its FBFM13 is of another fuel type (`own_fbfm13` of the prior)"
+        found += f"; in {prior.contradicting} cells its FBFM13 has another fuel type (`own_fbfm13` of the prior)"
     if share < 0.5:
-        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
+        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: check that it covers the site")
     return SiteFinding("fuel", "prior", SiteVerdict.OK, found)
 
 
@@ -197,7 +197,7 @@ def _networks(site: Site) -> Iterator[SiteFinding]:
         else:
             yield SiteFinding("networks", key, SiteVerdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
             if key == "model" and model.manifest.heads_of and site.depth_model == f"{model.manifest.heads_of}_depth":
-                told = f"{site.depth_model} shares an encoder with the labels of heads alone: {name}_depth costs less"
+                told = f"{site.depth_model} shares an encoder only with label heads: {name}_depth costs less"
                 yield SiteFinding("networks", "depth_model", SiteVerdict.DOUBTFUL, told)
     yield from _heads(site)
 
@@ -217,7 +217,7 @@ def _heads(site: Site) -> Iterator[SiteFinding]:
                 found, content = read_label_head(file, manifest)
                 doubt = f"it was {found.doubt}" if found.doubt else ""
                 if content.one_view and len(names) > 1:
-                    doubt = "it was taught by one view and is for that alone; teach one for each"
+                    doubt = "it was trained on one view and is for that only; train one for each"
         except LtmError as error:
             yield SiteFinding.of("networks", f"label head {head}", error)
         else:

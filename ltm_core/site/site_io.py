@@ -58,7 +58,7 @@ def load_site(path: Path | str) -> Site:
 
 
 def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
-    """With the masks' files beside the site file. Raises ConfigError."""
+    """Resolve the masks' files against the site file's folder. Raises ConfigError."""
     place = f"{site}: cameras.{name}"
     changes: dict[str, object] = {}
     if isinstance(camera.mask, Path):
@@ -74,19 +74,20 @@ def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
 
 
 def _mask_file(path: Path, place: str, folder: Path) -> Path:
-    """A site may come from elsewhere: it names no file outside its folder. Raises ConfigError."""
+    """Check that a site, which may be from an untrusted source, names no file outside its folder. Raises
+    ConfigError."""
     try:
         file = (folder / path).resolve()
         inside = file.is_relative_to(folder)
     except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
-        raise ConfigError(f"{place}: {str(path)!r} is no file ({error})") from error
+        raise ConfigError(f"{place}: {str(path)!r} is not a file ({error})") from error
     if not inside:
-        raise ConfigError(f"{place}: {path} leads out of the site's folder; copy the mask into {folder}")
+        raise ConfigError(f"{place}: {path} is outside the site's folder; copy the mask into {folder}")
     return file
 
 
 def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
-    """With the paths of its source and of its head below the site file's folder."""
+    """Resolve the paths of a camera's source and PTZ head against the site file's folder."""
     found: dict[str, object] = {}
     for name, section in (("source", camera.source), ("ptz", camera.ptz)):
         changes: dict[str, object] = {}
@@ -114,25 +115,23 @@ def write_camera_section(path: Path | str, camera: str, key: str | None, section
 
 
 def edited(text: str, camera: str, key: str | None, section: dict[str, Any], place: str) -> str:
-    """The text of a site file with the section; see `write_camera_section`."""
+    """Return the text of a site file with the section; see `write_camera_section`."""
     root = compose_yaml(text, place)
     cameras = _value(root, "cameras")
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
     if cameras is None or not isinstance(cameras, yaml.MappingNode) or cameras.flow_style or not cameras.value:
-        raise ConfigError(f"{place}: has no section `cameras:` written in lines, into which {camera} could be put")
+        raise ConfigError(f"{place}: has no multi-line section `cameras:` to add {camera} to")
     step = cameras.value[0][0].start_mark.column
     found = _value(cameras, camera)
     if found is None:
         content = section if key is None else {key: section}
         return "".join(_inserted(lines, _end(lines, cameras), _block({camera: content}, step)))
     if key is None:
-        raise ConfigError(f"{place}: has a camera {camera} already")
+        raise ConfigError(f"{place}: camera {camera} exists already")
     if not isinstance(found, yaml.MappingNode) or found.flow_style:
-        raise ConfigError(
-            f"{place}: camera {camera} is written within braces, on one line: write its keys on lines of their own"
-        )
+        raise ConfigError(f"{place}: camera {camera} is written in braces on one line: write each key on its own line")
     indent = found.value[0][0].start_mark.column if found.value else 2 * step
     old = next((pair for pair in found.value if pair[0].value == key), None)
     if old is None:
@@ -152,7 +151,7 @@ def _value(node: yaml.Node | None, key: str) -> Any:
 
 
 def _end(lines: list[str], node: yaml.Node) -> int:
-    """The line behind a node; comments and empty lines behind it belong to what follows."""
+    """Return the line behind a node; comments and empty lines behind it belong to what follows."""
     # What is written in lines ends where the next thing begins.
     in_lines = isinstance(node, yaml.CollectionNode) and not node.flow_style
     end = node.end_mark.line + (0 if in_lines else 1)
@@ -182,12 +181,13 @@ class _Dumper(yaml.SafeDumper):
 
 
 def dumped(content: dict[str, Any]) -> str:
-    """As YAML in the style of a site file."""
+    """Return YAML text in the style of a site file."""
     return "".join(_block(content, 0))
 
 
 def _replace(path: Path, text: str) -> None:
-    """The new file stands beside the old one, so that its relative paths hold, and takes its place when it is whole."""
+    """Return the new file stands beside the old one, so that its relative paths hold, and takes its place when it is
+    whole."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)
     try:
@@ -198,7 +198,7 @@ def _replace(path: Path, text: str) -> None:
         try:
             load_site(new)
         except ConfigError as error:
-            raise ConfigError(f"{path} was left as it is: {str(error).replace(str(new), 'with the change')}") from error
+            raise ConfigError(f"{path} was not changed: {str(error).replace(str(new), 'with the change')}") from error
         new.chmod(path.stat().st_mode & 0o777)
         new.replace(path)
     finally:

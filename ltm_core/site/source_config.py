@@ -1,4 +1,4 @@
-"""Configure how a camera is queried: the sections `source` and `ptz` of a camera in a site file."""
+"""Configure the connection to a camera: the sections `source` and `ptz` of a camera in a site file."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ltm_core.base.strict_model import StrictModel
 
 
 class SecretConfig(StrictModel):
-    """Where a secret stands; never the secret itself. One of the three."""
+    """Reference to a secret (exactly one of the three), never the secret itself."""
 
     environment: str | None = Field(None, min_length=1)
     """Name of an environment variable."""
     file: Path | None = None
-    """A file that holds nothing else; its last line break does not count."""
+    """File that contains only the secret; a final line break is ignored."""
     credential: str | None = Field(None, pattern=r"[A-Za-z0-9_.-]+")
-    """Name of a systemd credential (`LoadCredential=`): of a file in `/etc/ltm/credentials` on an installed tower."""
+    """Name of a systemd credential (`LoadCredential=`); on an installed tower, of a file in `/etc/ltm/credentials`."""
 
     @model_validator(mode="before")
     @classmethod
     def _not_the_secret(cls, data: object) -> object:
         if not isinstance(data, dict):
             raise ValueError(
-                "a password does not stand in a site file: write {environment: NAME}, {file: PATH} or "
-                "{credential: NAME} (systemd), and set it there"
+                "a site file must not contain a password: write {environment: NAME}, {file: PATH} or "
+                "{credential: NAME} (systemd), and set the password there"
             )
         return data
 
@@ -40,28 +40,30 @@ class SecretConfig(StrictModel):
 
     @property
     def place(self) -> str:
-        """In words, for errors."""
+        """Return the place of the secret for error messages."""
         if self.environment is not None:
             return f"environment variable {self.environment}"
         return f"systemd credential {self.credential}" if self.file is None else f"file {self.file}"
 
 
 class SourceSettings(StrictModel):
-    """What all kinds have. Times in seconds."""
+    """Settings of all kinds of sources. Times in seconds."""
 
     unsynchronised: Literal["hold", "mark", "ignore"] = "mark"
-    """While this computer's clock is not synchronised: no frame is published, or frames are published and `source/info`
-    says so, or nothing is made of it."""
+    """What to do while this computer's clock is not synchronised. `hold`: publish no frame; `mark`: publish and report
+    it on `source/info`; `ignore`: publish as usual."""
     night: Literal["hold", "publish"] = "hold"
-    """What becomes of pictures in which nothing is to be seen for the dark, or without colour (infrared)."""
+    """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
     stalled_after: float | None = Field(None, gt=0)
-    """Without a picture that can be used; None: three times `every`, and at least 30."""
+    """Seconds without a usable image after which the camera is reported as stalled; None: three times `every`, at least
+    30."""
     stuck_after: float | None = Field(None, gt=0)
-    """With the same picture again and again; None: six times `every`, and at least 120."""
+    """Seconds with the same image after which the camera is reported as stuck; None: six times `every`, at least 120.
+    """
 
     @property
     def period(self) -> float:
-        """Between two pictures; 0: as they come."""
+        """Return the time between two images; 0: as they arrive."""
         return float(getattr(self, "every", 0.0))
 
     @property
@@ -79,7 +81,7 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
         raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
     if "@" in parts.netloc:
         raise ValueError(
-            "a URL in a site file holds no user and password: write them as `user: NAME` and "
+            "a URL in a site file must not contain user and password: write them as `user: NAME` and "
             "`password: {environment: NAME}` (or file, credential)"
         )
     for name, value in parse_qsl(parts.query, keep_blank_values=True):
@@ -92,13 +94,14 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
 
 
 class NetworkSettings(SourceSettings):
-    """What kinds have that speak to a camera. In the URL `{user}` and `{password}` stand for these."""
+    """Settings of kinds with a network connection. In the URL, `{user}` and `{password}` are replaced."""
 
     url: str
     user: str | None = None
     password: SecretConfig | None = None
     timeout: float = Field(10.0, gt=0, le=60)
-    """For the connection, and for each part of an answer; a whole picture may take three times as long."""
+    """Timeout in seconds for the connection and for each part of a response. A whole image may take three times as
+    long."""
 
     @model_validator(mode="after")
     def _both(self) -> Self:
@@ -109,11 +112,11 @@ class NetworkSettings(SourceSettings):
 
 class HttpSettings(NetworkSettings):
     authentication: Literal["auto", "basic", "digest"] = "auto"
-    """`auto`: digest where the camera offers it, else basic."""
+    """HTTP authentication; `auto`: digest if the camera offers it, else basic."""
     ca: Path | None = None
-    """Certificates (PEM) that the camera's is checked against instead of the system's: its own, or its CA's."""
+    """PEM file with the certificate of the camera or of its CA, used instead of the system's certificates."""
     check_name: bool = True
-    """Whether the certificate must be for the URL's host; cameras' own often name none."""
+    """Whether the certificate must match the host of the URL; certificates of cameras often do not."""
 
     @field_validator("url")
     @classmethod
@@ -122,33 +125,34 @@ class HttpSettings(NetworkSettings):
 
 
 class SnapshotConfig(HttpSettings):
-    """One picture a request."""
+    """Camera that returns one image per request."""
 
     kind: Literal["snapshot"]
     every: float = Field(10.0, gt=0)
     oldest: float = Field(1.0, ge=0)
-    """How much older than the request a picture may be, which some cameras make once a second."""
+    """Maximum age of an image in seconds at the time of the request; some cameras take one image per second."""
 
 
 class MjpegConfig(HttpSettings):
-    """An endless answer of JPEGs (multipart/x-mixed-replace)."""
+    """Endless response of JPEGs (multipart/x-mixed-replace)."""
 
     kind: Literal["mjpeg"]
     every: float = Field(0.0, ge=0)
-    """0: each picture."""
+    """Minimum seconds between two images; 0: every image."""
 
 
 class RtspConfig(NetworkSettings):
     kind: Literal["rtsp"]
     frames: Literal["all", "key"] = "key"
-    """`key`: only pictures that are whole in themselves, at a tenth of the work; most cameras send one in 1 to 4 s."""
+    """Frames to decode. `key`: key frames only, at a tenth of the work; most cameras send one every 1 to 4 s."""
     every: float = Field(0.0, ge=0)
-    """0: each of `frames`; else the first one that much later than the last."""
+    """Minimum seconds between two frames; 0: all of `frames`."""
     transport: Literal["tcp", "udp"] = "tcp"
     clock: Literal["measured", "trusted"] = "measured"
-    """`trusted`: the camera keeps its clock by NTP, as this computer does; its sender reports are taken as they are."""
+    """How to date frames. `trusted`: the camera keeps its clock by NTP, so its sender reports are used; `measured`: the
+    offset of its clock is measured."""
     least_delay: float = Field(0.02, ge=0, le=5)
-    """From an exposure to its arrival, of the fastest frame: what a clock's offset is measured with."""
+    """Seconds from exposure to arrival of the fastest frame, used to measure the clock's offset."""
 
     @field_validator("url")
     @classmethod
@@ -157,82 +161,84 @@ class RtspConfig(NetworkSettings):
 
 
 class V4l2Config(SourceSettings):
-    """A USB camera at this computer, by Video4Linux."""
+    """USB camera of this computer, by Video4Linux."""
 
     kind: Literal["v4l2"]
     device: Path
-    """`/dev/v4l/by-id/...` stays when another camera is plugged in; `/dev/video0` may not."""
+    """Path of the device. `/dev/v4l/by-id/...` does not change when another camera is plugged in; `/dev/video0` may."""
     every: float = Field(10.0, ge=0)
-    """0: each picture."""
+    """Minimum seconds between two images; 0: every image."""
     rate: float | None = Field(None, gt=0)
-    """Pictures a second that the camera is set to; None: as it is."""
+    """Frame rate per second to set on the camera; None: not changed."""
     format: str | None = Field(None, pattern=r"[a-z0-9]+")
-    """What it is set to send, as FFmpeg names it: `mjpeg`, `yuyv422`. Many send large pictures fast only as `mjpeg`.
-    None: as it is."""
+    """Pixel format to set on the camera, with FFmpeg's name: `mjpeg`, `yuyv422`. Many cameras send large images fast
+    only as `mjpeg`. None: not changed."""
     size: tuple[PositiveInt, PositiveInt] | None = None
-    """Width and height that it is set to; None: as it is."""
+    """Width and height in pixels to set on the camera; None: not changed."""
     least_delay: float = Field(0.02, ge=0, le=5)
-    """From an exposure to its arrival, of the fastest picture."""
+    """Seconds from exposure to arrival of the fastest image."""
 
     @field_validator("device")
     @classmethod
     def _device(cls, path: Path) -> Path:
         if path.parts[:2] != ("/", "dev") or ".." in path.parts:
-            raise ValueError("a camera's device lies below /dev: /dev/video0, or better /dev/v4l/by-id/...")
+            raise ValueError("give a device below /dev: /dev/video0, or better /dev/v4l/by-id/...")
         return path
 
 
 class FolderConfig(SourceSettings):
-    """A folder that a camera writes into, such as an FTP drop."""
+    """Folder into which a camera writes, such as an FTP upload."""
 
     kind: Literal["folder"]
     path: Path
-    """Relative to the site file."""
+    """Folder of the images, relative to the site file."""
     pattern: str = "*.jpg"
-    """Of the files, as in a shell; `**` stands for folders below. Nothing outside the folder is read."""
+    """Shell pattern of the files; `**` matches subfolders. Files outside the folder are not read."""
     every: float = Field(2.0, gt=0)
-    """Between two looks."""
+    """Seconds between two scans of the folder."""
     name_time: str | None = None
-    """The time in a file's name, as of strptime: `north_%Y%m%d-%H%M%S.jpg`."""
+    """Format of the time in a file name, as for strptime: `north_%Y%m%d-%H%M%S.jpg`."""
     zone: str = "UTC"
-    """Time zone of names, and of EXIF that states none."""
+    """Time zone of file names, and of EXIF times without a zone."""
     oldest: float = Field(600.0, gt=0)
-    """Files that are older when they are first seen are left out: a recording belongs into a replay."""
+    """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
+    """
     complete_within: float = Field(60.0, gt=0)
-    """Time for a file to come whole."""
+    """Maximum time in seconds for a file to be complete."""
     upload: float = Field(10.0, ge=0)
-    """From a picture to its file, at most."""
+    """Maximum time in seconds from exposure to the file."""
     clock: Literal["measured", "trusted"] = "measured"
-    """`trusted`: the camera keeps its clock by NTP, as this computer does; names and EXIF are taken as they are."""
+    """How to date images. `trusted`: the camera keeps its clock by NTP, so file names and EXIF are used; `measured`:
+    the offset of its clock is measured."""
     delete: bool = False
-    """Delete what was published or refused."""
+    """Whether to delete files after they are published or rejected."""
 
     @field_validator("pattern")
     @classmethod
     def _below(cls, pattern: str) -> str:
         if not pattern or pattern.startswith("/") or ".." in pattern.split("/"):
-            raise ValueError("a pattern stays below the folder: no leading / and no ..")
+            raise ValueError("a pattern must stay below the folder: no leading / and no ..")
         return pattern
 
 
 class CameraListConfig(HttpSettings):
-    """A network's list of cameras (JSON) with their times and directions, and a picture a camera, as ALERTCalifornia
-    has them; `url` is the list's."""
+    """List of the cameras of a network (JSON) with their times and directions and an image for each, as ALERTCalifornia
+    publishes it; `url` is the list's."""
 
     kind: Literal["camera_list"]
     id: str
-    """The camera's, in the list."""
+    """Identifier of the camera in the list."""
     image: str
-    """URL of its picture; `{id}` stands for the camera's id."""
+    """URL of the image; `{id}` is replaced by the camera's identifier."""
     every: float = Field(30.0, gt=0)
     id_key: str = "id"
     time_key: str = "last_frame_ts"
-    """Epoch seconds, or milliseconds, or ISO 8601."""
+    """Key of the image's time: epoch seconds, epoch milliseconds or ISO 8601."""
     pan_key: str = "az_current"
     tilt_key: str = "tilt_current"
     zoom_key: str = "zoom_current"
     oldest: float = Field(120.0, ge=0)
-    """How old a picture may be."""
+    """Maximum age of an image in seconds."""
 
     @field_validator("image")
     @classmethod
@@ -250,21 +256,22 @@ Degrees = Annotated[float, Field(ge=-720, le=720)]
 
 
 class PatrolConfig(StrictModel):
-    """The PTZ head is driven. Nobody else may drive it then: a tour of its own, or an operator, would only fight it."""
+    """Tour of presets driven by this program. No other program or operator may drive the PTZ head at the same time."""
 
     presets: tuple[str, ...] = Field(min_length=1)
-    """Names, in their order; from one picture to the next the PTZ head goes to the next one."""
+    """Names of the presets in order; the PTZ head moves to the next one after each image."""
     arrive_within: float = Field(30.0, gt=0, le=60)
-    """Seconds, after which it is said to be stuck."""
+    """Seconds after which a PTZ head that has not arrived is reported as stuck."""
     settle: float = Field(1.0, ge=0, le=20)
-    """Seconds that it must have stood still: after a stop the mast swings, and the lens focuses."""
+    """Seconds that the PTZ head must have been still, so that the mast stops swinging and the lens can focus."""
 
 
 class PtzSettings(StrictModel):
-    """What all kinds have. What is left out of url, user and password is that of the camera's `source`."""
+    """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
+    `source`."""
 
     url: str | None = None
-    """`http://HOST` or `https://HOST`, with its port."""
+    """Address `http://HOST` or `https://HOST`, with the port."""
     user: str | None = None
     password: SecretConfig | None = None
     authentication: Literal["auto", "basic", "digest"] = "auto"
@@ -272,9 +279,9 @@ class PtzSettings(StrictModel):
     check_name: bool = True
     timeout: float = Field(5.0, gt=0, le=60)
     tolerance_deg: float | None = Field(None, gt=0)
-    """By which two readings of a PTZ head at rest may differ: their last digit. None: what is usual for the kind."""
+    """Maximum difference in degrees between two readings of a PTZ head at rest; None: the usual value of the kind."""
     patrol: PatrolConfig | None = None
-    """None: the PTZ head is only asked, never driven."""
+    """Tour of presets; None: the PTZ head is queried but never driven."""
 
     @field_validator("url")
     @classmethod
@@ -289,32 +296,32 @@ class PtzSettings(StrictModel):
 
 
 class VapixConfig(PtzSettings):
-    """Axis: degrees, and zoom from 1 to 9999."""
+    """Axis cameras: degrees, and zoom from 1 to 9999."""
 
     kind: Literal["vapix"]
     camera: int = Field(1, ge=1)
-    """Of a device with several."""
+    """Number of the camera on a device with several."""
 
 
 class IsapiConfig(PtzSettings):
-    """Hikvision and its kin."""
+    """Hikvision and compatible cameras."""
 
     kind: Literal["isapi"]
     units: Literal["tenths", "degrees"]
-    """`tenths`: of a degree, in `status`, which all have; `degrees`: with decimals, in `absoluteEx`, which newer ones
-    have. Zoom is ten times the magnification in the first, the magnification in the second."""
+    """Units of the PTZ head. `tenths`: tenths of a degree from `status`, which all have, and zoom as ten times the
+    magnification; `degrees`: decimals from `absoluteEx`, which newer ones have, and zoom as the magnification."""
     channel: int = Field(1, ge=1)
 
 
 class OnvifConfig(PtzSettings):
-    """ONVIF's generic space runs from -1 to 1 in pan and tilt; what that is in degrees is the model's own."""
+    """ONVIF cameras. The generic space is -1 to 1 in pan and tilt; the range in degrees depends on the model."""
 
     kind: Literal["onvif"]
     path: str = Field("/onvif/device_service", pattern=r"/[!-~]*")
     profile: str | None = None
-    """Token of the media profile; None: the first one with a head."""
+    """Token of the media profile; None: the first profile with PTZ."""
     pan_range_deg: tuple[Degrees, Degrees] = (-180.0, 180.0)
-    """Pan at -1 and at 1."""
+    """Pan in degrees at the normalised values -1 and 1."""
     tilt_range_deg: tuple[Degrees, Degrees] = (-90.0, 90.0)
 
     @model_validator(mode="after")
@@ -322,17 +329,17 @@ class OnvifConfig(PtzSettings):
         for name in ("pan_range_deg", "tilt_range_deg"):
             first, last = getattr(self, name)
             if first == last:
-                raise ValueError(f"{name} is from one angle to another, not {first:g} to {last:g}")
+                raise ValueError(f"{name} must go from a smaller to a larger angle, not {first:g} to {last:g}")
         return self
 
 
 class ReolinkConfig(PtzSettings):
-    """Reolink's own counts."""
+    """Reolink cameras with their own counts."""
 
     kind: Literal["reolink"]
     channel: int = Field(0, ge=0)
     pan_steps_per_deg: float = Field(10.0, gt=0)
-    """Counts of `Ppos` a degree; the model's own."""
+    """Counts of `Ppos` per degree; see the camera model's manual."""
     tilt_steps_per_deg: float = Field(10.0, gt=0)
 
 

@@ -25,24 +25,25 @@ from ltm_core.base.redaction import shown
 from ltm_core.storage.text_io import read_text
 
 LARGEST_FILE = 512 << 10
-"""Bytes; parsed in some two seconds. The largest that ships has 20 kB, one of a site with 50 cameras 30 kB."""
+"""Maximum file size in bytes, parsed in about two seconds. The largest shipped file has 20 kB, a site with 50 cameras
+30 kB."""
 LARGEST_DEPTH = 40
-"""Mappings and lists inside each other."""
+"""Maximum nesting of mappings and lists."""
 MOST_VALUES = 100_000
-"""Keys and values, with those that an alias repeats counted each time."""
+"""Maximum number of keys and values, counting those that an alias repeats each time."""
 LONGEST_NUMBER = 40
-"""Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
+"""Maximum number of characters of an integer; Python's conversion of longer ones takes seconds or fails."""
 LARGEST_KEPT = 32 << 10
-"""Characters of a text whose values are kept, of the last `_KEPT` ones: a process reads the same labels, models and
-site many times, and to copy values takes a fraction of the time that parsing takes."""
+"""Maximum number of characters of a text whose values are cached, for the last `_KEPT` texts. A process reads the same
+labels, models and site many times, and copying values is faster than parsing."""
 _KEPT = 64
 
 _BROKEN = (
     *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
     *(OverflowError, RecursionError),
 )
-"""What PyYAML raises, on purpose and not: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError), `!!bool x`
-(KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
+"""Errors that PyYAML raises, including unintended ones: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError),
+`!!bool x` (KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
 
 
 if TYPE_CHECKING:
@@ -52,22 +53,22 @@ else:
 
 
 class _Bounds(_AnyLoader):
-    """Before a loader: refuses a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera
-    perhaps), and what is nested too deep or repeated too often."""
+    """Mixin of a loader that rejects repeated keys (PyYAML would drop all but the last, perhaps a whole camera), too
+    deep nesting and too many repetitions."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._open: list[int] = []
-        """Values so far in each node that is being composed, outermost first."""
+        """Number of values so far in each node being composed, outermost first."""
         self._values: dict[int, int] = {}
-        """Values in each node that is composed, by its identity."""
+        """Number of values in each composed node, by its identity."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         if self.check_event(yaml.AliasEvent):
             node = super().compose_node(parent, index)
             if id(node) not in self._values:
-                raise yaml.composer.ComposerError(None, None, "an alias within what it stands for", mark)
+                raise yaml.composer.ComposerError(None, None, "an alias that contains itself", mark)
             values = self._values[id(node)]
         else:
             if len(self._open) >= LARGEST_DEPTH:
@@ -87,7 +88,7 @@ class _Bounds(_AnyLoader):
             if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
-                        "in a mapping", node.start_mark, f"the key {key.value!r} stands twice", key.start_mark
+                        "in a mapping", node.start_mark, f"the key {key.value!r} is repeated", key.start_mark
                     )
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
@@ -95,9 +96,7 @@ class _Bounds(_AnyLoader):
     def construct_scalar(self, node: Any) -> Any:
         value = super().construct_scalar(node)
         if isinstance(value, str) and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value):
-            raise yaml.constructor.ConstructorError(
-                None, None, "a character that neither names nor texts have", node.start_mark
-            )
+            raise yaml.constructor.ConstructorError(None, None, "an invalid character", node.start_mark)
         return value
 
     def construct_yaml_int(self, node: Any) -> int:
@@ -114,10 +113,10 @@ class _BoundedLoader(_Bounds, yaml.SafeLoader):
 
 _BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
 _FAST: type[_Bounds] | None = None
-"""Where PyYAML was built with libyaml."""
+"""Loader of PyYAML with libyaml, if available."""
 _ALIKE = re.compile(r"(?s)(?!.*[|>][-+\d]*#)[\n \"->@-~]*")
-"""Texts that both make the same of. With tabs, question marks, characters beyond ASCII, or a comment at the sign of a
-block (`|#`), libyaml takes what PyYAML refuses; and of `!` alone it makes a text, where PyYAML finds nothing."""
+"""Texts that both parsers read alike. With tabs, question marks, non-ASCII characters or a comment at a block sign
+(`|#`), libyaml accepts what PyYAML rejects; and it reads `!` alone as a text, where PyYAML finds nothing."""
 if yaml.__with_libyaml__:
 
     class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):
@@ -134,8 +133,8 @@ if yaml.__with_libyaml__:
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """What a YAML text holds, the caller's own to change; `place`: the file, for the message. Raises ConfigError: no
-    YAML, keys twice, or more than the bounds above."""
+    """Parse a YAML text into a new object; `place`: the file, for the message. Raises ConfigError for invalid YAML,
+    repeated keys, or content beyond the limits above."""
     if len(text) <= LARGEST_KEPT:
         with contextlib.suppress(ConfigError):  # said below with the place
             return deepcopy(_kept(text))
@@ -148,15 +147,14 @@ def _kept(text: str) -> Any:
 
 
 def compose_yaml(text: str, place: str) -> yaml.Node | None:
-    """The nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
+    """Return the nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
     parse_yaml(text, place)
     return _composed(text, place)
 
 
 def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
-    """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
-    stepped over. None where it stands nowhere.
-    """
+    """Return the line of a key in a YAML file that `read_yaml` has read; missing sections are skipped. None if the key
+    is missing."""
     node = _composed(read_text(path, LARGEST_FILE, ConfigError), str(path))
     line = None
     for key in keys:
@@ -172,7 +170,7 @@ def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
+    """Return the content of a YAML file. Raises ConfigError as `parse_yaml` does, and if the file cannot be read."""
     return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))
 
 
@@ -183,7 +181,7 @@ def _composed(text: str, place: str) -> yaml.Node | None:
 
 def _read(text: str, place: str, take: Callable[[_Bounds], Any]) -> Any:
     if len(text) > LARGEST_FILE:
-        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
+        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters)")
     if _FAST is not None and _ALIKE.fullmatch(text):
         with contextlib.suppress(*_BROKEN):  # said below in words that show the line
             return take(_FAST(text))
@@ -213,7 +211,7 @@ def checked(
     line_of: Callable[[Keys], int | None] = lambda keys: None,
     unnamed: Collection[str] = (),
 ) -> Model:
-    """`content` as a `model`. Raises ConfigError that lists every wrong key with its value.
+    """Return `content` as a `model`. Raises ConfigError with every invalid key and its value.
 
     `line_of`: where in the file a key stands. `unnamed`: sections of the model that the file does not write, such as
     those of the columns of a CSV.
@@ -228,7 +226,7 @@ def checked(
             line = line_of(item["loc"])
             at = "" if line is None else f", line {line}"
             if item["type"] == "extra_forbidden":
-                lines.append(f"  {key}: unknown key{at}" + (f"; known are {known}" if len(item["loc"]) == 1 else ""))
+                lines.append(f"  {key}: unknown key{at}" + (f"; known keys: {known}" if len(item["loc"]) == 1 else ""))
             elif item["type"] == "missing":
                 lines.append(f"  {key}: missing")
             else:

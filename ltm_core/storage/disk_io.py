@@ -12,23 +12,23 @@ from ltm_core.base.errors import ConfigError
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; not, too, of a name that none can have or that we may not look at: until Python 3.14
-    `Path.is_file` raises OSError for a name that is too long, and names come from people and from files."""
+    """Return whether a file exists; False also for invalid names and unreadable places: until Python 3.14,
+    `Path.is_file` raises OSError for names that are too long."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there; see `is_file`."""
+    """Return whether a folder exists; see `is_file`."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_there(path: Path) -> bool:
-    """Whether a file, a folder or a device is there; see `is_file`."""
+    """Return whether a file, a folder or a device exists; see `is_file`."""
     return os.path.exists(path)  # noqa: PTH110
 
 
 def folder_that_exists(path: Path) -> Path:
-    """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
+    """Return the path, or its nearest existing parent folder, for querying the disk before writing."""
     path = path.absolute()
     while not is_there(path) and path != path.parent:
         path = path.parent
@@ -40,28 +40,28 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except FileNotFoundError as error:
-        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
+        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; create it first") from error
     except OSError as error:
-        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
+        raise ConfigError(f"{folder}: not a usable folder ({error.strerror})") from error
 
 
 def disk_bytes(path: Path) -> int:
-    """Size of the file system that holds `path`. Raises OSError."""
+    """Return the size of the file system that holds `path`. Raises OSError."""
     room = os.statvfs(folder_that_exists(path))
     return room.f_blocks * room.f_frsize
 
 
 def free_bytes(path: Path) -> int:
-    """What we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
+    """Return the bytes available on the file system of `path`, which need not exist yet. Raises OSError."""
     room = os.statvfs(folder_that_exists(path))
     return room.f_bavail * room.f_frsize
 
 
 class SpaceFloor:
-    """Whether a disk has less free space than `floor` bytes.
+    """Check whether a disk has less free space than `floor` bytes.
 
-    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer shall not stop
-    and start with every file that somebody else removes.
+    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer must not stop
+    and start with every file that other programs remove.
     """
 
     def __init__(self, path: Path, floor: int) -> None:
@@ -69,10 +69,11 @@ class SpaceFloor:
         self.again = floor + floor // 10
         self.low = False
         self.free = 0
-        """At the last look."""
+        """Free bytes at the last check."""
 
     def look(self) -> bool:
-        """Look again; `low`. A disk that cannot be asked (gone, read-only) is not low: writing tells what is wrong."""
+        """Check again and return `low`. A disk that cannot be queried (gone, read-only) is not low; writing will report
+        the error."""
         try:
             self.free = free_bytes(self._path)
         except OSError:
@@ -82,7 +83,7 @@ class SpaceFloor:
 
 
 class DiskReserve:
-    """Room on a disk, held by a file that is given up when nothing else is left.
+    """Space on a disk, reserved by a file that is released when the disk is full.
 
     Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
     """
@@ -91,18 +92,18 @@ class DiskReserve:
         """Nothing is held yet."""
         self.path = path
         self.most = 0
-        """Bytes that have been held at most."""
+        """Maximum number of bytes held so far."""
 
     @property
     def held(self) -> int:
-        """Bytes that are held now."""
+        """Return the bytes currently reserved."""
         try:
             return self.path.stat().st_blocks * 512
         except OSError:
             return 0
 
     def hold(self, wanted: int) -> None:
-        """Hold so many bytes, or a quarter of what is free where that is less; on a full disk nothing, and no error."""
+        """Reserve bytes, at most a quarter of the free space; on a full disk reserve nothing, without an error."""
         held = self.held
         try:
             size = min(wanted, (held + free_bytes(self.path)) // 4)
@@ -122,7 +123,7 @@ class DiskReserve:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """What was held is free for the caller; what it leaves is held again."""
+        """Release the reserve to the caller, and reserve again what remains afterwards."""
         held = self.held
         self.give_up()
         try:
@@ -132,7 +133,7 @@ class DiskReserve:
                 self._grow(min(held, free_bytes(self.path) * 15 // 16))
 
     def give_up(self) -> None:
-        """What was held is free for anybody."""
+        """Release the reserve."""
         try:
             self.path.unlink(missing_ok=True)
         except OSError:
@@ -140,32 +141,32 @@ class DiskReserve:
 
 
 def require_folder(folder: Path, what: str = "results") -> None:
-    """Raises ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
+    """Raise ConfigError unless files can be written to `folder`, which need not exist; creates nothing."""
     reason = _why_not_into(folder)
     if reason is not None:
-        raise ConfigError(f"{folder}: {what} cannot be written there ({reason}): name another folder")
+        raise ConfigError(f"{folder}: cannot write {what} ({reason}): name another folder")
 
 
 def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
-    """Raises ConfigError unless each of `files` can be written, its folders made where they are missing.
+    """Raise ConfigError unless each of `files` can be written; creates missing folders.
 
     `overwrite`: whether files may be there already. Makes and changes nothing.
     """
     for file in files:
         if is_folder(file):
-            raise ConfigError(f"{file}: is a folder, {what} need the name of a file")
+            raise ConfigError(f"{file}: is a folder; give a file name for {what}")
         if is_there(file) and not overwrite:
-            raise ConfigError(f"{file}: exists already; name another place, or write over it with --overwrite")
+            raise ConfigError(f"{file}: exists already; name another file, or replace it with --overwrite")
         reason = _why_not_over(file) if is_there(file) else _why_not_into(file.parent) or _why_no_name(file)
         if reason is not None:
-            raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
+            raise ConfigError(f"{file}: cannot write {what} ({reason}): name another file")
 
 
 def _why_not_into(folder: Path) -> str | None:
     """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
     there = folder_that_exists(folder.expanduser())
     if not is_folder(there):
-        return f"{there} is no folder"
+        return f"{there} is not a folder"
     try:
         with tempfile.TemporaryFile(dir=there):
             return _why_no_name(folder)

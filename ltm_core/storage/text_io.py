@@ -29,18 +29,19 @@ from ltm_core.base.errors import ImageError, LtmError
 from ltm_core.base.types import UInt8Array
 
 LARGEST_TABLE = 4 << 20
-"""Bytes of a CSV file, or of an index in JSON."""
+"""Maximum size in bytes of a CSV file or of an index in JSON."""
 
 
 def read_text(path: Path, most: int, error: type[LtmError], encoding: str = "utf-8") -> str:
-    """The whole of a text file. Raises `error`: no file, more than `most` bytes, or other bytes than `encoding` has."""
+    """Return the whole of a text file. Raises `error` for a missing file, more than `most` bytes, or invalid
+    `encoding`."""
     try:
         with path.open("rb") as file:
             content = file.read(most + 1)
     except (OSError, ValueError) as reason:  # ValueError: a name that no file can have
         raise error(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from reason
     if len(content) > most:
-        raise error(f"{path}: cannot be read (it has more than {most} bytes: no such file is that large); split it")
+        raise error(f"{path}: cannot be read (it has more than {most} bytes); split it")
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as reason:
@@ -51,20 +52,20 @@ _BROKEN = (
     *(OSError, ValueError, TypeError, LookupError, EOFError, SyntaxError, MemoryError, OverflowError),
     *(RuntimeError, zlib.error, zipfile.BadZipFile, tokenize.TokenError),
 )
-"""What NumPy, the header's parser and zipfile raise for bytes that are damaged."""
+"""Errors that NumPy, the header's parser and zipfile raise for damaged bytes."""
 
 
 def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]:
-    """An array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a shape that
-    they do not fill, and Python objects."""
+    """Return an array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a
+    wrong size, and Python objects."""
     try:
         return _array(BytesIO(content), len(content))
     except _BROKEN as reason:
-        raise error(f"{what} is damaged: no array of NumPy ({type(reason).__name__}: {reason})") from reason
+        raise error(f"{what} is damaged: not a NumPy array ({type(reason).__name__}: {reason})") from reason
 
 
 def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[LtmError]) -> list[NDArray[Any]]:
-    """These arrays of an .npz file. Raises `error`: no such file, an array missing, or more than `most_bytes` of it."""
+    """Return these arrays of an .npz file. Raises `error` for a missing file or array, or more than `most_bytes`."""
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = []
@@ -90,33 +91,34 @@ def _array(stream: BinaryIO, size: int) -> NDArray[Any]:
 
 
 LARGEST_FILE = 256 << 20
-"""Bytes of a photo file."""
+"""Maximum size of a photo file in bytes."""
 MAX_PIXELS = 64_000_000
-"""Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
+"""Maximum number of pixels of a compressed image; a few kilobytes can claim gigapixels, which would use all memory of a
+tower."""
 
 FORMATS = ("JPEG", "PNG", "HEIF", "TIFF", "GIF", "BMP", "WEBP")
-"""What is opened (MPO with JPEG). Other formats of Pillow's are not even tried: for EPS it starts Ghostscript."""
+"""Formats that are opened (MPO with JPEG). Other formats of Pillow are not tried: for EPS it starts Ghostscript."""
 
 BROKEN = (
     *(OSError, ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError),
     *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
 )
-"""What Pillow, its plugins and their EXIF raise for files that are damaged: they agree on no error of their own."""
+"""Errors that Pillow, its plugins and their EXIF parsers raise for damaged files; they have no common class."""
 _PHOTOS = {".jpg", ".jpeg", ".png"}
 
 
 @contextmanager
 def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
-    """The opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no picture, too large, and for
-    whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
+    """Open an image without decoding it; gives the image and the file's bytes. Raises ImageError for other files, too
+    large ones, and any Pillow error in the block; other errors in the block must be ImageErrors already."""
     data = read_picture(path)
     with opened_picture(data, path) as image:
         yield image, data
 
 
 def photos_in(images: Path) -> list[Path]:
-    """The photos of a folder in the order of their names, label images left out; of a file, that file. Raises
-    ImageError where there is none."""
+    """Return the photos of a folder by name, without label images, or a single file. Raises ImageError if there is
+    none."""
     paths = [images] if images.is_file() else sorted(images.glob("*"))
     photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
     if not photos:
@@ -125,26 +127,26 @@ def photos_in(images: Path) -> list[Path]:
 
 
 def read_rgb(path: Path) -> UInt8Array:
-    """A photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
+    """Return a photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
     with open_picture(path) as (source, _):
         return np.asarray(ImageOps.exif_transpose(source).convert("RGB"), np.uint8)
 
 
 def read_picture(path: Path) -> bytes:
-    """A photo file's bytes. Raises ImageError: no file, or too large."""
+    """Return a photo file's bytes. Raises ImageError if it is missing or too large."""
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
     except (OSError, ValueError) as error:
         raise ImageError(f"{path}: cannot be read ({error})") from error
     if len(data) > LARGEST_FILE:
-        raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; send a smaller photo")
+        raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; use a smaller photo")
     return data
 
 
 @contextmanager
 def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
-    """The image of a file's bytes, nothing of it decoded. `path`: what errors call it. Raises as `open_picture`."""
+    """Return the image of a file's bytes, not decoded. `path`: its name in errors. Raises as `open_picture`."""
     from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
     register_heif_opener()
@@ -155,27 +157,25 @@ def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
                 if image.width * image.height > MAX_PIXELS:
                     raise ImageError(
                         f"{path}: states a size of {image.width} x {image.height}: more than "
-                        f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; send a smaller photo"
+                        f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; use a smaller photo"
                     )
                 yield image
     except UnidentifiedImageError as error:
-        raise ImageError(
-            f"{path}: cannot be read: it is no photo that can be read, of another format or cut short"
-        ) from error
+        raise ImageError(f"{path}: cannot be read: it has an unsupported format or is truncated") from error
     except BROKEN as error:
-        raise ImageError(f"{path}: cannot be read as a picture ({type(error).__name__}: {error})") from error
+        raise ImageError(f"{path}: cannot be read as an image ({type(error).__name__}: {error})") from error
 
 
 def check_picture(path: Path) -> None:
-    """Before OpenCV decodes a file. Raises ImageError: no picture, or one that takes more memory than a picture."""
+    """Check a file before OpenCV decodes it. Raises ImageError for other files, and images that are too large."""
     with open_picture(path) as (image, data):
         if image.format == "PNG" and not png_is_whole(data):
-            raise ImageError(f"{path} ({len(data)} bytes) is cut short: its chunks state more bytes than it has")
+            raise ImageError(f"{path} ({len(data)} bytes) is truncated: its chunks state more bytes than it has")
 
 
 def png_is_whole(data: bytes) -> bool:
-    """Whether all chunks up to the end chunk lie within the data. OpenCV takes memory for what a chunk states, up to a
-    gigabyte, before it sees that the file ends earlier. Source: PNG specification, section 5.3."""
+    """Return whether all chunks up to the end chunk are within the data. OpenCV allocates what a chunk states, up to a
+    gigabyte, before it notices that the file ends earlier. Source: PNG specification, section 5.3."""
     at = 8
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")

@@ -1,4 +1,4 @@
-"""SQLite file that holds the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
+"""SQLite file with the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
 
 The nodes `fuel_map` and `terrain` keep their maps in it. A transaction is in the file whole or not at all, also after a
 power cut: what `commit` has returned from is kept. Frames may be committed before the tiles that hold their effect:
@@ -49,16 +49,16 @@ from ltm_core.storage.tile_store_schema import (
 __all__ = ["CellChanges", "Field", "FrameRecord", "Key", "StoreSchema", "Tile", "TileStore", "Touch"]
 
 RESERVE_BYTES = 32 << 20
-"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
+"""Bytes reserved on the disk for transactions when it is full; at least twice the store's size."""
 WAITING_CELL_BYTES, WAITING_HEADER_BYTES = 512, 64 << 10
-"""What a frame that waits holds at most, for each cell of the grid and besides."""
+"""Maximum bytes of a waiting frame, for each cell of the grid and in addition."""
 
 
 class TileStore:
     """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
 
     A store that is written holds some room on its disk. On a full one a transaction is made in that room, which then
-    is held again as far as it is left; its second half is for the last transaction alone (`commit`, `last`).
+    is reserved again if it is left; its second half is for the last transaction alone (`commit`, `last`).
 
     Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
     it, and the call may be made again), and ConfigError where its content is damaged.
@@ -79,7 +79,7 @@ class TileStore:
         self._rows = partial(checked_rows, database, name)
         self._remembered = Remembered(kept_frames, most_frames)
         self.strain = ""
-        """Where the last commit was made on a full disk: what that means, in words."""
+        """Description of a full disk at the last commit, in words."""
 
     @classmethod
     def open(
@@ -89,15 +89,15 @@ class TileStore:
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
     ) -> TileStore:
-        """The store in `path`, made where there is none, for this process alone to write.
+        """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
-        a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or the
+        a file is not changed. Raises StoreError where another process writes it, the folder cannot be written or the
         disk is full.
         """
         path = Path(path)
         if not path.parent.is_dir():
-            raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+            raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
         lock = lock_store(path)
         try:
             if not path.exists():
@@ -121,7 +121,7 @@ class TileStore:
 
     @classmethod
     def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
-        """A store of that kind as it is, with its own schema, also while another process writes it.
+        """Open a store of that kind read-only, with its own schema, also while another process writes it.
 
         Raises ConfigError and StoreError as `open` does.
         """
@@ -129,20 +129,20 @@ class TileStore:
         database, schema = open_store(path, read_only=True)
         if schema.kind != kind:
             database.close()
-            raise ConfigError(f"{path}: holds {schema.kind}, not {kind}")
+            raise ConfigError(f"{path}: contains {schema.kind}, not {kind}")
         return cls(database, schema, str(path), None)
 
     @classmethod
     def in_memory(
         cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
     ) -> TileStore:
-        """A store that ends with the process."""
+        """Return a store in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)
         return cls(database, schema, "memory", None, kept_frames, most_frames)
 
     def close(self) -> None:
-        """Idempotent."""
+        """Close the store. Idempotent."""
         self._db.close()
         if self._reserve is not None:
             self._reserve.give_up()
@@ -159,7 +159,7 @@ class TileStore:
         self.close()
 
     def keys(self) -> list[Key]:
-        """Tiles that the store holds, in row-major order."""
+        """Return the stored tiles' keys in row-major order."""
         keys = self._rows("SELECT row, col FROM tiles ORDER BY row, col", (), int, int)
         down, across = self.schema.tiles
         for row, col in keys:
@@ -168,19 +168,20 @@ class TileStore:
         return [(row, col) for row, col in keys]
 
     def read(self, key: Key) -> Tile | None:
-        """A tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
+        """Return a tile's arrays, (tile, tile, *shape of the field) each; None if it has not been written."""
         rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key, bytes)
         return self.schema.unpack(rows[0][0]) if rows else None
 
     def tiles(self) -> Iterator[tuple[Key, Tile]]:
-        """All tiles, one at a time."""
+        """Return all tiles, one at a time."""
         for key in self.keys():
             tile = self.read(key)
             if tile is not None:
                 yield key, tile
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
+        """Return whether a frame must not be counted, because it was counted or is too old to know (see
+        `forgotten`)."""
         found = self._rows(
             "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
             "FROM sources WHERE name = ?1",
@@ -190,20 +191,20 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
+        """Return whether a frame is older than the stamps kept for its source (`tile_store_frames`)."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
     def frame_count(self) -> int:
-        """Frames counted since the store was made, of all sources."""
+        """Return the number of frames counted since the store was created, of all sources."""
         return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources", (), int)[0][0])
 
     def sources(self) -> dict[str, int]:
-        """Frames counted of each source."""
+        """Return the number of frames counted of each source."""
         return dict(self._rows("SELECT name, counted FROM sources ORDER BY name", (), str, int))
 
     def newest_ns(self) -> int | None:
-        """The latest stamp that is remembered; None where no frame has been counted."""
+        """Return the latest known stamp; None if no frame has been counted."""
         found = self._rows(
             "SELECT newest FROM "
             "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
@@ -214,7 +215,7 @@ class TileStore:
         return int(found[0][0]) if found else None
 
     def touches(self, key: Key) -> list[Touch]:
-        """Who has touched a tile, by source and network."""
+        """Return the sources and networks that have touched a tile."""
         found = self._rows(
             "SELECT name, model, frames, first_ns, last_ns FROM touches JOIN sources ON source = id "
             "WHERE row = ? AND col = ? ORDER BY name, model",
@@ -224,7 +225,7 @@ class TileStore:
         return [Touch(*row) for row in found]
 
     def waiting(self) -> list[FrameRecord]:
-        """Frames that are counted and that no tile holds yet, with their payloads, in the order of their commits."""
+        """Return frames that are counted but not in a tile yet, with their payloads, in the order of their commits."""
         found = self._rows(
             "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number",
             (),
@@ -234,7 +235,7 @@ class TileStore:
         return [FrameRecord(name, at, (), model, decompressed(payload, most)) for name, at, model, payload in found]
 
     def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
-        """The journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
+        """Return the journal of a layer in the order of its commits; only changes by frames up to `until_ns`."""
         limit = 2**63 - 1 if until_ns is None else until_ns
         found = self._rows(
             "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number",
@@ -244,7 +245,7 @@ class TileStore:
         return (CellChanges.unpack(layer, at, content, self.schema.geometry.shape) for at, content in found)
 
     def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
-        """A layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the first."""
+        """Return a layer as of the frames up to `until_ns`; `initial`: (H, W), its state before the first."""
         if initial.shape != self.schema.geometry.shape:
             raise ValueError(f"initial layer of {initial.shape}, the grid is {self.schema.geometry.shape}")
         result = initial.copy()
@@ -273,13 +274,13 @@ class TileStore:
                 raise
             with _lent(reserve, self._db):
                 self._write(packed, frames, changes)
-            self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
+            self.strain = f"{error}; this was written to reserved space, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
             self._hold()
 
     def _hold(self) -> None:
-        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        """Half of the reserve is for the last transaction, which may write every tile once more."""
         if self._reserve is not None:
             with contextlib.suppress(OSError):
                 self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))
@@ -300,7 +301,7 @@ class TileStore:
 
 @contextlib.contextmanager
 def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
-    """The room that was held, for one transaction."""
+    """Return the room that was held, for one transaction."""
     with reserve.lent():
         try:
             yield

@@ -1,4 +1,4 @@
-"""Make, lock, open and check the SQLite file of a tile store, and remember which frames it has counted."""
+"""Create, lock, open and check the SQLite file of a tile store, and record which frames it has counted."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from ltm_core.storage.tile_store_schema import FrameRecord, StoreSchema, compres
 
 APPLICATION_ID = 0x4C544D31  # "LTM1"
 LAYOUT = 1
-"""Of the tables below, SQLite's user_version."""
+"""Version of the tables below (user_version of SQLite)."""
 LARGEST_VALUE = 256 << 20
-"""Bytes of one value in the file; a tile has some hundred kilobytes."""
+"""Maximum bytes of one value in the file; a tile has some hundred kilobytes."""
 CHECKED_BYTES = 64 << 20
-"""Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
+"""File size in bytes up to which a file is checked completely when it is opened; in larger ones, damage is found when
+it is read."""
 
 CACHE_KB = 256
-"""Of the file in memory, for each connection: the pages that each frame touches, full after the first tiles. SQLite's
-own 2 MB would fill over 16 hours, and serve nobody: what is written is not read again."""
+"""Cache in KB for each connection, for the pages that each frame touches; it is full after the first tiles. SQLite's
+default of 2 MB would fill over 16 hours without use, because written data is not read again."""
 
 TABLES = """
 CREATE TABLE description (content TEXT NOT NULL);
@@ -47,13 +48,13 @@ CREATE TABLE touches (
 
 
 def lock_store(path: Path) -> int:
-    """The right to write a store, until the descriptor is closed or the process ends in whatever way."""
+    """Lock a store for writing until the descriptor is closed or the process ends."""
     name = path.with_name(path.name + ".lock")
     try:
         lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise StoreError(
-            f"{path}: the folder cannot be written ({error.strerror}); check its owner and disk"
+            f"{path}: cannot write to the folder ({error.strerror}); check its owner and the disk"
         ) from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -64,7 +65,7 @@ def lock_store(path: Path) -> int:
 
 
 def create_store(path: Path, schema: StoreSchema) -> None:
-    """A store without content, which appears under its name only when it is whole."""
+    """Create an empty store, which gets its name only when it is complete."""
     partial = path.with_name(f".{path.name}.new")
     try:
         for leftover in (partial, *(partial.with_name(partial.name + end) for end in ("-wal", "-shm", "-journal"))):
@@ -78,15 +79,15 @@ def create_store(path: Path, schema: StoreSchema) -> None:
         partial.replace(path)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)  # the name, too, shall survive a power cut
+            os.fsync(folder)  # the name, too, must survive a power cut
         finally:
             os.close(folder)
     except OSError as error:
-        raise StoreError(f"{path}: cannot be made ({error.strerror}); check its folder and the disk") from error
+        raise StoreError(f"{path}: cannot be created ({error.strerror}); check its folder and the disk") from error
 
 
 def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
-    """A connection to a store that was found sound, and the schema that it states."""
+    """Open a sound store; return the connection and its schema."""
     _check_header(path)
     with named_errors(str(path)):
         db = sqlite3.connect(
@@ -115,39 +116,40 @@ def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSc
 
 
 def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
-    """A view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the script
-    that makes ours. Raises ConfigError.
-    """
+    """Check the tables: a view or a computed column instead of a table could run arbitrary code for hours. `tables`:
+    the script that creates ours. Raises ConfigError."""
     query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
     with contextlib.closing(sqlite3.connect(":memory:")) as ours:
         ours.executescript(tables)
         expected = ours.execute(query).fetchall()
     if (found := db.execute(query).fetchall()) != expected:
         names = ", ".join(f"{kind} {name!r:.40}" for kind, name, _ in set(found) ^ set(expected))
-        raise ConfigError(f"{path}: the store is damaged: its tables are not those of a store ({names}); restore it")
+        raise ConfigError(f"{path}: the store is damaged: unexpected tables ({names}); restore it")
 
 
 def _check_header(path: Path) -> None:
-    """Before SQLite touches a file, which may change it: is it ours? Raises ConfigError, StoreError."""
+    """Check that a file is ours before SQLite opens and perhaps changes it. Raises ConfigError, StoreError."""
     try:
         with path.open("rb") as file:
             header = file.read(100)
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such store") from error
+        raise ConfigError(f"{path}: no such store") from error
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
     if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
-        raise ConfigError(f"{path}: not a tile store; it stays as it is: move it away or name another file")
+        raise ConfigError(f"{path}: not a tile store; it was not changed. Move it away or name another file")
     layout, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
     if application != APPLICATION_ID:
-        raise ConfigError(f"{path}: an SQLite file of another program; it stays as it is: name another file")
+        raise ConfigError(f"{path}: an SQLite file of another program; it was not changed. Name another file")
     if layout != LAYOUT:
-        raise ConfigError(f"{path}: a store of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+        raise ConfigError(
+            f"{path}: a store of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
+        )
 
 
 @contextlib.contextmanager
 def named_errors(name: str) -> Iterator[None]:
-    """SQLite's errors as ours, with the file's name and what may help."""
+    """Convert SQLite's errors to ours, with the file's name and a remedy."""
     try:
         yield
     except sqlite3.Error as error:
@@ -166,35 +168,35 @@ def named_errors(name: str) -> Iterator[None]:
 def checked_rows(
     db: sqlite3.Connection, name: str, query: str, values: Sequence[object], *types: type
 ) -> list[tuple[Any, ...]]:
-    """What a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables
-    only where their writer does."""
+    """Return the rows of a query. Raises ConfigError for a column of another type, because SQLite does not enforce
+    types."""
     with named_errors(name):
         rows = db.execute(query, values).fetchall()
     for row in rows:
         if tuple(map(type, row)) != types:
             found = ", ".join(f"{value!r:.40}" for value in row)
-            raise ConfigError(f"{name}: the store is damaged: a row holds {found}; restore it from a copy")
+            raise ConfigError(f"{name}: the store is damaged: a row contains {found}; restore it from a copy")
     return rows
 
 
 def wants_room(error: StoreError) -> bool:
-    """Whether more room on the disk may help: a quota comes as an error of input and output."""
+    """Return whether more disk space may help; a quota is reported as an input/output error."""
     code = getattr(error.__cause__, "sqlite_errorname", "") or ""
     return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
 
 
 _REMEDIES = {
-    "SQLITE_FULL": "make room on the disk",
+    "SQLITE_FULL": "free space on the disk",
     "SQLITE_READONLY": "make the file and its folder writable",
-    "SQLITE_CANTOPEN": "make its folder writable, and room on the disk",
-    "SQLITE_BUSY": "another process holds it",
+    "SQLITE_CANTOPEN": "make its folder writable, and free space on the disk",
+    "SQLITE_BUSY": "another process uses it",
     "SQLITE_IOERR": "check the disk",
 }
 
 
 @contextlib.contextmanager
 def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connection]:
-    """Gives `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
+    """Run a transaction on `db`; its changes are written completely or not at all. Raises as `named_errors`."""
     with named_errors(name):
         db.execute("BEGIN IMMEDIATE")
         try:
@@ -207,17 +209,18 @@ def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connectio
 
 
 KEPT_FRAMES = 20_000
-"""Stamps remembered of each source at least, a week of a frame every 30 s; older ones are refused, as nobody knows."""
+"""Minimum number of stamps kept per source, a week of a frame every 30 s; older frames are rejected, because they may
+have been counted."""
 KEPT_NS = 7 * 86_400 * 10**9
-"""Up to the newest, in which a source's stamps are remembered however many they are: thousands of one minute push out
-none of the same day."""
+"""Time before the newest stamp within which all stamps of a source are kept, so that thousands in one minute do not
+displace those of the same day."""
 MOST_FRAMES = 1_000_000
-"""Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
+"""Maximum number of stamps kept per source, some 30 MB, to limit the file size."""
 
 
 @dataclass(frozen=True)
 class Remembered:
-    """How many stamps of a source are remembered: `frames` at least, those of `KEPT_NS` too, `most` at most."""
+    """Limits of the stamps kept per source: at least `frames`, those within `KEPT_NS`, at most `most`."""
 
     frames: int = KEPT_FRAMES
     most: int = MOST_FRAMES
@@ -226,7 +229,7 @@ class Remembered:
 def count_frames(
     db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool, bounds: Remembered
 ) -> None:
-    """Within a transaction on the store `name`. `keep`: their payloads too, until the tiles that hold them are written.
+    """Count frames within a transaction on the store `name`. `keep`: with payloads, until their tiles are written.
 
     Raises ValueError where a frame has been counted already, ConfigError where the store is damaged.
     """
@@ -249,7 +252,7 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
         try:
             db.execute("INSERT INTO frames VALUES (?, ?)", (sources[frame.source], frame.stamp_ns))
         except sqlite3.IntegrityError as error:
-            raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
+            raise ValueError(f"frame {frame.stamp_ns} of {frame.source} was counted before") from error
     if keep:
         db.executemany(
             "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
@@ -262,7 +265,7 @@ def _count(db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) ->
 
 
 def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
-    """One row for each tile, source and network, however many frames of a transaction there are."""
+    """Return one row for each tile, source and network, however many frames of a transaction there are."""
     touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
     for frame in frames:
         at = frame.stamp_ns
@@ -279,10 +282,10 @@ def _touch(db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
 
 
 def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) -> None:
-    """Bound what is remembered of a source: the newest `bounds.frames`, and those within `KEPT_NS` of the newest, up
-    to `bounds.most`.
+    """Limit the stamps kept of a source to the newest `bounds.frames`, and those within `KEPT_NS` of the
+    newest, up to `bounds.most`.
 
-    Not by age alone: a camera whose clock was once set to another year shall neither be refused from then on nor
+    Not by age alone: a camera whose clock was once set to another year shall neither be rejected from then on nor
     be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
     """
     ((number, kept),) = checked_rows(db, name, "SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
@@ -306,7 +309,7 @@ def _forget(db: sqlite3.Connection, name: str, source: str, bounds: Remembered) 
 
 
 def _old_among(db: sqlite3.Connection, number: int, spare: int, limit_ns: int, most: int) -> int:
-    """How many of a source's `spare` oldest frames are older than that; counts at most `most`."""
+    """Return how many of a source's `spare` oldest frames are older than that; counts at most `most`."""
     if spare <= 0:
         return 0
     (old,) = db.execute(

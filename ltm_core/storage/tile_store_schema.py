@@ -23,7 +23,7 @@ Key = tuple[int, int]
 Tile = dict[str, NDArray[Any]]
 
 LARGEST_TILE = 64 << 20
-"""Bytes of a tile; those of our maps have one or two million."""
+"""Maximum bytes of a tile; those of our maps have one or two million."""
 _LEVEL = 1
 _CHANGE = np.dtype([("row", "<i4"), ("col", "<i4"), ("old", "<i4"), ("new", "<i4")])
 
@@ -37,7 +37,7 @@ class Field:
 
     @property
     def stored(self) -> np.dtype[Any]:
-        """The dtype in the file: little-endian."""
+        """Return the dtype in the file: little-endian."""
         return np.dtype(self.dtype).newbyteorder("<")
 
 
@@ -73,15 +73,17 @@ class StoreSchema:
 
     def __post_init__(self) -> None:
         if self.tile < 1 or not self.fields:
-            raise ConfigError(f"a tile store needs tiles of a cell or more and a field, got {self.tile}, {self.fields}")
+            raise ConfigError(
+                f"a tile store needs tiles of at least one cell and a field, got {self.tile}, {self.fields}"
+            )
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
+        """Return the rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
         return ceil(self.geometry.height / self.tile), ceil(self.geometry.width / self.tile)
 
     def described(self) -> str:
-        """The schema as the JSON text that the file holds."""
+        """Return the schema as the JSON text that the file holds."""
         return json.dumps(
             {
                 "kind": self.kind,
@@ -95,7 +97,7 @@ class StoreSchema:
 
     @classmethod
     def from_description(cls, text: str, place: str) -> StoreSchema:
-        """The inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
+        """Return the schema from `described`. Raises ConfigError on any other text; `place` is its place."""
         try:
             content = _Description.model_validate_json(text)
             schema = cls(
@@ -111,16 +113,17 @@ class StoreSchema:
             raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
         size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
         if size > LARGEST_TILE:
-            raise ConfigError(f"{place}: its description states tiles of {size} bytes, at most {LARGEST_TILE} are read")
+            raise ConfigError(f"{place}: its description states tiles of {size} bytes; the limit is {LARGEST_TILE}")
         return schema
 
     def differences(self, other: StoreSchema) -> str:
-        """What `other` has otherwise; empty where both are the same."""
+        """Return the differences of `other`; empty if both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
 
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-        """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
+        """Return a tile as compressed bytes with a checksum. Raises ValueError for arrays that do not fit the
+        schema."""
         across = self.tiles
         if not (0 <= key[0] < across[0] and 0 <= key[1] < across[1]):
             raise ValueError(f"tile {key} is outside a grid of {across} tiles")
@@ -137,13 +140,13 @@ class StoreSchema:
         return compressed(b"".join(parts))
 
     def unpack(self, content: bytes) -> Tile:
-        """The inverse of `pack`; the arrays are writable. Raises ConfigError where the bytes are damaged."""
+        """Return the arrays of packed bytes; they are writable. Raises ConfigError for damaged bytes."""
         shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
         sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
         whole = decompressed(content, sum(sizes.values()))
         if len(whole) != sum(sizes.values()):
             raise ConfigError(
-                f"the store's content is damaged: {len(whole)} bytes in place of {sum(sizes.values())}; restore it"
+                f"the store's content is damaged: {len(whole)} bytes instead of {sum(sizes.values())}; restore it"
             )
         arrays, offset = {}, 0
         for name, spec in self.fields.items():
@@ -155,7 +158,7 @@ class StoreSchema:
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A frame that is counted: once by `source` (its camera) and `stamp_ns`.
+    """Counted frame: once by `source` (its camera) and `stamp_ns`.
 
     `tiles`, `model`: for the record of who touched which tile with what network. `payload`: what it takes to count the
     frame again; the store keeps it until tiles that hold the frame's effect are committed.
@@ -170,7 +173,7 @@ class FrameRecord:
 
 @dataclass(frozen=True, eq=False)
 class CellChanges:
-    """Cells of a layer that a frame of `stamp_ns` (or an order of that time) changed, for the journal.
+    """Cells of a layer that a frame of `stamp_ns` (or a command of that time) changed, for the journal.
 
     `rows`, `cols`, `old`, `new`: (N,) integers that fit int32.
     """
@@ -190,20 +193,21 @@ class CellChanges:
 
     @classmethod
     def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> CellChanges:
-        """`shape`: of the grid. Raises ConfigError where the bytes are damaged, or cells lie outside the grid."""
+        """Return the changes from bytes; `shape`: of the grid. Raises ConfigError for damaged bytes or cells outside
+        the grid."""
         whole = decompressed(content, prod(shape) * _CHANGE.itemsize)
         if len(whole) % _CHANGE.itemsize:
-            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes are no changes; restore it")
+            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes cannot be decoded; restore it")
         table = np.frombuffer(whole, _CHANGE)
         for name, count in zip(("row", "col"), shape, strict=True):
             if len(table) and not (table[name].min() >= 0 and table[name].max() < count):
-                raise ConfigError(f"the store's journal is damaged: a {name} is none of {count}; restore it")
+                raise ConfigError(f"the store's journal is damaged: a {name} is not below {count}; restore it")
         return cls(layer, stamp_ns, table["row"], table["col"], table["old"], table["new"])
 
 
 @dataclass(frozen=True)
 class Touch:
-    """What a source's frames, labelled by one network, did to a tile: how many they are, the first and last stamp."""
+    """Effect of a source's frames, labelled by one network, on a tile: their number, the first and last stamp."""
 
     source: str
     model: str
@@ -213,17 +217,19 @@ class Touch:
 
 
 def compressed(content: bytes) -> bytes:
-    """Zstandard with a checksum, so that damage is found when the bytes are read."""
+    """Compress with Zstandard and a checksum, so that damage is detected on reading."""
     return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True, write_content_size=True).compress(content)
 
 
 def decompressed(content: bytes, most: int) -> bytes:
-    """Raises ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
+    """Decompress. Raises ConfigError for damaged bytes, or if they state more than `most`."""
     try:
-        # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
+        # The library allocates the size that a frame states before it reads the content, whatever bound is given.
         stated = zstandard.frame_content_size(content)
         if not 0 <= stated <= most:
-            raise ConfigError(f"the store's content is damaged: it states {stated} bytes, at most {most}; restore it")
+            raise ConfigError(
+                f"the store's content is damaged: it states {stated} bytes, the limit is {most}; restore it"
+            )
         return zstandard.ZstdDecompressor().decompress(content, max_output_size=most)
     except zstandard.ZstdError as error:
         raise ConfigError(f"the store's content is damaged ({error}); restore it from a copy") from error

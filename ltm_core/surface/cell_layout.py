@@ -1,4 +1,4 @@
-"""Lay out the cells of a surface map in memory, and the sums of one frame's observations over them.
+"""Memory layout of the cells of a surface map, and of the sums of one frame's observations.
 
 Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
 
@@ -18,7 +18,7 @@ from ltm_core.base.types import Int32Array, Int64Array, RecordArray, UInt8Array
 from ltm_core.storage.tile_store_schema import Field
 
 TILE = 64
-"""Cells a side of a tile."""
+"""Number of cells per side of a tile."""
 TILE_BITS = 6
 CELLS = TILE * TILE
 PLACE_BITS = 2 * TILE_BITS
@@ -35,7 +35,7 @@ CANDIDATE = np.dtype(
     [("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
      ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
-"""Fields that are read only by observations that contradict the estimate, and by labels."""
+"""Fields read only by observations that contradict the estimate, and by labels."""
 DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
 """Fields that no observation reads: the decision on change."""
 
@@ -73,19 +73,19 @@ class TileCells(NamedTuple):
 
     @classmethod
     def empty(cls, slots: int) -> TileCells:
-        """Their content is arbitrary; memory is claimed as it is used."""
+        """Return cells with arbitrary content; memory is allocated on use."""
         estimate, candidate, decision = (np.empty((slots, CELLS), dtype) for dtype in (ESTIMATE, CANDIDATE, DECISION))
         return cls(estimate, candidate, decision, np.empty((slots, CELLS), np.uint8))
 
     def field(self, name: str) -> NDArray[Any]:
-        """One of FIELDS, (slots, cells of a tile), a view."""
+        """Return one of FIELDS, (slots, cells of a tile), a view."""
         blocks = (self.estimate, self.candidate, self.decision)
         return blocks[_BLOCK_OF[name]][name]
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def place_of(row: int, col: int, across: int) -> int:
-    """Of a cell of the grid, which is `across` tiles wide."""
+    """Return the place of a cell of the grid, which is `across` tiles wide."""
     tile = (row >> TILE_BITS) * across + (col >> TILE_BITS)
     return (tile << PLACE_BITS) | ((row & (TILE - 1)) << TILE_BITS) | (col & (TILE - 1))
 
@@ -96,11 +96,10 @@ SUM = np.dtype(
      ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4"),
      ("label", "u1"), ("_", "u1", 3)]
 )  # fmt: skip
-"""Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
-above the reference at which a ray passed it (infinite: none did), and by how many sigmas of range it did; and of the
-pixels that speak by their labels, how many count (`labelled`), how high it is that stood there, and the sums of the
-log odds of those that say it is gone and of those that say it stays.
-"""
+"""Sums of one cell: over pixels that agree with the reference and over those that do not (off_); the least height above
+the reference at which a ray passed it (infinite: none) and by how many sigmas of range; and, of pixels that count by
+their labels, their number (`labelled`), the height of what stood there, and the sums of log odds that it is gone and
+that it stays."""
 
 
 class FrameSums(NamedTuple):
@@ -117,7 +116,7 @@ class FrameSums(NamedTuple):
 
     @classmethod
     def empty(cls, most: int, tiles: int) -> FrameSums:
-        """For at most `most` cells of a grid of `tiles` tiles; memory is claimed as it is used."""
+        """Return sums for at most `most` cells of a grid of `tiles` tiles; memory is allocated on use."""
         return cls(
             np.zeros(2, np.int64),
             np.empty(most, SUM),
@@ -128,7 +127,7 @@ class FrameSums(NamedTuple):
 
     @property
     def seen_tiles(self) -> Int32Array:
-        """Tiles that the frame touches, in row-major order."""
+        """Return the tiles that the frame touches, in row-major order."""
         return np.sort(self.tiles[: self.used[1]])
 
 
@@ -145,7 +144,7 @@ def clear(sums: FrameSums) -> None:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def sum_of(sums: FrameSums, place: int) -> int:
-    """Where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
+    """Return the place of the sums of a cell, cleared if it is new; -1 if there is no room."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     number = sums.number_of[tile]
     if number < 0:

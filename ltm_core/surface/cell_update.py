@@ -23,18 +23,18 @@ from ltm_core.base.types import Int32Array
 from ltm_core.surface.cell_layout import CELLS, NO_LABEL, PLACE_BITS, FrameSums, TileCells
 
 TALL = 10.0
-"""Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
+"""Rise in metres above which a new object is a building or, more often, something that passes the camera."""
 WATCHED = 12.5
-"""Log odds by which a camera's labels tell that what it has seen to stand is gone: five sigmas."""
+"""Log odds by which a camera's labels show that something it has seen standing is gone: five sigmas."""
 TOLD_AFTER = 72_000.0
-"""Seconds for which one camera's labels must contradict what it has watched: fog and dusk, in which they err more, are
-gone by the next day."""
+"""Seconds for which one camera's labels must contradict what it has seen: fog and dusk, in which they err more, are
+over by the next day."""
 _STANDS = 0.3
-"""Of a cell's labels, by their log odds, that may say it is open where something is taken to stand."""
+"""Share of a cell's labels, by their log odds, that may show open ground where something is assumed to stand."""
 _AHEAD = 12
-"""Cells whose memory is fetched while others are worked on."""
+"""Number of cells whose memory is prefetched."""
 TALL_LOOKS = 2.5
-"""Looks of one camera that it takes to believe it; two cameras need no more of them than for anything else."""
+"""Number of observations by one camera that confirm it; two cameras need no more than for any other change."""
 
 
 class Rules(NamedTuple):
@@ -61,14 +61,15 @@ def _bits(mask: int) -> int:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def independent(cameras: int, first: int, last: int, independent_after: float, settle: float) -> bool:
-    """Whether these views are more than one: two cameras over some time, or one camera long enough apart."""
+    """Return whether these views are independent: two cameras over some time, or one camera long enough apart."""
     span = float(last) - float(first)
     return span >= independent_after or (span >= settle and _bits(cameras) >= 2)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeated: float) -> float:
-    """Of an estimate. `repeated`: of the observations' own variance, what is the same in each look of a camera."""
+    """Return the variance of an estimate. `repeated`: share of the observations' variance that all observations of a
+    camera have in common."""
     total = looks / weight
     pose = min(pose_variance, total)
     own = total - pose
@@ -86,7 +87,7 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _remembered(seconds: int, last: int, lasting: float) -> float:
-    """What is left of the weight of looks that ended with `last`."""
+    """Return what is left of the weight of looks that ended with `last`."""
     passed = float(seconds) - float(last)
     if not passed > 0:
         return 1.0
@@ -149,7 +150,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _both(one: float, other: float) -> float:
-    """Variance of the mean of two that know nothing of each other."""
+    """Return the variance of the mean of two that know nothing of each other."""
     return one * other / (one + other)
 
 
@@ -157,7 +158,8 @@ def _both(one: float, other: float) -> float:
 def _told(
     cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
-    """Height of a cell in which something stood, its variance and the pose's part of it, by what labels say of that.
+    """Return the height of a cell in which something stood, its variance and the pose's part of it, by what labels say
+    of that.
 
     The variance is that at which a normal distribution would tell the two heights apart by the labels' log odds, and
     that of a cell whose pixels say both. A camera that has seen for an hour that it stands tells by far better odds
@@ -195,10 +197,9 @@ def update_cell(
     wait: float,
     rules: Rules,
 ) -> None:
-    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
-    variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
-    camera's looks that contradict the estimate are independent.
-    """
+    """Update one cell by one observation. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
+    variance of the change of the stand about the cell. `wait`: seconds after which one camera's contradicting
+    observations are independent."""
     # Does the observation agree with the estimate, and with the candidate that contradicts it?
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0
@@ -249,7 +250,7 @@ def update_cell(
         e.c_dz = dz
         e.c_looks = 1
         c.c_weight = 1 / variance
-        # What is off its stand tells of its own cell only.
+        # A deviation from the stand is evidence for the own cell only.
         c.c_relative_variance = max(variance, relative_variance)
         c.c_pose_variance = pose
         c.c_first = c.c_last = seconds

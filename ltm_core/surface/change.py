@@ -1,4 +1,4 @@
-"""Detects surface change: cells where independent views agree that the surface differs from the reference."""
+"""Detect surface change: cells where independent views agree that the surface differs from the reference."""
 
 from __future__ import annotations
 
@@ -22,32 +22,31 @@ from ltm_core.surface.neighbours import REACH, WIDE, Estimates, mean_of_neighbou
 from ltm_core.surface.reference_surface import Reference
 
 _OWN_SHARE = 0.4
-"""Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
+"""Share of its neighbours' shift that a cell must show itself; a gap in a felled stand was no tree."""
 _WEAKLY_SURE, _WEAKLY_CHANGED = 0.33, 0.75
-"""Of the confidence and of the threshold that a cell needs beside a surely changed one."""
+"""Shares of the confidence and of the threshold that a cell needs next to a surely changed one."""
 _COMPATIBLE = 2.0
-"""Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
+"""Number of deviations by which a cell's own estimate may differ from its neighbours' shift without contradiction."""
 
 Window = tuple[int, int, int, int]
 
 
 class ChangeKind(IntEnum):
-    """What happened to a cell."""
+    """Kind of change of a cell."""
 
     NONE = 0
     REMOVED = 1
-    """What stood there is gone; the ground is where it was."""
+    """An object is gone; the ground is unchanged."""
     GROWN = 2
-    """Something stands, or stands higher, where it did not."""
+    """Something stands, or is higher, where it was not."""
     LOWERED = 3
     """The ground itself is lower: below bare earth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Changed:
-    """Cells whose kind of change is new, (N,) each: row, col, kind before and now, and the shift from the reference in
-    metres.
-    """
+    """Cells with a new kind of change, (N,) each: row, col, kind before and now, and the shift from the reference in
+    metres."""
 
     rows: Int32Array
     cols: Int32Array
@@ -64,20 +63,18 @@ class Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
     def within(self, mask: BoolArray, window: Window) -> Changed:
-        """Only the cells that lie in `mask`, whose first cell is the window's."""
+        """Return only the cells in `mask`, whose first cell is the window's."""
         kept = mask[self.rows - window[0], self.cols - window[1]]
         return Changed(*(getattr(self, f.name)[kept] for f in fields(self)))
 
 
 def margin_of(resolution: float) -> int:
-    """Cells beyond a window that decide about cells inside it."""
+    """Return the number of cells beyond a window that influence cells inside it."""
     return math.ceil(REACH * WIDE / resolution)
 
 
 def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Fields of the cells of a window, (h, w) each, zero where nobody has looked. The window starts on a tile's edge
-    or anywhere.
-    """
+    """Return fields of the cells of a window, (h, w) each, zero where unseen. The window may start anywhere."""
     row, col, height, width = window
     parts: dict[str, NDArray[Any]] = {}
     for tile_row in range(row // TILE, (row + height - 1) // TILE + 1):
@@ -102,7 +99,7 @@ _NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by", "watched
 def decide(
     peek: Callable[[Key], Tile | None], reference: Reference, window: Window, config: TerrainConfig, rules: Rules
 ) -> tuple[Changed, Mapping[str, NDArray[Any]]]:
-    """The changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
+    """Return the changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
 
     The estimates of cells that independent views have seen are smoothed with their weights, what stands apart from what
     is open. Change is where the result is beyond the threshold and sure enough, surer where one camera alone has seen
@@ -173,9 +170,8 @@ def _levels(
     alone: BoolArray,
     config: TerrainConfig,
 ) -> tuple[BoolArray, BoolArray]:
-    """Cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's own
-    estimate does not show is the neighbours'.
-    """
+    """Return the cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's
+    own estimate does not show is the neighbours'."""
     half = config.threshold / 2
     own = usable & _shows(off, shift, config.threshold)
     confidence = np.where(alone, np.float32(config.alone), np.float32(config.confidence))
@@ -188,14 +184,13 @@ def _levels(
 
 
 def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArray:
-    """Whether a cell's own estimate shows its neighbours' shift."""
+    """Return whether a cell's own estimate shows its neighbours' shift."""
     return np.asarray(off * np.sign(shift) >= np.maximum(threshold / 2, _OWN_SHARE * np.abs(shift)), np.bool_)
 
 
 def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
-    """Variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both infinite
-    where there is no estimate), and whether independent views made it.
-    """
+    """Return the variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both
+    infinite without an estimate), and whether independent views made it."""
     variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
     return variance, relative_variance, sure
 

@@ -1,4 +1,4 @@
-"""Makes the machine code of a terrain map's kernels before the first frame needs it."""
+"""Compile the kernels of a terrain map before the first frame needs them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from ltm_core.tracing import TerrainTracer
 
 
 def compile_kernels(config: TerrainConfig) -> None:
-    """Now, or load them from numba's cache: a node that says it is ready shall not think for a minute at its first
-    frame. Two looks at a plain that has sunk go all the way to a change.
-    """
+    """Compile the kernels, or load them from numba's cache, so that a node that reports ready does not pause at its
+    first frame. Two observations of a subsided plain exercise everything up to a change."""
     plain = Dem(np.zeros((64, 64), np.float32), GridGeometry(0.0, 64.0, 1.0, 64, 64))
     camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((32.0, 5.0, 30.0), 0.0, -45.0)
     sunk = TerrainTracer(Dem(plain.elevation - 10, plain.geometry)).trace(camera, pose).depth()

@@ -34,7 +34,7 @@ from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_map import SurfaceMap
 
 _ROWS = 256
-"""Of a raster that are worked on at a time."""
+"""Number of rows of a raster that are processed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +65,11 @@ class ConfirmedSurface:
 
     @property
     def lowered(self) -> int:
-        """Cells whose bare earth has changed."""
+        """Return the cells whose bare earth has changed."""
         return int(np.isfinite(self.ground).sum())
 
     def differs_from(self, other: ConfirmedSurface, least: float) -> bool:
-        """Whether other cells have changed, or one has moved by more than `least` metres."""
+        """Return whether other cells have changed, or one has moved by more than `least` metres."""
         if len(self) != len(other) or not np.array_equal(self._places(), other._places()):
             return True
         moved = np.abs(self.surface - other.surface) > least
@@ -77,14 +77,14 @@ class ConfirmedSurface:
         return bool((moved | sunk | (np.isnan(self.ground) != np.isnan(other.ground))).any())
 
     def ground_over(self, given: Dem) -> Dem:
-        """`given`, which is bare earth, with the ground of cells where that has changed; itself where there are none.
+        """Return `given`, bare earth, with changed ground cells replaced; `given` itself if there are none.
 
         Of a stack, all levels follow; not near a seam, where one raster leads over to the next.
         """
         return self._over(given, self.ground)
 
     def surface_over(self, given: Dem) -> Dem:
-        """`given`, what cameras saw of the terrain, with the surface of changed cells; otherwise as `ground_over`."""
+        """Return `given`, the visible surface, with changed cells replaced; otherwise as `ground_over`."""
         return self._over(given, self.surface)
 
     def _over(self, given: Dem, heights: Float32Array) -> Dem:
@@ -97,7 +97,7 @@ class ConfirmedSurface:
         return DemStack.of_fitted(levels) if len(levels) > 1 else levels[0]
 
     def _level(self, level: Dem, places: Int64Array, heights: Float32Array) -> Dem:
-        """One raster, each node of which takes the height of the changed cell in which it lies."""
+        """Return one raster, each node of which takes the height of the changed cell in which it lies."""
         grid, cells = level.geometry, self.geometry
         rows, cols = np.divmod(places, cells.width)
         west, north = cells.to_map(rows.min() - 0.5, cols.min() - 0.5)
@@ -123,7 +123,7 @@ class ConfirmedSurface:
 
 
 def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
-    """(N,): points that no seam of a stack is near. There the finer raster gives way to the coarser one."""
+    """Return (N,): points that no seam of a stack is near. There the finer raster gives way to the coarser one."""
     clear = np.ones(x.shape, np.bool_)
     for fine, coarse in zip(dem.levels[:-1], dem.levels[1:], strict=True):
         g = fine.geometry
@@ -135,11 +135,11 @@ def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
 
 
 _STRIP = 256
-"""Rows that are worked on at a time: the layers of a whole site may be larger than memory."""
+"""Number of rows processed at a time; the layers of a whole site may exceed the memory."""
 
 
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """The changed cells, and how many cells independent views have judged.
+    """Return the changed cells, and the number of cells that independent views have judged.
 
     Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
     half is left. Bare earth itself follows where the ground is lower.
@@ -167,20 +167,19 @@ def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
 
 
 AS_GIVEN = ""
-"""In place of a version: nothing is confirmed, the terrain is as its rasters give it."""
+"""Version of a terrain without confirmed changes, as given by its rasters."""
 VERSION = r"[0-9a-f]{16}"
 KEPT = 100
-"""Versions whose files are kept: frames of months name the surface that they were traced to."""
+"""Number of versions whose files are kept; frames of months refer to the surface to which they were traced."""
 FORMAT = 1
-"""Format of the manifests that this program reads. A later format must state its number as `format`."""
+"""Format of the manifests that this release reads. A later format must state its number as `format`."""
 
 
 class SurfaceVersion(StrictModel):
-    """One version. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`: the version that it
-    followed when it came last. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent
-    views have judged, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their
-    bare earth.
-    """
+    """Version of the confirmed surface. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`:
+    the previous version when it came last. `as_of_ns`: stamp of the newest contributing frame. `seen`: cells judged by
+    independent views, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their bare
+    earth."""
 
     version: str = Field(pattern=f"^{VERSION}$")
     digest: str = Field(pattern="^[0-9a-f]{64}$")
@@ -194,27 +193,26 @@ class SurfaceVersion(StrictModel):
     @model_validator(mode="after")
     def _named_by_content(self) -> SurfaceVersion:
         if not self.digest.startswith(self.version):
-            raise ValueError(f"version {self.version} does not begin its digest {self.digest}")
+            raise ValueError(f"version {self.version} is not the start of its digest {self.digest}")
         return self
 
     @property
     def changed_share(self) -> float:
-        """Of what independent views have seen."""
+        """Return the changed share of the cells that independent views have seen."""
         return self.changed / max(1, self.seen)
 
 
 class CountedVersion(StrictModel):
-    """That a version began to count, by frames up to `as_of_ns`."""
+    """Entry of the history: a version was put into use by frames up to `as_of_ns`."""
 
     version: str = Field(pattern=f"^{VERSION}$")
     as_of_ns: int = Field(ge=0)
 
 
 class SurfaceManifest(StrictModel):
-    """`current`: the version that counts. `held`: it was taken back, and none follows by itself. `history`: what has
-    counted, in order, without what was taken back; a version that returns is there twice. `forgotten`: there was more
-    before that.
-    """
+    """List of versions. `current`: the version in use. `held`: it was reverted, and none follows automatically.
+    `history`: versions used, in order, without reverted ones; a version that returns is listed twice. `forgotten`:
+    earlier entries were dropped."""
 
     site: str
     current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
@@ -234,13 +232,12 @@ class SurfaceManifest(StrictModel):
         return self
 
     def entry(self, version: str) -> SurfaceVersion | None:
-        """What is known of a version; None where it is not listed."""
+        """Return the entry of a version; None if it is not listed."""
         return next((one for one in self.versions if one.version == version), None)
 
     def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """The current version, or the one before it that counted at a moment, with the stamp from which on it did;
-        None: as given. Raises StoreError for a moment of which nothing is kept any more.
-        """
+        """Return the version in use at a time, with the stamp from which it was used; None: as given. Raises StoreError
+        for a time of which nothing is kept any more."""
         past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
         if past:
             found = self.entry(past[-1].version)
@@ -249,16 +246,16 @@ class SurfaceManifest(StrictModel):
             kept = "none is kept"
             if self.history:
                 since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
-                kept = f"{KEPT} are kept, the first of {since} UTC; ask for a later moment"
+                kept = f"{KEPT} are kept, the first of {since} UTC; give a later time"
             raise StoreError(
-                f"which surface counted then is forgotten: {kept}, or export bare earth as given with a site file "
+                f"the surface used at that time is not kept: {kept}, or export bare earth as given with a site file "
                 "without terrain.trace_confirmed"
             )
         return None
 
 
 def of_later_release(content: bytes, error: ValidationError) -> str:
-    """How a manifest that is none for this program shows that a later one wrote it; empty: it does not, and is damaged.
+    """Return the evidence that a later release wrote an unreadable manifest; empty: none, so it is damaged.
 
     It states a later format, or has keys that this program does not know and nothing else is wrong with it.
     """

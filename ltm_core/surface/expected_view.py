@@ -1,4 +1,4 @@
-"""Expected view of the reference surface: range, cell and slope for each pixel, before any image is seen.
+"""Expected view of the reference surface: range, cell and slope for each pixel, without an image.
 
 None of it depends on the image, so it is kept, and a camera that stands still pays for it once.
 """
@@ -29,11 +29,10 @@ EXPECTED_PIXEL = np.dtype(
     [("expected", "f4"), ("nearest", "f4"), ("farthest", "f4"), ("spread", "f4"), ("place", "i4"), ("incidence", "f4"),
      ("steep", "f4"), ("pose_variance", "f4")]
 )  # fmt: skip
-"""Of one pixel: the slant range that the reference predicts, its extremes within the pose's uncertainty, and half of
-what it differs by within one pixel, metres; the place of the cell that is seen (-1: none); the incidence factor there
-on the slope of its block, and the greater of that and the one on its own slope; and the variance of its height that the
-pose is to blame for.
-"""
+"""Expected view of one pixel: the slant range that the reference predicts, its extremes within the pose's uncertainty,
+and half of its variation within the pixel (metres); the index of the visible cell (-1: none); the incidence factor on
+the slope of its block, and the larger of that and the one on its own slope; and the variance of its height due to the
+pose."""
 
 
 class CameraView(NamedTuple):
@@ -60,22 +59,21 @@ class Extremes(NamedTuple):
 
 
 class ExpectedViews:
-    """Bounded cache of expected views by key, at most so many bytes but at least one view. The least recently used
-    makes room, and its memory is used again for the next: freed arrays of this size would fragment memory.
-    """
+    """Bounded cache of expected views by key, at most a number of bytes but at least one view. The least recently used
+    one is evicted and its memory reused, because freeing arrays of this size would fragment memory."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
         self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
 
     def get(self, key: Hashable) -> RecordArray | None:
-        """The view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
+        """Return the view (H, W) of EXPECTED_PIXEL and mark it as used; None if it is not cached."""
         if key in self._kept:
             self._kept.move_to_end(key)
         return self._kept.get(key)
 
     def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
-        """The array of a new view, of arbitrary content: to be filled."""
+        """Return the array of a new view, with arbitrary content, to be filled."""
         pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
             pixels = self._kept.popitem(last=False)[1]
@@ -87,7 +85,7 @@ class ExpectedViews:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
-    """Of a pixel's ray in the map frame, a unit vector."""
+    """Return the unit vector of a pixel's ray in the map frame."""
     m = view.rotation
     a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
     return (
@@ -101,7 +99,7 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
 def predict_view(
     ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, pixels: RecordArray
 ) -> None:
-    """Fill `pixels` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
+    """Fill `pixels` (H, W) of EXPECTED_PIXEL with each pixel's view of the reference."""
     rows, cols = expected.shape
     x0, y0 = view.position[0], view.position[1]
     for v in range(rows):

@@ -1,4 +1,4 @@
-"""Free-space test: a camera that sees through what is held to stand in a cell limits the cell's height.
+"""Free-space test: a camera that sees through an object in a cell limits the cell's height.
 
 Rays that pass under the reference are walked where they do so (`observation_kernel`). What is held to stand *above* the
 reference, candidates and accepted growth, is few cells: each is looked for in the image instead.
@@ -21,20 +21,19 @@ from ltm_core.surface.cell_update import Rules, update_cell
 from ltm_core.surface.observation_kernel import Pixels
 
 INSIDE = 0.6
-"""Of a thing's height above the reference: a point that is well within it. What is lower than the threshold there is
-not looked for."""
+"""Share of an object's height above the reference at which a point is well inside. Objects lower than the threshold
+there are ignored."""
 FIRM_LOOKS = 2.5
-"""Looks from which on it takes independent views to take growth back; before, one that sees through it is enough."""
+"""Number of observations above which independent views are needed to revert growth; below, one view through it is
+enough."""
 _AT_ONCE = 4 * CELLS
 _WIDER = 1.05
-"""Times what a camera sees, in which things are looked up whose pixels are then computed."""
+"""Factor on a camera's view within which objects are looked up and their pixels computed."""
 
 
 class ElevatedCells(NamedTuple):
-    """Cells in memory where something is held to stand above the reference, (N,) each: slot, cell of the tile, map
-    coordinates of a point well inside the thing, how far that is, its height above the reference, and whether it is a
-    candidate.
-    """
+    """Cells in memory with an object above the reference, (N,) each: slot, cell of the tile, map coordinates of a point
+    well inside the object, its distance, its height above the reference, and whether it is a candidate."""
 
     slot: Int32Array
     cell: Int32Array
@@ -45,7 +44,7 @@ class ElevatedCells(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> ElevatedCells:
-        """With room for so many."""
+        """Return an empty array with room for `count` cells."""
         point, away = np.empty((count, 3)), np.empty(count)
         dz, candidate = np.empty(count, np.float32), np.empty(count, np.bool_)
         return cls(np.empty(count, np.int32), np.empty(count, np.int32), point, away, dz, candidate)
@@ -55,9 +54,8 @@ class ElevatedCells(NamedTuple):
 
 
 class CameraBounds(NamedTuple):
-    """Where a camera is and what it sees at most: position, rotation to the map, |x / z| and |y / z| of its rays, and
-    the least and greatest distance at which things are looked for.
-    """
+    """Position and maximum view of a camera: position, rotation to the map, |x / z| and |y / z| of its rays, and the
+    minimum and maximum distance of objects."""
 
     position: Float64Array
     rotation: Float64Array
@@ -80,7 +78,8 @@ def see_through(
     rules: Rules,
     reach: tuple[float, float],
 ) -> int:
-    """Drop what this image sees through, or count it against growth that several looks have seen; how many cells.
+    """Drop objects that this image sees through, or count it against growth that several observations have seen; return
+    the number of cells.
 
     What the image itself has brought is looked at too: what stands, stands on something, so that whatever hovers in the
     air, as smoke does or a bird, is seen through under its own place.
@@ -119,7 +118,8 @@ def _seen_through(standing: ElevatedCells, camera: Camera, pose: Pose, pixels: P
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
-    """Whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than `away`."""
+    """Return whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than
+    `away`."""
     found = np.ones(len(u), np.bool_)
     step = pixels.step
     for i in range(len(u)):

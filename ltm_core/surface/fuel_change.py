@@ -19,11 +19,11 @@ from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.vision.labels import Label
 
 LEAST_SHARE = 0.25
-"""Of the seen part of a fuel cell that must have changed in one way."""
+"""Minimum share of the seen part of a fuel cell that must have changed in one way."""
 LEAST_SEEN = 0.1
-"""Of a fuel cell that independent views must have seen."""
+"""Minimum share of a fuel cell that independent views must have seen."""
 SHRUB_BELOW = 3.0
-"""Metres: what has grown and is lower is shrub, where no label says otherwise."""
+"""Height in metres below which new growth is shrub if no label contradicts."""
 
 
 class FuelChange(StrEnum):
@@ -43,10 +43,9 @@ _OF = {
 
 @dataclass(frozen=True)
 class FuelCellChange:
-    """One fuel cell: its row and col, what happened, the share of its seen part that shows it, the median shift of
-    that part in metres, the life form that stands there now (a class id of the label set, None: not known), when the
-    change had been seen first (s), and the mask of the cameras that agreed.
-    """
+    """Change of one fuel cell: its row and col, the kind, the share of its seen part that shows it, the median shift of
+    that part in metres, the life form now (a class id of the label set, None: unknown), the time when the change was
+    first seen (s), and the mask of the cameras that agreed."""
 
     row: int
     col: int
@@ -59,7 +58,7 @@ class FuelCellChange:
 
 
 def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChange]:
-    """The cells of the fuel grid (in the map frame) that the surface's changes concern, in row-major order."""
+    """Return the cells of the fuel grid (in the map frame) that the surface's changes concern, in row-major order."""
     rows, cols = np.nonzero(layers.observed | (layers.change > 0))
     if len(rows) == 0:
         return []
@@ -100,7 +99,7 @@ def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChan
 
 
 def cover_after(kind: ChangeKind, shift: float, labels: UInt8Array) -> int | None:
-    """What stands where a surface has moved by `shift` metres and cameras have labelled it so; None: not known.
+    """Return the cover of a surface that has moved by `shift` metres with these labels; None: unknown.
 
     Ground that has moved is bare. What has grown is not bare, and not grass from 1 m on, whatever a label says; what
     was removed is not what stood there: a tree's label there is an old one.

@@ -1,7 +1,7 @@
-"""Uses each label of an image as evidence whether vegetation of the reference still stands; compiled.
+"""Use each label of an image as evidence whether vegetation of the reference still stands; compiled.
 
-Where something stands in the reference, a pixel's label is evidence on the cell that it would see: that the cell is as
-high as it was, or as low as bare earth. Whatever is surely seen in front of it hides it.
+If the reference has an object in a cell, a pixel's label is evidence that the cell is still as high, or as low as bare
+earth. Certain objects in front of the cell hide it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ltm_core.surface.observation_kernel import ObservationLimits, Pixels
 from ltm_core.surface.reference_surface import ReferenceGrid, stood_at
 
 _EDGE = 0.5
-"""Of the height of what stood, by which a pixel's neighbours may see it differently."""
+"""Share of the height of an object within which neighbouring pixels may see it differently."""
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -29,7 +29,7 @@ def add_labels(
     limits: ObservationLimits,
     sums: FrameSums,
 ) -> None:
-    """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.
+    """Add the label evidence of labels (H, W) by cell, as far as `sums` has room.
 
     Args:
         expected_pixels: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.

@@ -28,8 +28,8 @@ class SurfaceLayers:
 
     `bare`, `reference`: metres, as they were given. `height`: the updated surface: the reference (with the canopy that
     the first views found, where no surface raster was given), moved where change was accepted. `estimate`: what the
-    cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN where nobody has
-    looked. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
+    cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN in unseen
+    cells. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
     how many. `last_seen`: s, 0 never. `since`: s, when an accepted change had been seen, else 0. `by`: the mask of the
     cameras that agreed on it. `label`: class last seen, 255 none.
     """
@@ -51,13 +51,13 @@ class SurfaceLayers:
 
     @property
     def told(self) -> UInt8Array:
-        """(H, W) ChangeKind as others are told of it: 255 where independent views have not looked."""
+        """Return (H, W) ChangeKind for publication: 255 where independent views have not seen the cell."""
         known = self.observed | (self.change > 0)
         return np.where(known, self.change, np.uint8(_NOT_LOOKED)).astype(np.uint8)
 
 
 def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules: Rules) -> SurfaceLayers:
-    """Of a window (row, col, height, width); None: the whole grid."""
+    """Return the layers of a window (row, col, height, width); None: the whole grid."""
     height, width = reference.geometry.shape
     window = window or (0, 0, height, width)
     shape = window[2:]

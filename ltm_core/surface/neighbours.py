@@ -1,4 +1,4 @@
-"""Combines each cell's height shift with its neighbours of the same kind, and groups changed cells into regions.
+"""Combine each cell's height shift with its neighbours of the same kind, and group changed cells into regions.
 
 A stand grows or is felled as a whole, and its crowns are seen from the side: each cell of it tells little of its own
 height, all of them together a lot of whether the stand is as it was. Open ground beside it takes no part in that.
@@ -15,23 +15,22 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float32Array
 
 SMOOTHING = 1.5
-"""Metres: the deviation of the Gaussian over which neighbours speak for each other."""
+"""Deviation in metres of the Gaussian over which neighbours are averaged."""
 WIDE = 5.0
-"""Metres: that over which they do where the nearer ones do not know."""
+"""Deviation in metres of the wider Gaussian that is used where near neighbours are unknown."""
 REACH = 4.0
-"""Deviations of the Gaussians that are taken."""
+"""Number of deviations at which the Gaussians are cut off."""
 _WIDE_SIGMA = 2.0
-"""Metres by which a cell may differ from the mean of that wide neighbourhood."""
+"""Metres by which a cell may differ from the mean of the wider neighbourhood."""
 _BRIDGED = 2
-"""Cells around each that its region reaches over."""
+"""Number of cells around each that its region bridges."""
 _THROUGH = 8
-"""Cells of a stand that nobody sees, through which its region goes on: of a wood, cameras see crowns."""
+"""Number of unseen cells of a stand that a region crosses; of a wood, cameras see only crowns."""
 
 
 class Estimates(NamedTuple):
-    """Of cells (H, W): shift from the reference in metres; weight, 1 / variance, as a height of that cell;
-    relative_weight, as a shift of all that stands about it. All 0 where `usable` is False.
-    """
+    """Estimates of cells (H, W): shift from the reference in metres; weight, 1 / variance, as a height of that cell;
+    relative_weight, as a shift of the stand about it. All 0 where `usable` is False."""
 
     off: Float32Array
     weight: Float32Array
@@ -40,9 +39,8 @@ class Estimates(NamedTuple):
 
 
 def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
-    """What each cell's neighbours of its own kind, `standing` or not, say of its shift, and the deviation of that if
-    nothing has changed; 0 and infinite where none is near.
-    """
+    """Return the mean shift of each cell's neighbours of its own kind, `standing` or not, and its deviation if nothing
+    has changed; 0 and infinite without neighbours."""
     if not (standing & cells.usable).any() or standing.all():
         return _mean(cells, cells.usable, resolution)
     upper, lower = (_mean(cells, cells.usable & kind, resolution) for kind in (standing, ~standing))
@@ -50,9 +48,8 @@ def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float)
 
 
 def _mean(cells: Estimates, kind: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
-    """The nearer neighbours and the wider ones by what they know of the cell's height: where the near ones are unsure,
-    as on the steep sides of crowns, the wide ones count the more.
-    """
+    """Return the nearer neighbours and the wider ones by what they know of the cell's height: where the near ones are
+    unsure, as on the steep sides of crowns, the wide ones count the more."""
     near, near_variance, near_doubt = _smoothed(cells, kind, SMOOTHING / resolution)
     wide, _, wide_doubt = _smoothed(cells, kind, WIDE / resolution)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -65,9 +62,8 @@ def _mean(cells: Estimates, kind: BoolArray, resolution: float) -> tuple[Float32
 
 
 def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """The weighted mean of each cell's neighbourhood, its variance, and its deviation as a whole: both as if the
-    neighbours' errors were one.
-    """
+    """Return the weighted mean of each cell's neighbourhood, its variance, and its deviation as a whole: both as if the
+    neighbours' errors were one."""
     part = kind.astype(np.float32)
     weight = cells.weight * part
     count, total = blurred(part, sigma), blurred(weight, sigma)
@@ -80,9 +76,8 @@ def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32A
 
 
 def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, resolution: float) -> Float32Array:
-    """Each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours differ
-    among each other beyond their noise.
-    """
+    """Return each cell's shift between its own estimate and its neighbours' mean; its own has more weight if neighbours
+    differ by more than their noise."""
     sigma = SMOOTHING / resolution
     count = np.maximum(blurred(cells.usable.astype(np.float32), sigma), 1e-6)
     noise = np.where(cells.usable, variance, 0).astype(np.float32)
@@ -98,7 +93,7 @@ def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, reso
 def stand_rise(
     off: Float32Array, level: Float32Array, grown: BoolArray, shift: Float32Array, resolution: float
 ) -> Float32Array:
-    """By how much stands have grown: the mean of what their level cells show, over WIDE; `shift` where none is near.
+    """Return the growth of stands: the mean of their level cells over WIDE; `shift` if none is near.
 
     Where a crown grows, its face comes nearer by a fraction of that: such cells tell that it has grown and not by how
     much. `level`: of each cell, (0, 1], the variance on the block's slope as a share of that on its own, so about the
@@ -113,7 +108,7 @@ def stand_rise(
 
 
 def blurred(values: Float32Array, sigma: float) -> Float32Array:
-    """By a Gaussian of `sigma` cells; what is outside counts as 0."""
+    """Blur by a Gaussian of `sigma` cells; outside values are 0."""
     if sigma < 0.3:
         return values
     side = 2 * int(REACH * sigma + 0.5) + 1
@@ -122,9 +117,8 @@ def blurred(values: Float32Array, sigma: float) -> Float32Array:
 
 
 def regions(strong: BoolArray, weak: BoolArray, unseen: BoolArray, least: float) -> BoolArray:
-    """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across a few
-    cells, and through those of a stand that nobody sees.
-    """
+    """Return cells of `weak` in regions with a strong cell and at least `least` cells. A region continues across a few
+    cells, and through those of an unseen stand."""
     bridge = np.ones((2 * _BRIDGED + 1, 2 * _BRIDGED + 1), np.uint8)
     reached = weak.astype(np.uint8)
     open_to = (weak | unseen).astype(np.uint8)

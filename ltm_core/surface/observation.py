@@ -1,4 +1,4 @@
-"""Turns depth images into observations of surface heights."""
+"""Convert depth images to observations of surface heights."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from ltm_core.surface.reference_surface import BLOCK, Reference, ReferenceGrid
 from ltm_core.tracing import TerrainTracer
 
 _WIDEST_WINDOW = 24
-"""Pixels: a pose so uncertain that a silhouette may lie farther off says nothing of silhouettes anyway."""
+"""Maximum window in pixels; if a pose is so uncertain that a silhouette may lie further off, silhouettes carry no
+information."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelImage:
-    """`ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
+    """Label image. `ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
 
     ids: UInt8Array
     camera: Camera
@@ -72,9 +73,9 @@ class DepthFrame:
         covariance: Float64Array | None = None,
         labels: UInt8Array | None = None,
     ) -> DepthFrame:
-        """What was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size, edge
-        to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked then.
-        """
+        """Return the frame of a measurement in a photo of `camera`, NaN where nothing was measured, and its labels:
+        each of its own size, edge to edge over the photo. If nothing was measured, the pose may be suspected, and
+        labels are not used."""
         height, width = depth.shape
         measured = ~np.isnan(depth)
         small = full_labels = None
@@ -95,13 +96,13 @@ class DepthFrame:
             matrix = np.asarray(self.covariance, np.float64)
             if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
                 raise PoseError(
-                    f"the pose of {self.source} has a covariance that is none: it must be a finite 6 x 6 matrix "
+                    f"the pose of {self.source} has an invalid covariance: it must be a finite 6 x 6 matrix "
                     f"without negative variances, got {matrix.tolist()}"
                 )
 
 
 class Observer:
-    """Turns depth images into observations of a reference surface.
+    """Convert depth images to observations of a reference surface.
 
     `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
     views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
@@ -138,7 +139,8 @@ class Observer:
         self._views = ExpectedViews(int(views_mb * 2**20))
 
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
-        """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
+        """Return the observations of a frame by cell, valid until the next call. Raises PoseError as the tracer
+        does."""
         camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
         view = self._view(camera, frame, covariance)
         expected_pixels = self._expected_pixels(camera, frame, view)
@@ -171,14 +173,14 @@ class Observer:
         )
 
     def sampled(self, frame: DepthFrame) -> Camera:
-        """The camera of those of a frame's pixels that are used."""
+        """Return the camera of the pixels of a frame that are used."""
         return frame.camera.scaled(self._step(frame))
 
     def _step(self, frame: DepthFrame) -> int:
         return -(-frame.camera.width // self._columns)
 
     def pixels(self, frame: DepthFrame) -> Pixels:
-        """A frame as the kernels take it."""
+        """Return a frame in its compiled form."""
         labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
         return Pixels(
             np.ascontiguousarray(frame.depth, np.float32),
@@ -190,7 +192,7 @@ class Observer:
         )
 
     def _expected_pixels(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
-        """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
+        """Return what the reference has for the pixels in use (H, W), which it need not be asked twice."""
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
         expected_pixels = self._views.get(key)
         if expected_pixels is None:
@@ -206,7 +208,7 @@ class Observer:
 
 
 def block_maxima(surface: Float32Array) -> Float32Array:
-    """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
+    """Return the maxima of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
     height, width = surface.shape
     starts = np.arange(0, width, BLOCK)
     edges = np.stack([np.maximum(starts - 1, 0), np.minimum(starts + BLOCK, width - 1) + 1], axis=-1).ravel()
@@ -220,12 +222,12 @@ def block_maxima(surface: Float32Array) -> Float32Array:
 
 
 def _least_around(depth: Float32Array) -> Float32Array:
-    """Of each pixel and its eight neighbours, as far as they are known."""
+    """Return the minimum of each pixel and its eight neighbours where known."""
     known = np.where(np.isnan(depth), np.float32(np.inf), depth)
     return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
 
 
 def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:
-    """Least and greatest range within `radius` pixels."""
+    """Return the least and greatest range within `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.asarray(cv2.erode(ranges, kernel), np.float32), np.asarray(cv2.dilate(ranges, kernel), np.float32)

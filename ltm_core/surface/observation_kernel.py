@@ -1,4 +1,4 @@
-"""Compares each pixel of a depth image with the reference surface and forms an observation of a cell; compiled.
+"""Compare each pixel of a depth image with the reference surface and form an observation of a cell; compiled.
 
 A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
 
@@ -38,11 +38,11 @@ from ltm_core.surface.reference_surface import (
 SKY_SEEN_THROUGH = 40.0
 """Metres behind a vanished skyline that a ray into the sky has certainly passed."""
 _LONGEST_CARVE = 400
-"""Cells."""
+"""Maximum number of cells carved by a ray."""
 LIKELY_CHANGE = 4.0
-"""Metres: the mean of the exponential prior on how much higher a cell has become."""
+"""Mean of the exponential prior on a cell's rise in metres."""
 _SEARCH = 1.5
-"""Sigmas of range within which the likeliest place is looked for."""
+"""Number of sigmas of range within which the most likely place is searched."""
 
 
 class Ray(NamedTuple):
@@ -64,16 +64,15 @@ class ObservationLimits(NamedTuple):
     carve_below: float
     tallest: float
     own_sigma: float
-    """Metres of height that no cell is known better than from one frame: the cell is not flat."""
+    """Minimum standard deviation in metres of a cell's height from one frame, because the cell is not flat."""
     stands: float
-    """Metres from which on a cell has something that stands."""
+    """Height in metres above which a cell has a standing object."""
 
 
 class Pixels(NamedTuple):
-    """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
-    sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
-    depth / slant range.
-    """
+    """Pixels of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis,
+    its sigma, whether it is a measurement, and labels ((0, 0): none). `cosines`: of the pixels in use, depth / slant
+    range."""
 
     depth: Float32Array
     sigma: Float32Array
@@ -85,17 +84,16 @@ class Pixels(NamedTuple):
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
-    """Height of a ray over the reference surface after `t` metres."""
+    """Return the height of a ray over the reference surface after `t` metres."""
     z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
     return z
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
-    """Where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small changes
-    are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the crown's
-    height, and what stood behind a felled stand is seen where it stands.
-    """
+    """Return where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small
+    changes are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the
+    crown's height, and what stood behind a felled stand is seen where it stands."""
     step = max(ground.resolution, sigma / 8)
     begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
@@ -122,7 +120,7 @@ def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: f
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> bool:
-    """Whether the terrain is not known all along under a ray between two ranges."""
+    """Return whether the terrain is not known all along under a ray between two ranges."""
     steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
     for i in range(steps + 1):
         t = begin + (end - begin) * i / steps
@@ -157,7 +155,7 @@ def _carve(
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
-    """Steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
+    """Return the steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
     side = ground.block * ground.resolution
     left = math.inf
     if ray.dx != 0:
@@ -169,7 +167,7 @@ def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int,
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _lowest(ray: Ray, begin: float, end: float) -> float:
-    """A bound on the height of a ray between two ranges."""
+    """Return a bound on the height of a ray between two ranges."""
     ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
     bound: float = ray.z + ends - abs(ray.bend) * (end - begin) ** 2
     return bound
@@ -264,7 +262,7 @@ def observe(
                 _carve(ground, ray, max(expected, before), end, -limits.carve_below, r, sigma, sums)
             if math.isinf(r) or r > limits.max_range:
                 continue
-            # What is seen where the terrain ends may stand beyond, on ground that nobody has told of.
+            # A point at the terrain's edge may be beyond it, on unknown ground.
             if math.isinf(expected) and _leaves_known(ground, ray, r, r + sigma):
                 continue
             first, last = (expected, math.inf) if farther else (0.0, expected)

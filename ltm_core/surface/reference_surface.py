@@ -1,4 +1,4 @@
-"""Hold the reference surface: heights, cells and slopes of the DEM and of what stands on it."""
+"""Reference surface: heights, cells and slopes of the DEM and of objects on it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from ltm_core.raster.dem import Dem
 from ltm_core.surface.cell_layout import CELLS, PLACE_BITS, TILE, TILE_BITS
 
 LEAST_INCIDENCE = 0.1
-"""Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
+"""Minimum incidence factor: the height of a grazing ray does not depend on its range, but it is not exact either."""
 
 
 class ReferenceGrid(NamedTuple):
-    """`surface`, `bare`: (H, W) metres, with what stands on the ground and without; `east`, `north`: rise per metre of
-    blocks of `block` cells a side, `highest`: of what is known of each and the cells around it, -inf where nothing is;
-    `across`: tiles.
-    """
+    """Grids of a reference: `surface`, `bare`: (H, W) metres, with objects on the ground and without; `east`, `north`:
+    rise per metre of blocks of `block` cells a side, `highest`: maximum of each and the cells around it, -inf if
+    unknown; `across`: tiles."""
 
     surface: Float32Array
     bare: Float32Array
@@ -40,7 +39,7 @@ class ReferenceGrid(NamedTuple):
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
-    """Bilinear; NaN outside the outermost cell centres."""
+    """Return the bilinear; NaN outside the outermost cell centres."""
     col = (x - ground.x_min) / ground.resolution - 0.5
     row = (ground.y_max - y) / ground.resolution - 0.5
     height, width = ground.surface.shape
@@ -58,7 +57,7 @@ def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
-    """Row and column; -1, -1 outside."""
+    """Return the row and column; -1, -1 outside."""
     col = math.floor((x - ground.x_min) / ground.resolution)
     row = math.floor((ground.y_max - y) / ground.resolution)
     height, width = ground.surface.shape
@@ -69,7 +68,7 @@ def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def stood_at(ground: ReferenceGrid, place: int) -> float:
-    """Metres of what stands in a cell."""
+    """Return the height in metres of the object in a cell."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     row = ((tile // ground.across) << TILE_BITS) + (k >> TILE_BITS)
     col = ((tile % ground.across) << TILE_BITS) + (k & (TILE - 1))
@@ -85,7 +84,7 @@ def slopes_at(ground: ReferenceGrid, row: int, col: int) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: float) -> float:
-    """The incidence factor on the cell's own slope; 0 where that is not known."""
+    """Return the incidence factor on the cell's own slope; 0 where that is not known."""
     height, width = ground.surface.shape
     z, step = ground.surface, 2 * ground.resolution
     east = (z[r, min(c + 1, width - 1)] - z[r, max(c - 1, 0)]) / step
@@ -96,9 +95,8 @@ def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: f
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def pose_variance(covariance: Float64Array, east: float, north: float, px: float, py: float, pz: float) -> float:
-    """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
-    camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
-    """
+    """Return the variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row
+    of the camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1)."""
     nx, ny = -east, -north
     row = (nx, ny, 1.0, py - pz * ny, pz * nx - px, px * ny - py * nx)
     total = 0.0
@@ -111,14 +109,16 @@ def pose_variance(covariance: Float64Array, east: float, north: float, px: float
 
 
 BLOCK = 8
-"""Cells a side over which the slope of the surface is taken: crowns and boulders have slopes, but no incidence."""
+"""Number of cells per side over which the slope of the surface is computed; crowns and boulders have slopes, but no
+incidence."""
 LARGEST = 50_000_000
-"""Cells of a site: heights, slopes and the tracer's pyramid of more would not leave a tower computer room."""
+"""Maximum number of cells of a site; heights, slopes and the tracer's pyramid of more would fill the memory of a tower
+computer."""
 _ROWS = 256
 
 
 class Elevations(Protocol):
-    """What heights can be asked of: a `Dem` or a stack of them."""
+    """Source of heights: a `Dem` or a stack of them."""
 
     @property
     def geometry(self) -> GridGeometry: ...
@@ -153,12 +153,13 @@ class Reference:
 
     @property
     def surface_dem(self) -> Dem:
-        """The surface (with what stands on the ground) as a DEM for the tracer."""
+        """Return the surface (with what stands on the ground) as a DEM for the tracer."""
         return Dem(self.surface, self.geometry)
 
     @classmethod
     def of(cls, bare: Elevations, surface: Elevations | None = None, resolution: float | None = None) -> Reference:
-        """Both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its own).
+        """Return both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its
+        own).
 
         Where the surface raster is unknown or below bare earth, bare earth stands. Raises ConfigError where the grid
         has too many cells.
@@ -205,7 +206,7 @@ def _sampled(source: Elevations, geometry: GridGeometry) -> Float32Array:
 
 
 def _slopes(surface: Float32Array, resolution: float) -> Slopes:
-    """Differences between the means of neighbouring blocks."""
+    """Return the differences between the means of neighbouring blocks."""
     height, width = (max(1, -(-n // BLOCK)) for n in surface.shape)
     means = np.full((height, width), np.nan, np.float32)
     for row in range(height):

@@ -1,4 +1,4 @@
-"""Registers a frame to the reference: corrects its rotation, within the pose's covariance, by its stable ground.
+"""Register a frame to the reference: correct its rotation, within the pose's covariance, by stable ground.
 
 A pose that is off by half a degree moves a kilometre's points by 8.7 m, all of them together: what the frame says of
 unchanged ground tells the error. To first order, turning the camera by the small rotation w about the map's axes moves
@@ -23,22 +23,21 @@ from ltm_core.surface.reference_surface import BLOCK, LEAST_INCIDENCE, Reference
 from ltm_core.tracing import TerrainTracer
 
 OPEN_BELOW = 0.5
-"""Metres of canopy on what counts as open ground."""
+"""Canopy height in metres below which ground is open."""
 _SAMPLES = 10_000
 _LEAST_SAMPLES = 300
 _INDEPENDENT = 100
-"""What the samples of one image are worth: a network errs over whole regions."""
+"""Number of independent samples of one image; a network's errors cover whole regions."""
 _CAUCHY = 2.0
 _ROUNDS = 3
 _FLOOR_DEG = 0.005
-"""Sigma of an angle that no image can better."""
+"""Minimum standard deviation of an angle in degrees from one image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """`turned_deg`: by how much. `pose`, `covariance`: what is then known. `samples`: on open ground. `residual`:
-    metres of height by which these were off before and after, robust standard deviations.
-    """
+    """Registration of a frame. `turned_deg`: by how much. `pose`, `covariance`: afterwards. `samples`: on open ground.
+    `residual`: metres of height error of these before and after, robust standard deviations."""
 
     turned_deg: float
     pose: Pose
@@ -47,17 +46,16 @@ class Registration:
     residual: tuple[float, float]
 
     def frame(self, frame: DepthFrame) -> DepthFrame:
-        """The frame with the pose that was found."""
+        """Return the frame with the pose that was found."""
         return replace(frame, pose=self.pose, covariance=self.covariance)
 
 
 def register(
     frame: DepthFrame, covariance: Float64Array, reference: Reference, tracer: TerrainTracer, limits: ObservationLimits
 ) -> Registration | None:
-    """Turn a frame; None where the pose is too certain to matter, where too little open ground is in view, or where no
-    turn helps. Open ground: where the known canopy is low, or where the frame says so. Raises PoseError as the tracer
-    does.
-    """
+    """Turn a frame; return None if the pose is accurate enough, if too little open ground is in view, or if no turn
+    improves it. Open ground: where the known canopy is low, or by the frame's labels. Raises PoseError as the tracer
+    does."""
     prior = covariance[3:, 3:]
     if math.sqrt(float(np.trace(prior))) <= 2 * math.radians(_FLOOR_DEG):
         return None
@@ -113,7 +111,7 @@ def _residuals(
     reference: Reference,
     limits: ObservationLimits,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
+    """Return the heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
     with np.errstate(invalid="ignore"):
         used = measured & np.isfinite(expected) & (expected < limits.max_range) & (ranges > limits.min_range)
         used &= np.isfinite(sigmas) & (sigmas > 0) & (ranges < 2 * expected)

@@ -1,4 +1,4 @@
-"""Writes a surface map as GeoTIFF files."""
+"""Write a surface map as GeoTIFF files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ltm_core.surface.layers import SurfaceLayers
 from ltm_core.surface.surface_map import SurfaceMap
 
 UNSEEN = 255
-"""In the raster of changes: cells that independent views have not seen."""
+"""Value in the raster of changes for cells that independent views have not seen."""
 CHANGE_COLORS = {
     ChangeKind.NONE: (236, 236, 232),
     ChangeKind.REMOVED: (200, 60, 40),
@@ -34,7 +34,7 @@ BANDS: dict[Exported, dict[str, str]] = {
 }
 """Name and unit of the bands of `write_export`."""
 _STRIP = 256
-"""Rows that are written at a time: the layers of a whole site may be larger than memory."""
+"""Number of rows written at a time; the layers of a whole site may exceed the memory."""
 
 
 def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry: GridGeometry) -> None:
@@ -75,7 +75,7 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
         partial.replace(path)
     except (OSError, RasterioIOError) as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error}); name a place that can") from error
+        raise ConfigError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int]) -> list[Float32Array]:
@@ -107,7 +107,7 @@ def write_surface(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: the folder does not exist; make it first")
+        raise ConfigError(f"{folder}: the folder does not exist; create it first")
     seen = layers.last_seen > 0
     age = np.where(seen, (newest_ns // 1_000_000_000 - layers.last_seen.astype(np.int64)) / 3600, np.nan)
     change = np.where(layers.observed | (layers.change > 0), layers.change, np.uint8(UNSEEN)).astype(np.uint8)

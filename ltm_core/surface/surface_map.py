@@ -27,20 +27,20 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.holes import NOTHING_BEYOND
 
 CAMERAS = 32
-"""A site's cameras at most: a bit each in every cell."""
+"""Maximum number of cameras of a site: one bit each in every cell."""
 _OWN_SIGMA = 0.25
-"""Metres: what the height of a cell can mean when a crown or boulder stands in it."""
+"""Standard deviation in metres of a cell's height if it contains a crown or boulder."""
 _CARVE_SIGMA = 0.5
-"""Metres: of the height of a ray that passed over a cell."""
+"""Standard deviation in metres of the height of a ray that passed over a cell."""
 DECIDED_TILES = 8
-"""Tiles a side that are decided at once: the rasters of more would be the largest part of the map's memory."""
+"""Number of tiles per side that are decided at once; with more, their rasters would be the largest part of the map's
+memory."""
 
 
 @dataclass(frozen=True)
 class Added:
-    """What a frame did: cells that it saw, tiles that it touched and those that found no room in memory, and how it
-    was turned (None: it was not).
-    """
+    """Effect of a frame: cells seen, tiles touched and those without room in memory, and its turn (None: not
+    turned)."""
 
     cells: int
     tiles: int
@@ -50,7 +50,7 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """How the frame of a camera of `stamp_ns` with this pose was turned; None: it was not."""
+    """Turn of the frame of a camera of `stamp_ns` with this pose; None: it was not turned."""
 
     pose: Pose
     covariance: Float64Array
@@ -87,7 +87,7 @@ class SurfaceMap:
         assumed_pose_error: PoseErrorConfig | None = None,
     ) -> None:
         if len(cameras) > CAMERAS:
-            raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
+            raise ConfigError(f"a terrain supports {CAMERAS} cameras, this site has {len(cameras)}; split the site")
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
         self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
         # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
@@ -125,7 +125,7 @@ class SurfaceMap:
 
     @property
     def uncommitted(self) -> int:
-        """Frames whose effect is not in the store yet."""
+        """Return the frames whose effect is not in the store yet."""
         return self._pool.uncommitted
 
     @property
@@ -133,13 +133,13 @@ class SurfaceMap:
         return self._pool.in_memory
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame has been counted already."""
+        """Return whether a frame has been counted already."""
         return self._pool.counted(source, stamp_ns)
 
     def add(self, frame: DepthFrame) -> Added:
         """Take a frame in. Raises ConfigError for an unknown camera, PoseError as the tracer does, StoreError."""
         if frame.source not in self.cameras:
-            raise ConfigError(f"no camera {frame.source!r}; there are {', '.join(self.cameras)}")
+            raise ConfigError(f"no camera {frame.source!r}; cameras: {', '.join(self.cameras)}")
         config = self.config
         covariance = frame.covariance
         if covariance is None:
@@ -162,7 +162,7 @@ class SurfaceMap:
         return Added(int(cells), len(keys), left_out, turned)
 
     def decide(self) -> Changed:
-        """Bring the changes up to date where frames have touched the map since the last call; what is new."""
+        """Update the changes where frames have touched the map since the last call; return the new ones."""
         found = Changed.none()
         while self._undecided:
             first = min(self._undecided)
@@ -183,20 +183,21 @@ class SurfaceMap:
         return self._pool.commit(last)
 
     def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
-        """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""
+        """Return the height, sigma, change and age of a window (row, col, height, width); default: of the whole
+        grid."""
         return layers_of(self._pool, self.reference, window, self._rules)
 
     def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
-        """(H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
+        """Return (H, W) metres by which accepted change has moved the surface of a window, 0 without change."""
         parts = mosaic(self._pool.peek, window, ("shift",))
         return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
 
     def close(self) -> None:
-        """Its store; the map is of no use then. Idempotent."""
+        """Close its store; the map cannot be used afterwards. Idempotent."""
         self._pool.store.close()
 
     def seen_window(self) -> tuple[int, int, int, int] | None:
-        """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""
+        """Return the smallest window (row, col, height, width) of whole tiles that any frame has touched."""
         keys = self._pool.known_keys
         if not keys:
             return None
@@ -206,7 +207,7 @@ class SurfaceMap:
         return row, col, min(bottom, height) - row, min(right, width) - col
 
     def heights_at(self, changed: Changed) -> Float32Array:
-        """The updated surface at changed cells, (N,) metres."""
+        """Return the updated surface at changed cells, (N,) metres."""
         surface = self.reference.surface[changed.rows, changed.cols]
         if self.reference.canopy_known:
             return np.asarray(surface + changed.shift, np.float32)
@@ -235,9 +236,8 @@ class SurfaceMap:
         )
 
     def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
-        """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is
-        traced already.
-        """
+        """Return the turn of a camera, which is kept for a time while it does not move: one more image would add
+        little, and its reference is traced already."""
         kept = self._turns.get(frame.source)
         period = int(self.config.independent_after * 1e9)
         if (
@@ -252,7 +252,7 @@ class SurfaceMap:
         return turn
 
     def _nearest(self, tiles: Int32Array, frame: DepthFrame) -> tuple[list[Key], int]:
-        """These tiles, the nearest of them where there are more than fit into memory."""
+        """Return these tiles, the nearest of them where there are more than fit into memory."""
         rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
         most = self._pool.capacity
         if len(rows) > most:

@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 FOLDER = "surfaces"
-"""Beside the store of the terrain."""
+"""Name of the folder beside the store of the terrain."""
 MANIFEST = "surfaces.json"
 _MOST_MANIFEST = 1 << 20
 _MOST_FILE = 1 << 30
@@ -56,14 +56,14 @@ _ARRAYS = ("rows", "cols", "surface", "ground")
 
 
 class BrokenManifestError(StoreError):
-    """What stands in its place is no manifest, and will not become one by itself."""
+    """The file at this path is not a manifest."""
 
 
 @dataclass(frozen=True)
 class SurfaceVersions:
-    """The versions of a site in a folder, which need not be there before the first is written.
+    """Versions of a site in a folder, which is created with the first one.
 
-    `geometry`: of the terrain's grid, in the map frame; a version of another grid is refused.
+    `geometry`: of the terrain's grid, in the map frame; a version of another grid is rejected.
     """
 
     folder: Path
@@ -71,8 +71,8 @@ class SurfaceVersions:
     geometry: GridGeometry
 
     def manifest(self) -> SurfaceManifest:
-        """Of no version where there is none yet. Raises StoreError where it cannot be read, a later release wrote it or
-        it is of another site."""
+        """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read, if a later release
+        wrote it, or if it is of another site."""
         path = self.folder / MANIFEST
         try:
             content = _read(path, _MOST_MANIFEST)
@@ -85,19 +85,18 @@ class SurfaceVersions:
         except ValidationError as error:
             if later := of_later_release(content, error):
                 raise StoreError(
-                    f"{path}: a later release wrote this list of surfaces ({later}), and it stays as it is; start that "
-                    "release again, or move the folder away to begin anew"
+                    f"{path}: a later release wrote this list of surfaces ({later}); it was not changed. Start that "
+                    "release again, or move the folder away to start afresh"
                 ) from error
             problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
             raise BrokenManifestError(problem) from error
         if found.site != self.site:
-            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
+            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site its own folder")
         return found
 
     def manifest_of_writer(self) -> tuple[SurfaceManifest, str]:
-        """For whoever writes: a folder whose manifest cannot be read as one is put aside, and begun anew; and what is
-        to be told of that, empty: nothing. Raises StoreError as `manifest` does for anything else.
-        """
+        """Return the manifest for writing: a folder with an unreadable manifest is moved away and started afresh, with
+        a message about it (empty: none). Raises StoreError as `manifest` does for anything else."""
         try:
             return self.manifest(), ""
         except BrokenManifestError as error:
@@ -106,29 +105,31 @@ class SurfaceVersions:
             try:
                 self.folder.rename(aside)
             except OSError as broken:
-                raise StoreError(f"{error}; it could not be put aside ({broken.strerror or broken})") from broken
-            return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
+                raise StoreError(f"{error}; it could not be moved away ({broken.strerror or broken})") from broken
+            return SurfaceManifest(
+                site=self.site
+            ), f"{error}; it was moved to {aside}, and the list of surfaces starts afresh"
 
     def file(self, version: str) -> Path:
-        """Where the file of a version of the manifest stands."""
+        """Return the path of a version of the manifest."""
         return self.folder / f"surface-{version}.npz"
 
     def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
-        """A version's cells. Raises StoreError where its file is missing, not what was written, or of another grid."""
+        """Load a version's cells. Raises StoreError if its file is missing, modified, or of another grid."""
         path = self.file(entry.version)
         try:
             content = _read(path, _MOST_FILE)
         except OSError as error:
             raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
         if hashlib.sha256(content).hexdigest() != entry.digest:
-            raise StoreError(f"{path}: is not the file that was written as this version; take the version back")
+            raise StoreError(f"{path}: not the file written for this version; revert the version")
         try:
             surface = _of_bytes(content)
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile, RasterError) as error:
-            raise StoreError(f"{path}: holds no confirmed surface ({error}); take the version back") from error
+            raise StoreError(f"{path}: contains no confirmed surface ({error}); revert the version") from error
         if surface.geometry != self.geometry:
             raise StoreError(
-                f"{path}: of a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
+                f"{path}: has a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
                 f"has {self.geometry.shape} of {self.geometry.resolution} m: the site's DEM or terrain.resolution has "
                 "changed; move the folder away"
             )
@@ -183,7 +184,7 @@ class SurfaceVersions:
         before = self.manifest()
         entry = before.entry(before.current)
         if entry is None:
-            raise StoreError(f"{self.folder}: no confirmed surface counts; there is nothing to take back")
+            raise StoreError(f"{self.folder}: no confirmed surface is in use; nothing to revert")
         history = before.history[:-1]
         current = history[-1].version if history else AS_GIVEN
         after = before.model_copy(update={"current": current, "held": True, "history": history})
@@ -194,7 +195,7 @@ class SurfaceVersions:
         self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
 
     def _write(self, path: Path, content: bytes) -> None:
-        """Whole or not at all, also where the power fails."""
+        """Write the file completely or not at all, even if the power fails."""
         partial = path.with_name(f".{path.name}.partial")
         try:
             self.folder.mkdir(exist_ok=True)
@@ -221,7 +222,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 def _to_bytes(surface: ConfirmedSurface) -> bytes:
-    """The same bytes for the same cells."""
+    """Return the same bytes for the same cells."""
     g, sink = surface.geometry, io.BytesIO()
     grid = np.array([g.x_min, g.y_max, g.resolution, g.width, g.height], np.float64)
     np.savez_compressed(sink, grid=grid, **{name: getattr(surface, name) for name in _ARRAYS})
@@ -241,12 +242,12 @@ def _of_bytes(content: bytes) -> ConfirmedSurface:
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedTerrain:
-    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+    """Ground and surface in the map frame, of one version of the confirmed surface (None: the site's rasters).
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
     has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
-    version; None: not known. `note`: what is to be told of it.
+    version; None: not known. `note`: remark for the user.
     """
 
     version: SurfaceVersion | None
@@ -259,5 +260,5 @@ class ConfirmedTerrain:
 
     @property
     def name(self) -> str:
-        """The version, as frames carry it; AS_GIVEN where there is none."""
+        """Return the name of the version in frames; AS_GIVEN if there is none."""
         return AS_GIVEN if self.version is None else self.version.version

@@ -17,14 +17,14 @@ KIND, VERSION = "terrain", 4
 
 
 def schema_of(geometry: GridGeometry) -> StoreSchema:
-    """Of a terrain's store; `geometry`: in the site's CRS."""
+    """Return the schema of a terrain's store; `geometry`: in the site's CRS."""
     return StoreSchema(KIND, VERSION, geometry, TILE, FIELDS)
 
 
 class TilePool:
     """Tiles by key, at most `capacity` of them in memory; the longest unused makes room.
 
-    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is claimed as it is used.
+    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is allocated on use.
     """
 
     def __init__(self, store: TileStore, capacity: int, canopy_known: bool) -> None:
@@ -43,12 +43,12 @@ class TilePool:
 
     @staticmethod
     def capacity_of(megabytes: float) -> int:
-        """Tiles that fit; at least those of which changes are decided at once."""
+        """Return the number of tiles that fit; at least those whose changes are decided at once."""
         return max(64, int(megabytes * 2**20 / (CELL_BYTES * TILE * TILE)))
 
     @property
     def known_keys(self) -> list[Key]:
-        """Tiles that hold anything, in row-major order."""
+        """Return all stored or loaded tiles, in row-major order."""
         return sorted(self._stored | self._used.keys())
 
     @property
@@ -65,7 +65,7 @@ class TilePool:
         return len(self._frames)
 
     def require(self, keys: Sequence[Key]) -> Int32Array:
-        """Slots of tiles, which are brought into memory; no more than `capacity` at a time. Raises StoreError."""
+        """Return slots of tiles, which are loaded into memory; no more than `capacity` at a time. Raises StoreError."""
         wanted = set(keys)
         for key in keys:
             if key in self._used:
@@ -84,18 +84,18 @@ class TilePool:
         return np.array([self._used[key] for key in keys], np.int32)
 
     def peek(self, key: Key) -> Tile | None:
-        """A tile's arrays (TILE, TILE), wherever it is; None for one that nobody has seen. Not to be written to."""
+        """Return a read-only tile's arrays (TILE, TILE), in memory or stored; None for an unseen one."""
         slot = self._used.get(key)
         if slot is not None:
             return {name: self.cells.field(name)[slot].reshape(TILE, TILE) for name in FIELDS}
         return self.store.read(key) if key in self._stored else None
 
     def touched(self, keys: Iterable[Key]) -> None:
-        """These tiles, which are in memory, have changed."""
+        """Mark these tiles, which are in memory, as changed."""
         self._dirty.update(keys)
 
     def counted(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame has been counted, also where that is not written yet."""
+        """Return whether a frame has been counted, written or not."""
         waiting = any(f.source == source and f.stamp_ns == stamp_ns for f in self._frames)
         return waiting or self.store.counted(source, stamp_ns)
 

@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper, made exact and fast: the point of the terrain that each pixel sees.
+"""Algorithm 1 of the paper, exact and fast: the point of the terrain that each pixel sees.
 
 `TerrainTracer` is the tracer; `baselines.march` keeps the paper's own fixed-step march as a baseline;
 `baselines.reference` is a slow, independent float64 tracer that tests hold the fast one against.
@@ -17,8 +17,8 @@ __all__ = ["RangeImage", "TerrainTracer"]
 
 
 def __getattr__(name: str) -> object:
-    """The tracer when somebody asks for it: a site's configuration needs no more than `possible_ground`, and the tracer
-    loads numba with all its kernels."""
+    """Import the tracer on first use: a site's configuration needs only `possible_ground`, and the tracer loads numba
+    with all its kernels."""
     if name == "TerrainTracer":
         from ltm_core.tracing.tracer import TerrainTracer
 

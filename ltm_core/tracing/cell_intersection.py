@@ -20,13 +20,14 @@ FASTMATH = {"contract", "nsz"}
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def ray_height(oz: float, s: float, bend: float, q: float) -> float:
-    """Height of a ray at range q: z(q) = oz + s q + bend q^2."""
+    """Return the height of a ray at range q: z(q) = oz + s q + bend q^2."""
     return oz + q * (s + bend * q)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def surface(h00: float, h10: float, h01: float, h11: float) -> tuple[float, float, float]:
-    """Coefficients b, e, g of the surface h00 + b u + e v + g u v between four corners, hxy at u = x, v = y."""
+    """Return the coefficients b, e, g of the surface h00 + b u + e v + g u v between four corners, hxy at u = x, v =
+    y."""
     b = h10 - h00
     return b, h01 - h00, h11 - h01 - b
 
@@ -46,7 +47,8 @@ def clearance(
     u: float,
     v: float,
 ) -> tuple[float, float, float]:
-    """Height of a ray above a cell's surface from the range q on, where it is at (u, v): f0 + f1 t + a t^2."""
+    """Return the height of a ray above a cell's surface from the range q on, where it is at (u, v): f0 + f1 t + a
+    t^2."""
     f0 = z - (h00 + b * u + v * (e + g * u))
     f1 = s + 2.0 * bend * q - (b + g * v) * cx - (e + g * u) * cy
     return f0, f1, bend - g * cx * cy
@@ -54,14 +56,15 @@ def clearance(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def meets(f0: float, f1: float, a: float, dq: float) -> bool:
-    """Whether f0 + f1 t + a t^2, positive at 0, has a root up to dq: it is negative there, or dips in between."""
+    """Return whether f0 + f1 t + a t^2, positive at 0, has a root up to dq: it is negative there, or dips in
+    between."""
     dips = (f1 < 0.0) & (f1 + 2.0 * a * dq > 0.0) & (f1 * f1 >= 4.0 * a * f0)
     return dips | (f0 + dq * (f1 + a * dq) <= 0.0)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def first_root(f0: float, f1: float, a: float, dq: float) -> float:
-    """The first root of f0 + f1 t + a t^2, at most dq, where there is one: the formula that does not cancel.
+    """Return the first root of f0 + f1 t + a t^2, at most dq, where there is one: the formula that does not cancel.
 
     Press et al., Numerical Recipes, 3rd ed., 5.6.
     """
@@ -71,7 +74,8 @@ def first_root(f0: float, f1: float, a: float, dq: float) -> float:
 
 
 HIT, LEFT, OPEN = 0, 1, 2
-"""How single cells end: at the ground, at the raster's edge, or at a hole or after many of them."""
+"""Result for a cell: the ground was hit, the raster's edge was reached, or the ray is open (a hole, or many cells
+without a hit)."""
 _MOST_CELLS = 48
 
 
@@ -92,7 +96,7 @@ def cell_hit(
     major_stride: int,
     minor_stride: int,
 ) -> tuple[float, int]:
-    """First hit of a ray that meets nothing before `q`, where it is in strip `cell` of its major axis.
+    """Return the first hit of a ray that meets nothing before `q`, where it is in strip `cell` of its major axis.
 
     Returns the range and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must go on from there.
     """

@@ -40,20 +40,19 @@ from ltm_core.tracing.pyramid_traversal import (
 
 COLUMNS = 64
 PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLUMNS)
-"""1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
-within its wedge; node line where the ray's entry begins, or one of the following; range from which the pyramid goes on.
-"""
+"""1 / |major| of the unit ray; t; slope in metres per major cell; face and wedge; place of the entry of the row below
+within its wedge; node line at or after which the ray's entry begins; range from which the pyramid continues."""
 MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def new_block() -> Float64Array:
-    """A block before its first row."""
+    """Return a block before its first row."""
     return np.zeros(8 * COLUMNS)
 
 
 _ROWS_AHEAD = 4
-"""Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""
+"""Number of rows prefetched for a ray that crosses rows, each in separate memory."""
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -198,8 +197,8 @@ def through_cells(
     at: int,
     out: Float32Array,
 ) -> int:
-    """Answer those of a block's rays that an entry and single cells answer; returns how many are left for
-    `by_pyramid`. `at`: flat index of the first pixel.
+    """Compute those of a block's rays that an entry and single cells decide; return the number left for `by_pyramid`.
+    `at`: flat index of the first pixel.
 
     Apart from the rest, for what the pyramid needs would otherwise be carried past every ray.
     """
@@ -242,7 +241,7 @@ def through_cells(
 def by_pyramid(
     ground: TerrainRaster, stage: RasterStage, count: int, block: Float64Array, at: int, out: Float32Array
 ) -> None:
-    """Answer a block's rays that are not yet answered; `at`: flat index of the first pixel."""
+    """Compute a block's remaining rays; `at`: flat index of the first pixel."""
     last, oz, top, resolution = stage.last, stage.oz, stage.highest, stage.resolution
     # No ray leaves the raster after `farthest`, and one from a camera over it none before `nearest`.
     farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
@@ -277,7 +276,7 @@ def by_pyramid(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
-    """Range of a plumb ray, by the sign of its slope; NaN of one that is none."""
+    """Return the range of a vertical ray, by the sign of its slope; NaN for other rays."""
     if slope > 0.0:
         return np.inf
     return stage.oz - height_at(ground, stage.ox, stage.oy) if slope < 0.0 else np.nan
@@ -285,7 +284,8 @@ def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def first_reaching(tangents: Float32Array, start: int, count: int, hint: int, slope: float) -> int:
-    """Place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` where none is.
+    """Return the place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count`
+    where none is.
 
     The search widens from `hint` by doubling steps.
     """

@@ -29,7 +29,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Arra
 
 
 class PossibleGround(StrictModel):
-    """Bounds of unknown ground, by which a ray that has been over known ground goes on, or is unknown.
+    """Bounds of unknown ground that decide whether a ray beyond known ground continues or is unknown.
 
     Unknown ground rises from known ground no more steeply than `steepest`, and outside of what known ground surrounds
     no higher than `highest`, or where that is not stated, than `margin` above the highest ground of the DEM. A ray
@@ -37,19 +37,19 @@ class PossibleGround(StrictModel):
     """
 
     steepest: float = Field(1.5, gt=0)
-    """Metres a metre."""
+    """Maximum slope of unknown ground in metres per metre."""
     highest: float | None = None
-    """Metres in the DEM's vertical datum: no ground for tens of kilometres beyond the DEM is higher."""
+    """Maximum height of ground for tens of kilometres beyond the DEM, in metres in its vertical datum."""
     margin: float = Field(100.0, ge=0)
-    """Metres above the DEM's highest ground, where `highest` is not stated."""
+    """Metres above the DEM's highest ground that are assumed if `highest` is not given."""
 
     def limit(self, top: float) -> float:
-        """Metres above which there is no ground outside a DEM whose highest is `top`."""
+        """Return the height in metres above which there is no ground outside a DEM with the maximum `top`."""
         return top + self.margin if self.highest is None else self.highest
 
 
 NOTHING_BEYOND = PossibleGround(highest=-1e4)
-"""The world ends with the DEM, as that of a rendered scene does: what climbs out of it is sky."""
+"""No ground beyond the DEM, as in a rendered scene: rays that leave it upwards are sky."""
 
 
 _DIAGONAL = float(np.sqrt(2.0))
@@ -61,17 +61,17 @@ class Holes(NamedTuple):
     hole_first: Int64Array
     """Flat index (row * width + column) of a run's first node."""
     hole_end: Int64Array
-    """One past its last."""
+    """Index after the last node of a run."""
     hole_outer: BoolArray
-    """Whether it belongs to an outer hole."""
+    """Whether a run belongs to an outer hole."""
     hole_start: Int64Array
-    """Where the run's ceilings begin in the next."""
+    """Start of a run's ceilings in `ceilings`."""
     ceilings: Float32Array
-    """Of all NaN nodes, run after run."""
+    """Ceilings of all NaN nodes, run after run."""
 
 
 def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
-    """The holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
+    """Return the holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
 
     `rise`: the most that unknown ground rises from one node to the next, metres; `highest`: the highest that it may be
     in outer holes.
@@ -91,7 +91,7 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def run_of(holes: Holes, at: int) -> int:
-    """The run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
+    """Return the run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
     low, high = 0, holes.hole_first.size  # the last run that begins at or before `at` is the one before `low`
     while low < high:
         middle = (low + high) >> 1
@@ -104,7 +104,7 @@ def run_of(holes: Holes, at: int) -> int:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
-    """Height of the node with flat index `at`, or its ceiling where it is unknown."""
+    """Return the height of the node with flat index `at`, or its ceiling where it is unknown."""
     height = nodes[at]
     if height == height:
         return height
@@ -114,7 +114,7 @@ def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
-    """Whether the node with flat index `at` belongs to an outer hole."""
+    """Return whether the node with flat index `at` belongs to an outer hole."""
     return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
 
 
@@ -132,7 +132,7 @@ def _count_runs(elevation: Float32Array) -> int:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _runs(elevation: Float32Array, count: int) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Row, first column and one past the last column of each run of NaN, row after row."""
+    """Return the row, first column and one past the last column of each run of NaN, row after row."""
     row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     k = 0
     for i in range(elevation.shape[0]):
@@ -206,7 +206,8 @@ def _lowered(
     straight: np.float32,
     diagonal: np.float32,
 ) -> bool:
-    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; whether any fell.
+    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; return whether
+    any fell.
 
     Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance
     transformations in digital images*, CVGIP 34, 1986), also around corners.

@@ -1,4 +1,4 @@
-"""Horizon profile of a camera position: how far a ray in each direction certainly flies before it can meet the ground.
+"""Horizon profile of a camera position: a lower bound of the range at which a ray in each direction meets the ground.
 
 Directions are cut into wedges. Each ray has a *major* axis, the grid axis that it mostly follows, and moves `t` (at
 most 1 either way) cells along the other, *minor*, axis for each cell along the major; a wedge is a small interval of
@@ -27,7 +27,7 @@ from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
 
 WEDGES_A_FACE = 3072
 SECTOR = 64
-"""Wedges that are built together."""
+"""Number of wedges that are built together."""
 _MOST_ENTRIES = 4096
 # Tangents are raised by this, well above the rounding of any ray's height, and of the tangent itself to float32 (6e-8).
 _RELATIVE, _ABSOLUTE = 3e-7, 1e-9
@@ -41,19 +41,19 @@ class Wedges(NamedTuple):
     """Profiles of the wedges built so far; index: face * WEDGES_A_FACE + wedge."""
 
     start: Int64Array
-    """Where a wedge's entries begin."""
+    """Start of a wedge's entries."""
     entries: Int32Array
-    """How many it has; -1 where it is not built."""
+    """Number of entries of a wedge; -1 if it is not built."""
     highest: Float32Array
-    """The last of a wedge's tangents; +inf where it is not built."""
+    """Last tangent of a wedge; +inf if it is not built."""
     tangent: Float32Array
-    """Entries: the highest tangent up to the end of a strip, increasing within a wedge."""
+    """Highest tangent of an entry up to the end of a strip, increasing within a wedge."""
     node: Int32Array
-    """Entries: node line at which that strip begins."""
+    """Node line of an entry at which that strip begins."""
 
 
 def no_wedges() -> Wedges:
-    """A profile of which nothing is built."""
+    """Return an empty profile."""
     total = 4 * WEDGES_A_FACE
     return Wedges(
         np.zeros(total, np.int64),
@@ -65,7 +65,7 @@ def no_wedges() -> Wedges:
 
 
 def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: RasterStage) -> Wedges:
-    """`wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
+    """Return `wedges` with the missing ones of the `wanted` indices added, over the stage's part of the raster."""
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
         return wedges
@@ -181,7 +181,7 @@ def _walk_wedge(ground: TerrainRaster, stage: RasterStage, index: int, tangent: 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
-    """The least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
+    """Return the least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
     if along_x:
         major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
     else:
@@ -197,7 +197,7 @@ def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> float:
-    """Bound on the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
+    """Return an upper bound of the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
     highest = -np.inf
     if level == 0:
         step, across = (ground.width, 1) if along_x else (1, ground.width)
@@ -230,14 +230,14 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def wedge_of(along_x: bool, forward: bool, t: float) -> int:
-    """Index of the wedge of a ray."""
+    """Return the index of the wedge of a ray."""
     face = (0 if along_x else 2) + (0 if forward else 1)
     return face * WEDGES_A_FACE + min(max(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), 0), WEDGES_A_FACE - 1)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
 def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
-    """Mark the sectors that an image (H, W, 3) of rays looks into, from each `every`-th pixel and some margin.
+    """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin.
 
     It may miss one: a ray in a wedge that is not built is traced without it.
     """

@@ -21,11 +21,11 @@ from ltm_core.base.types import Float32Array, Int64Array, UInt8Array
 from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 
 LEAF = 2
-"""The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""
+"""Lowest level stored; level 1 alone would need a quarter of the elevations' memory and saves little time."""
 
 
 WITHIN, MIXED, OUTSIDE = 0, 1, 2
-"""Of a block: none, some or all of its cells are outer holes."""
+"""State of a block: none, some or all of its cells are outer holes."""
 
 
 class MaximumPyramid(NamedTuple):
@@ -39,16 +39,17 @@ class MaximumPyramid(NamedTuple):
     offsets: Int64Array
     widths: Int64Array
     outside: UInt8Array
-    """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty where the raster has no outer hole."""
+    """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty if the raster has no outer hole."""
 
     @property
     def top_level(self) -> int:
-        """The level at which one block covers the raster."""
+        """Return the level at which one block covers the raster."""
         return len(self.offsets) - 1
 
 
 def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
-    """Pyramid over the cells between (H, W) nodes, NaN in holes (see `holes.find_holes`); H and W at least 2."""
+    """Return the pyramid over the cells between (H, W) nodes, NaN in holes (see `holes.find_holes`); H and W at least
+    2."""
     heights, widths, offsets = [nodes.shape[0] - 1], [nodes.shape[1] - 1], [0]
     total = 0
     while len(heights) <= LEAF or heights[-1] > 1 or widths[-1] > 1:
@@ -75,7 +76,7 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) -> None:
-    """Level LEAF: the bound of a block of cells from its nodes."""
+    """Compute the level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
     flat = nodes.ravel()
     size = 1 << LEAF
@@ -96,7 +97,7 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) -> None:
-    """Level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
+    """Compute the level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
     n_rows, n_cols = nodes.shape
     flat = nodes.ravel()
     size = 1 << LEAF
@@ -120,7 +121,7 @@ def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _bounds_from_bounds(below: Float32Array, bounds: Float32Array) -> None:
-    """A level from the one below: the maximum of up to 2 x 2 blocks."""
+    """Return a level from the one below: the maximum of up to 2 x 2 blocks."""
     for i in range(bounds.shape[0]):
         for j in range(bounds.shape[1]):
             bounds[i, j] = below[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].max()

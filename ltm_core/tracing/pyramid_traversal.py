@@ -36,9 +36,9 @@ class TerrainRaster(NamedTuple):
     """One DEM raster as the kernels take it: nodes, holes and maximum pyramid."""
 
     nodes: Float32Array
-    """(height * width) elevations, row-major, NaN in holes."""
+    """Elevations, (height * width), row-major, NaN in holes."""
     hole_first: Int64Array
-    """The `Holes` among them, as are the next four."""
+    """Holes of these nodes (`Holes`), as are the next four."""
     hole_end: Int64Array
     hole_outer: BoolArray
     hole_start: Int64Array
@@ -46,16 +46,16 @@ class TerrainRaster(NamedTuple):
     width: int
     height: int
     bounds: Float32Array
-    """The `MaximumPyramid` of the nodes, as are the next three."""
+    """Maximum pyramid of the nodes (`MaximumPyramid`), as are the next three."""
     offsets: Int64Array
     widths: Int64Array
     outside: UInt8Array
     top: float
-    """No ground of this raster, the coarser ones around it, or beyond them, is higher."""
+    """Upper bound in metres of the ground in this raster, in the coarser ones around it, and beyond them."""
 
 
 WHOLE, BEFORE, AFTER = 0, 1, 2
-"""Which part of a ray's way over a raster counts: all of it, or what lies before or after the next finer raster."""
+"""Part of a ray's way over a raster that counts: all of it, or the part before or after the next finer raster."""
 
 
 class RasterStage(NamedTuple):
@@ -64,46 +64,46 @@ class RasterStage(NamedTuple):
     ox: float
     oy: float
     oz: float
-    """The camera: column, row, height in metres."""
+    """Camera position: column, row, height in metres."""
     resolution: float
-    """Metres a cell."""
+    """Metres per cell."""
     bend: float
-    """Per cell: the ray's coefficient in grid units."""
+    """The ray's bend coefficient per cell in grid units."""
     west: float
-    """Edges of the raster's nodes, seen from the camera, in cells: x (to the east) and y (to the south)."""
+    """Edges of the raster's nodes relative to the camera in cells: x to the east, y to the south."""
     north: float
     east: float
     south: float
     finer_west: float
-    """Those of the next finer raster; of no meaning where the part is WHOLE."""
+    """Edges of the next finer raster; unused if the part is WHOLE."""
     finer_north: float
     finer_east: float
     finer_south: float
     part: int
     last: bool
-    """Whether a ray that meets nothing here meets nothing at all."""
+    """Whether a ray without a hit in this raster has no hit at all."""
     rise: float
-    """The most that unknown ground rises over a cell, metres."""
+    """Maximum rise of unknown ground over a cell in metres."""
     highest: float
-    """No ground outside the DEM is higher."""
+    """Maximum height of ground outside the DEM in metres."""
 
 
 # A ray that has met nothing yet carries, in place of a range, what it has been over: a negative number.
 FRESH = -1.0
-"""Nothing known."""
+"""Nothing is known so far."""
 OVER_KNOWN = -2.0
-"""Known ground."""
+"""The ray is over known ground."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _normal(c: float) -> float:
-    """`c`, or 0 for a number so small that its reciprocal would overflow: a range of 0 times that is NaN."""
+    """Return `c`, or 0 for a number so small that its reciprocal would overflow: a range of 0 times that is NaN."""
     return c if abs(c) > 1e-300 else 0.0
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
-    """Ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
+    """Return the ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
     q_in, q_out = 0.0, np.inf
     if cx != 0.0:
         inverse = 1.0 / cx
@@ -122,13 +122,13 @@ def _crossing(west: float, north: float, east: float, south: float, cx: float, c
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def over_raster(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
-    """Ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
+    """Return the ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
     return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
-    """Ranges between which a ray's way belongs to a stage; start > end where none of it does."""
+    """Return the ranges between which a ray's way belongs to a stage; start > end where none of it does."""
     start, end = over_raster(stage, cx, cy)
     if stage.part == WHOLE:
         return start, end
@@ -142,9 +142,8 @@ def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
-    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing and no ground
-    that may lie ahead is as high or as steep, else NaN.
-    """
+    """Return the final result of a ray without a hit: +inf if it climbs out and no ground ahead can be as high or as
+    steep, else NaN."""
     if not (stage.last and q < 0.0):
         return q
     leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0
@@ -167,8 +166,8 @@ def hit_between(
     state: float,
     level: int,
 ) -> float:
-    """Range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN where it meets possible
-    ground, and the ray's state where it has met nothing.
+    """Return the range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN where it
+    meets possible ground, and the ray's state where it has met nothing.
 
     `bend`: the stage's, or that for lengths other than a cell; `state`: that at `start`; `level`: that of the first
     block looked at.
@@ -270,7 +269,7 @@ def hit_between(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def cell_ceiling(ground: TerrainRaster, at: int) -> float:
-    """The highest that the ground may be in the cell whose north-west node is `at`."""
+    """Return the highest that the ground may be in the cell whose north-west node is `at`."""
     highest = -np.inf
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
         highest = max(highest, float(filled_at(ground.nodes, ground, node)))
@@ -279,7 +278,7 @@ def cell_ceiling(ground: TerrainRaster, at: int) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def outside_cell(ground: TerrainRaster, at: int) -> bool:
-    """Whether the cell whose north-west node is `at` is an outer hole."""
+    """Return whether the cell whose north-west node is `at` is an outer hole."""
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
         if in_outer_hole(ground.nodes, ground, node):
             return True
@@ -288,7 +287,7 @@ def outside_cell(ground: TerrainRaster, at: int) -> bool:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
-    """The least height of z(q) = oz + s q + bend q^2 on [q0, q1]."""
+    """Return the least height of z(q) = oz + s q + bend q^2 on [q0, q1]."""
     z = min(oz + q0 * (s + bend * q0), oz + q1 * (s + bend * q1))
     if s + 2.0 * bend * q0 < 0.0 and s + 2.0 * bend * q1 > 0.0:
         z = min(z, oz - s * s / (4.0 * bend))
@@ -297,7 +296,7 @@ def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def height_at(ground: TerrainRaster, x: float, y: float) -> float:
-    """Bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
+    """Return the bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
     nodes, width, height = ground.nodes, ground.width, ground.height
     if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
         return np.nan

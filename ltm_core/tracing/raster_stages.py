@@ -1,4 +1,4 @@
-"""Splits the path of rays over a stack of DEM rasters into stages, one raster each, for the tracing kernels.
+"""Split the path of rays over a stack of DEM rasters into stages, one raster each, for the tracing kernels.
 
 A single raster is one stage. In a stack each raster lies within the next coarser one, so a ray's way over raster k is
 one interval, which contains that over raster k - 1: it goes from the raster that the camera stands over inwards to the
@@ -37,9 +37,8 @@ _one_at_a_time = threading.Lock()
 
 
 def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
-    """What the kernels know of each level, finest first, and of unknown ground; the same for all who ask while the
-    terrain is in use. Raises RasterError for infinite heights.
-    """
+    """Return the kernels' data of each level, finest first, and of unknown ground, shared while the terrain is in use.
+    Raises RasterError for infinite heights."""
     with _one_at_a_time:
         made = _known.setdefault(dem, {})
         if possible not in made:
@@ -67,7 +66,7 @@ def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
 
 
 def highest_possible(dem: Dem, possible: PossibleGround) -> float:
-    """Metres above which there is no ground outside the DEM."""
+    """Return the height in metres above which there is no ground outside the DEM."""
     highest = _highest.get(dem)
     if highest is None:
         highest = _highest[dem] = max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels)
@@ -77,9 +76,8 @@ def highest_possible(dem: Dem, possible: PossibleGround) -> float:
 def stages(
     dem: Dem, position: Float64Array, bend: float, steepest: float, highest: float
 ) -> list[tuple[int, RasterStage]]:
-    """Levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m. `steepest`,
-    `highest`: of the ground that may lie beyond.
-    """
+    """Return the levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m.
+    `steepest`, `highest`: of the ground that may lie beyond."""
     windows = [_window(level, position) for level in dem.levels]
     last = len(windows) - 1
     stands_on = next((k for k, w in enumerate(windows) if _is_inside(w)), last)
@@ -113,9 +111,8 @@ def stages(
 
 
 def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> Float32Array | None:
-    """Heights of the four nodes around a position over one raster, with the ceilings of enclosed holes and NaN in outer
-    ones; None where it is not over the raster.
-    """
+    """Return the heights of the four nodes around a position over one raster, with the ceilings of enclosed holes and
+    NaN in outer ones; None where it is not over the raster."""
     if not _is_inside(_window(dem, position)):
         return None
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))

@@ -1,4 +1,4 @@
-"""Read what is known of the pose of a photo, and write the files of `ltm trace`."""
+"""Read the pose file of a photo, and write the files of `ltm trace`."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ from ltm_core.tracing.holes import PossibleGround
 
 
 class PoseFile(StrictModel):
-    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file."""
+    """Pose file: one image's `pose` and `calibration`, as for a camera in a site file."""
 
     pose: PlacedPose
     calibration: CalibrationConfig
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
-    """How high the ground may be where the DEM does not know it."""
+    """Maximum height of ground where the DEM is unknown."""
 
 
 class PictureConfig(PoseFile):
-    """One picture: where its camera stood, how it looked, and its calibration."""
+    """One image: its camera's pose and calibration."""
 
     pose: PoseConfig
 
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """A picture ready to be traced, in a map frame whose origin is near its camera."""
+    """Image ready to be traced, in a map frame whose origin is near its camera."""
 
     dem: Dem
     frame: SiteFrame
     camera: Camera
     pose: Pose
     doubts: tuple[str, ...] = ()
-    """What of the pose may be in another unit or of another place, for the user."""
+    """Warnings about poses that may be in another unit or of another place."""
 
 
 def load_picture_config(path: Path | str) -> PictureConfig:
@@ -76,7 +76,7 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
     if ground != ground:
         covered = dem.levels[-1].geometry
         beside = (
-            f"camera at {config.pose.described(frame)}, beside the DEM's known ground ({covered.described()} in "
+            f"camera at {config.pose.described(frame)}, outside the DEM's known ground ({covered.described()} in "
             f"{frame.crs}): check position and crs"
         )
     doubts = (doubt_of_radians([config.pose.azimuth_deg]), doubt_of_height(z, ground), beside)
@@ -85,7 +85,7 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
 
 
 def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
-    """A map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
+    """Return a map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
     crs = dem.geometry.crs
     if crs is None:
         raise ConfigError("the DEM must be in a CRS to place a camera on it")
@@ -95,7 +95,8 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
-    """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
+    """Return a photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's
+    size."""
     from ltm_core.storage.text_io import open_picture, read_rgb
 
     photo = read_rgb(Path(path))
@@ -112,9 +113,9 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
 
 
 def cell_counts(traced: RangeImage) -> UInt32Array:
-    """How many pixels see each DEM cell, (H, W) of the raster."""
+    """Return the number of pixels that see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
-        raise ImageError("this range image was made without a raster, so it has no cells")
+        raise ImageError("this range image has no raster, so it has no cells")
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
     # Not by bincount: over a large raster that takes twice the DEM's own memory.
@@ -125,10 +126,10 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
 
 
 def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32Array | None = None) -> list[Path]:
-    """Write a traced picture as GeoTIFFs into the folder `out`; returns their paths.
+    """Write a traced image as GeoTIFFs into the folder `out`; return their paths.
 
     `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
-    pixel of the picture, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
+    pixel of the image, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
     northings to half a metre). These four lie in image space; camera, pose and CRS stand in their tags.
     `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid: `counts` (of `cell_counts`, for those who have them).
     """
@@ -201,7 +202,7 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
 
 
 class GuessConfig(PoseFile):
-    """What is known of a camera before its pose is found: a pose file whose angles may be left out.
+    """Known values of a camera before its pose is found: a pose file whose angles are optional.
 
     The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
     """

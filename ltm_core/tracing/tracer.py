@@ -60,7 +60,7 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True)
 class TracerStatistics:
-    """Counts since the tracer was made, and what it holds.
+    """Counts since the tracer was created, and the size of its caches.
 
     A frame is a hit of `frame_hits` where camera and pose were as before, so that nothing was traced; a hit of
     `profile_hits` where all of the position's profile that it needs was there.
@@ -74,7 +74,8 @@ class TracerStatistics:
 
 
 class BoundedCache(Generic[_Value]):
-    """Values by key, of which the least recently used go when together they exceed `most_bytes`. Thread-safe."""
+    """Cache of values by key that evicts the least recently used ones when the total exceeds `most_bytes`.
+    Thread-safe."""
 
     def __init__(self, most_bytes: int, size_of: Callable[[_Value], int]) -> None:
         self._most = most_bytes
@@ -85,11 +86,11 @@ class BoundedCache(Generic[_Value]):
 
     @property
     def held_bytes(self) -> int:
-        """Memory that the values take now."""
+        """Return the memory that the values take now."""
         return self._held
 
     def get(self, key: Hashable) -> _Value | None:
-        """The value, now the most recently used; None where there is none."""
+        """Return the value and mark it as used; None if it is missing."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -116,7 +117,7 @@ FRAME_BYTES = 48 * 2**20
 
 Way = Literal["auto", "profile", "pyramid"]
 Profile = tuple[Wedges, ...]
-"""By level of the DEM."""
+"""Profile of each level of the DEM."""
 
 
 class TerrainTracer:
@@ -149,18 +150,19 @@ class TerrainTracer:
 
     @property
     def statistics(self) -> TracerStatistics:
-        """How often what is kept of earlier frames served, and how much is kept."""
+        """Return cache hits and sizes."""
         return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
 
     def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
-        """Range of every pixel; the array is read-only, since it is given again for the same camera and pose.
+        """Return the range of every pixel; the array is read-only, because it is returned again for the same camera and
+        pose.
 
         Args:
             way: "profile" or "pyramid" forces one and keeps no frame; where a profile cannot serve (a camera that is
                 not over known ground of the finest raster), all go by the pyramid.
 
-        Raises PoseError when the pose is not finite, the camera is not above the ground (by how much is said), or it
-        stands in an enclosed hole of the DEM, below the ground around it.
+        Raises PoseError when the pose is not finite, the camera is not above the ground, or it is in an
+        enclosed hole of the DEM, below the ground around it.
         """
         seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
         ranges = self._frames.get(seen) if way == "auto" else None
@@ -183,7 +185,7 @@ class TerrainTracer:
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
 
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
-        """Whether the profile was there, and the ranges (H, W)."""
+        """Return whether the profile was there, and the ranges (H, W)."""
         rays = camera.rays()
         place = (pose.position.tobytes(), self.bend)
         kept = self._profiles.get(place)
@@ -208,12 +210,12 @@ class TerrainTracer:
         return whole, ranges
 
     def _stands_over_known_ground(self, position: Float64Array) -> bool:
-        """Whether a position is over the finest raster, and in no outer hole."""
+        """Return whether a position is over the finest raster, and in no outer hole."""
         filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
         return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
-        """Slant range in metres of rays from one origin, (N,) float32.
+        """Return the slant range in metres of rays from one origin, (N,) float32.
 
         Args:
             origin: (3,) x, y, z in the map frame.
@@ -232,9 +234,8 @@ class TerrainTracer:
         return self._trace(position, np.eye(3), rays)
 
     def ground_clearance(self, pose: Pose) -> float:
-        """Height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and in
-        holes.
-        """
+        """Return the height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and
+        in holes."""
         x, y, z = pose.position
         return float(z - self.dem.elevation_at(x, y))
 
@@ -259,12 +260,12 @@ class TerrainTracer:
         ceiling = self._hole_ceiling(origin)
         if ceiling is not None and z <= ceiling:
             raise PoseError(
-                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) stands in a nodata hole of the DEM, {ceiling - z:.2f} m below "
+                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is in a nodata hole of the DEM, {ceiling - z:.2f} m below "
                 f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
             )
 
     def _hole_ceiling(self, position: Float64Array) -> float | None:
-        """Ceiling of the enclosed hole under a position; None where there is none."""
+        """Return the ceiling of the enclosed hole under a position; None where there is none."""
         for dem, ground in zip(self.dem.levels, self._grounds, strict=True):
             filled = filled_corners(dem, ground, position)
             if filled is not None:

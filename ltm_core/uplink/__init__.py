@@ -1,1 +1,1 @@
-"""What a tower sends to the map of its region: outbox and thinning, envelope, grids of other sites."""
+"""Transfer from a tower to the map of its region: outbox and thinning, envelope, grids of other sites."""

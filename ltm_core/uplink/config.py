@@ -14,92 +14,93 @@ from ltm_core.uplink.envelope import NAME
 Name = Annotated[str, Field(pattern=NAME)]
 
 AGGREGATOR = "aggregator"
-"""Common name of the certificate of a region's map; no tower can have it."""
+"""Common name in the certificate of a region's map; no tower may have it."""
 
 
 class BrokerConfig(StrictModel):
-    """An MQTT 5 broker, reached by TLS alone; each side shows a certificate that the same authority has signed."""
+    """MQTT 5 broker over TLS; each side has a certificate signed by the same authority."""
 
     host: str = Field(min_length=1, max_length=253)
-    """Its name or address, as the broker's certificate states it."""
+    """Host name or address of the broker, as stated in its certificate."""
     port: int = Field(8883, ge=1, le=65535)
     ca: Path
-    """PEM of the authority; this and the next two relative to the file that names them."""
+    """Certificate of the authority (PEM), relative to the file that names it."""
     certificate: Path
-    """PEM, its key on an elliptic curve; the common name is who this is."""
+    """Certificate of this client (PEM, elliptic curve), relative to the file that names it; its common name identifies
+    the client."""
     key: Path
-    """PEM. A systemd credential of the file's name goes before the file."""
+    """Private key (PEM), relative to the file that names it. A systemd credential with the file's name takes
+    precedence."""
     keepalive: int = Field(15, ge=5, le=600)
-    """Seconds; a connection that is silent for half as long again is given up."""
+    """Keep-alive interval in seconds; a connection that is silent for 1.5 times as long is closed."""
 
 
 class UplinkConfig(StrictModel):
-    """A site's section `region`: its cameras' votes go to the map of a region, by way of an outbox on this machine."""
+    """Section `region` of a site: its cameras' votes are sent to the map of a region through a local outbox."""
 
     name: Name
-    """Of the region."""
+    """Name of the region."""
     tower: Name
-    """Of this tower: the common name of its certificate."""
+    """Name of this tower, the common name of its certificate."""
     broker: BrokerConfig
     outbox_bytes: int = Field(1 << 30, ge=1 << 20)
-    """What may wait for the link; of more, the oldest evidence is thinned."""
+    """Maximum size of the outbox in bytes; beyond it, the oldest evidence is thinned."""
     outbox_days: float = Field(7.0, gt=0)
-    """After which a frame is given up; a region takes none that is older."""
+    """Days after which an unsent frame is dropped; a region accepts none that is older."""
 
     @model_validator(mode="after")
     def _not_the_aggregator(self) -> Self:
         if self.tower == AGGREGATOR:
-            raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+            raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
         return self
 
 
 class ExportConfig(StrictModel):
-    """The map as Cloud Optimized GeoTIFFs with a STAC item, written anew while it changes."""
+    """Export of the map as Cloud Optimized GeoTIFFs with a STAC item, rewritten after changes."""
 
     folder: Path
-    """Relative to region.yaml; made where only it is missing."""
+    """Folder of the exports, relative to region.yaml; created if only its last part is missing."""
     every: float = Field(600.0, ge=1.0)
-    """Seconds between two of them at least."""
+    """Minimum seconds between two exports."""
     copy_to: str = Field("", pattern=r"^(s3://[a-z0-9][a-z0-9.-]+(/[A-Za-z0-9._-]+)*)?$")
-    """Such as s3://bucket/folder: where the files go besides. Keys and endpoint come from the environment
-    (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)."""
+    """Second destination such as s3://bucket/folder. Keys and endpoint come from the environment (AWS_ACCESS_KEY_ID,
+    AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)."""
 
 
 class RegionConfig(StrictModel):
-    """region.yaml: the fuel map of many towers."""
+    """Content of region.yaml: the fuel map of many towers."""
 
     name: Name
     site: Path
-    """Site file of the region's own map: its CRS, terrain, prior map and labels. Its cameras are named TOWER_CAMERA."""
+    """Site file of the region's map with its CRS, terrain, prior map and labels. Its cameras are named TOWER_CAMERA."""
     broker: BrokerConfig
     towers: list[Name] = Field(min_length=1)
-    """Whose votes are taken: the common names of their certificates."""
+    """Common names of the certificates of the towers whose votes are accepted."""
     folder: Path
-    """Where the map is kept, relative to region.yaml; made where only it is missing."""
+    """Folder of the map, relative to region.yaml; created if only its last part is missing."""
     tiles: float = Field(2.0, gt=0)
-    """Seconds between two looks for tiles that have changed, which then go to those who follow the map."""
+    """Seconds between two checks for changed tiles, which are sent to subscribers of the map."""
     export: ExportConfig | None = None
     max_ahead: float = Field(10.0, gt=0)
-    """Seconds by which a tower's clock may be ahead."""
+    """Maximum seconds by which a tower's clock may be ahead."""
     max_behind: float = Field(7 * 86400.0, gt=0)
-    """Seconds by which a frame may be late."""
+    """Maximum delay of a frame in seconds."""
 
     @model_validator(mode="after")
     def _towers_told_apart(self) -> Self:
         for tower in self.towers:
             if tower == AGGREGATOR:
-                raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+                raise ValueError(f"a tower cannot be named {AGGREGATOR!r}, which is the name of the region's map")
             clash = [other for other in self.towers if other.startswith(f"{tower}_")]
             if clash or self.towers.count(tower) > 1:
                 raise ValueError(
-                    f"towers {tower!r} and {(clash or [tower])[0]!r}: TOWER_CAMERA would not say whose camera it is; "
-                    "rename one"
+                    f"towers {tower!r} and {(clash or [tower])[0]!r}: TOWER_CAMERA would be ambiguous; rename one"
                 )
         return self
 
 
 def load_region(path: Path | str) -> RegionConfig:
-    """Its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
+    """Load region.yaml; relative paths are resolved against the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
     region = load_yaml(path, RegionConfig)
     changes: dict[str, object] = {
@@ -113,5 +114,5 @@ def load_region(path: Path | str) -> RegionConfig:
 
 
 def broker_beside(broker: BrokerConfig, folder: Path) -> BrokerConfig:
-    """With the paths of its certificates below a folder."""
+    """Return the broker with the paths of its certificates resolved against a folder."""
     return broker.model_copy(update={name: folder / getattr(broker, name) for name in ("ca", "certificate", "key")})

@@ -1,4 +1,4 @@
-"""What goes over the wire between towers, their region's map and those who follow it: a header, a body, and who signed.
+"""Messages between towers, their region's map and its subscribers: header, body and signature.
 
     magic (4 bytes) | header, certificate: uint16 length; body: uint32 length | header | certificate | body | signature
 
@@ -20,25 +20,27 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.geometry.grid import GridGeometry
 
 VERSION: Final = 1
-"""Of the headers and bodies; another is refused in words."""
+"""Version of the headers and bodies; others are rejected with an explanation."""
 MAGIC: Final = b"LTMR"
 LARGEST: Final = 96 << 10
-"""Bytes of an envelope: votes have 64 kB at most, a header 4 kB, a certificate 2 kB."""
+"""Maximum bytes of an envelope: votes have at most 64 kB, a header 4 kB, a certificate 2 kB."""
 LARGEST_HEADER: Final = 4 << 10
 LARGEST_CERTIFICATE: Final = 4 << 10
 LARGEST_SIGNATURE: Final = 256
 _LENGTHS: Final = struct.Struct(">4sHHI")
 MOST_OUTCOMES: Final = 64
-"""Of an acknowledgement."""
+"""Maximum number of outcomes in an acknowledgement."""
 LONGEST_REASON: Final = 300
-"""Characters of why a frame is refused. They must be printable, so that `MOST_OUTCOMES` of them fit an envelope."""
+"""Maximum characters of the reason for a rejection. They must be printable, so that `MOST_OUTCOMES` of them fit an
+envelope."""
 NAME: Final = r"^[a-z][a-z0-9_]{0,62}$"
-"""Of regions, towers and cameras: parts of topics, and a certificate's common name holds 64 characters."""
+"""Pattern of the names of regions, towers and cameras: they are parts of topics, and a certificate's common name has at
+most 64 characters."""
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """`signed`: the bytes that the signature is over. Nothing in it has been checked but the lengths."""
+    """Envelope of a message. `signed`: the signed bytes. Only the lengths have been checked."""
 
     header: bytes
     certificate: bytes = field(repr=False)
@@ -48,25 +50,25 @@ class Envelope:
 
 
 def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
-    """What is to be signed; the signature follows it. Raises MessageError where it is larger than may be sent."""
+    """Return the bytes to sign; the signature follows them. Raises MessageError if they are too large."""
     size = _LENGTHS.size + len(header) + len(certificate) + len(body) + LARGEST_SIGNATURE
     if len(header) > LARGEST_HEADER or len(certificate) > LARGEST_CERTIFICATE or size > LARGEST:
         raise MessageError(
             f"a header of {len(header)}, a certificate of {len(certificate)} and a body of {len(body)} bytes "
-            f"do not fit an envelope of {LARGEST}"
+            f"exceed the envelope limit of {LARGEST}"
         )
     lengths = _LENGTHS.pack(MAGIC, len(header), len(certificate), len(body))
     return lengths + header + certificate + body
 
 
 def unpacked(content: bytes) -> Envelope:
-    """The parts of an envelope. Raises MessageError on anything else."""
+    """Parse the parts of an envelope. Raises MessageError on anything else."""
     if not _LENGTHS.size <= len(content) <= LARGEST:
         raise MessageError(f"an envelope has {_LENGTHS.size} to {LARGEST} bytes, this has {len(content)}")
     magic, header, certificate, body = _LENGTHS.unpack_from(content)
     end = _LENGTHS.size + header + certificate + body
     if magic != MAGIC or header > LARGEST_HEADER or certificate > LARGEST_CERTIFICATE:
-        raise MessageError(f"no envelope: it begins with {content[: _LENGTHS.size]!r}")
+        raise MessageError(f"not an envelope: it begins with {content[: _LENGTHS.size]!r}")
     if not 0 < len(content) - end <= LARGEST_SIGNATURE:
         raise MessageError(f"an envelope states {end} bytes and a signature, it has {len(content)}")
     first, second = _LENGTHS.size + header, _LENGTHS.size + header + certificate
@@ -79,7 +81,7 @@ class VotesGrid(StrictModel):
     """The fuel grid that votes are on. `origin`: (x, y) of the map frame in `crs`; the edges are those in `crs`."""
 
     crs: str = Field(pattern=r"^[A-Z]{4,8}:[0-9]{3,6}$")
-    """By its authority's code, such as EPSG:32611: what comes from the network is not parsed as anything else."""
+    """CRS as an authority code such as EPSG:32611; other forms from the network are not parsed."""
     origin: tuple[float, float]
     x_min: float
     y_max: float
@@ -89,22 +91,22 @@ class VotesGrid(StrictModel):
 
     @classmethod
     def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> VotesGrid:
-        """`geometry`: in its CRS."""
+        """Return the grid of `geometry`, in its CRS."""
         return cls(crs=str(geometry.crs), origin=origin, **_edges(geometry))
 
     @property
     def geometry(self) -> GridGeometry:
-        """In its CRS."""
+        """Return the geometry in its CRS."""
         return GridGeometry(self.x_min, self.y_max, self.resolution, self.width, self.height, self.crs)
 
     @property
     def in_map(self) -> GridGeometry:
-        """In the map frame, where the votes' points are."""
+        """Return the geometry in the map frame of the votes' points."""
         return self.geometry.translated(-self.origin[0], -self.origin[1])
 
 
 class HeaderStart(StrictModel):
-    """What every version of a tower's header has, so that a newer one can be answered in words."""
+    """Common part of all versions of a tower's header, so that newer ones can be answered."""
 
     model_config = StrictModel.model_config | {"extra": "ignore"}
 
@@ -116,7 +118,7 @@ class HeaderStart(StrictModel):
 
 
 class VotesHeader(StrictModel):
-    """Of a frame's votes; the body is the message, serialised as ROS has it (CDR of sensor_msgs/PointCloud2)."""
+    """Header of a frame's votes; the body is the serialised message (CDR of sensor_msgs/PointCloud2)."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -124,12 +126,12 @@ class VotesHeader(StrictModel):
     camera: str = Field(pattern=NAME)
     stamp_ns: int = Field(ge=0, lt=1 << 63)
     model: str = Field(max_length=200)
-    """What labelled the frame; empty: not known."""
+    """Name of the model that made the labels; empty: unknown."""
     grid: VotesGrid
 
 
 class Outcome(StrictModel):
-    """What became of a frame. `done`: it need not be sent again; else `why` says what is amiss."""
+    """Result for a frame. `done`: it need not be sent again; else `why` is the reason."""
 
     camera: str = Field(max_length=63)
     stamp_ns: int
@@ -138,7 +140,7 @@ class Outcome(StrictModel):
 
 
 class AckHeader(StrictModel):
-    """The aggregator's word on frames of one tower; the body is `Outcomes` as JSON."""
+    """Acknowledgement of frames of one tower by the aggregator; the body is `Outcomes` as JSON."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -150,7 +152,7 @@ class Outcomes(StrictModel):
 
 
 class TileHeader(StrictModel):
-    """Of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
+    """Header of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
 
     version: int = VERSION
     region: str = Field(pattern=NAME)
@@ -158,7 +160,7 @@ class TileHeader(StrictModel):
     col: int
     stamp_ns: int
     grid: VotesGrid
-    """The whole map's."""
+    """Grid of the whole map."""
     classes: list[str]
     """Names of the class indices."""
 
@@ -167,12 +169,12 @@ HeaderT = TypeVar("HeaderT", bound=StrictModel)
 
 
 def header_of(kind: type[HeaderT], envelope: Envelope) -> HeaderT:
-    """Raises MessageError on a header that is none of that kind."""
+    """Parse a header. Raises MessageError if it is invalid or of another kind."""
     return _parsed(kind, envelope.header, "header")
 
 
 def outcomes_of(envelope: Envelope) -> list[Outcome]:
-    """What an acknowledgement says. Raises MessageError on a body that is none."""
+    """Return the outcomes of an acknowledgement. Raises MessageError on an invalid body."""
     return _parsed(Outcomes, envelope.body, "body").outcomes
 
 
@@ -181,7 +183,7 @@ def _parsed(kind: type[HeaderT], content: bytes, what: str) -> HeaderT:
         return kind.model_validate_json(content)
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, e['loc'])) or what}: {e['msg']}" for e in error.errors()[:3])
-        raise MessageError(f"the {what} of an envelope cannot be taken: {found}") from error
+        raise MessageError(f"invalid {what} of an envelope: {found}") from error
 
 
 def _edges(geometry: GridGeometry) -> dict[str, float]:

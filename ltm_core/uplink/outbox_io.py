@@ -6,10 +6,11 @@ kept.
 Frames of one view of one camera, taken shortly after each other, say nearly the same. So every other one of the older
 half goes, then of what is left again: the longer ago, the fewer frames, and the first of each view stays.
 
-SQLite file of the votes that a tower has not yet been told are in its region's map.
+SQLite file of the votes whose delivery to the region's map is not confirmed yet.
 
-A frame that `put` has returned from is in the file, also after a power cut, and stays until `acknowledge` is told of
-it or until there is no room: then the oldest evidence is thinned (`thinning`), and what is older than `max_age_s` goes.
+A frame that `put` has returned from is in the file, also after a power cut, and stays until it is given to
+`acknowledge`, or until there is no room: then the oldest evidence is thinned (`thinning`), and frames older than
+`max_age_s` are dropped.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_s
 
 
 def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array, spare: int) -> BoolArray:
-    """Which of N frames go, so that `spare` bytes or more are free; all of them where they hold less.
+    """Return which of N frames to drop to free at least `spare` bytes; all if they hold less.
 
     `stamps_ns`, `sizes`: (N,) int64, bytes. `views`: (N,) a number for each view of each camera. The result is a mask
     in the order given.
@@ -55,7 +56,7 @@ def thinned(stamps_ns: Int64Array, views: NDArray[np.integer], sizes: Int64Array
 
 
 def _every_other(views: NDArray[np.integer]) -> BoolArray:
-    """(N,) the second, fourth, ... of each view, in the order given."""
+    """Return (N,) the second, fourth, ... of each view, in the order given."""
     by_view = np.argsort(views, kind="stable")
     ordered = views[by_view]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(ordered) else np.zeros(0, int)
@@ -69,11 +70,11 @@ def _every_other(views: NDArray[np.integer]) -> BoolArray:
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
 LAYOUT: Final = 1
 FREED_SHARE: Final = 0.1
-"""Of the bytes that an outbox may hold, freed at once when it is full: thinning looks at all that it holds."""
+"""Share of the outbox's bytes freed at once when it is full, because thinning reads all its content."""
 LARGEST_FRAME: Final = 1 << 20
-"""Bytes of one frame; votes have 64 kB at most."""
+"""Maximum bytes of one frame; votes have at most 64 kB."""
 KEPT_DAMAGED: Final = 3
-"""Damaged files that are kept beside the outbox, for a person to look at."""
+"""Number of damaged files kept beside the outbox for inspection."""
 
 _TABLE: Final = """
 CREATE TABLE frames (
@@ -82,14 +83,13 @@ CREATE TABLE frames (
 CREATE INDEX by_time ON frames (stamp_ns, retry_s);
 """
 FrameKey = tuple[str, int]
-"""(camera, stamp in nanoseconds)."""
+"""Key of a frame: (camera, stamp in nanoseconds)."""
 
 
 @dataclass(frozen=True)
 class OutboxFrame:
-    """The votes of one frame. `view`: a number for the direction in which the camera looked. `model`: what labelled it,
-    empty where that is not known. `message`: serialised votes.
-    """
+    """Votes of one frame. `view`: number of the camera's viewing direction. `model`: label network, empty if unknown.
+    `message`: serialised votes."""
 
     camera: str
     stamp_ns: int
@@ -104,16 +104,16 @@ class OutboxFrame:
 
 @dataclass(frozen=True)
 class Removed:
-    """Frames that went without an acknowledgement: `thinned` for want of room, `aged` for their age."""
+    """Frames removed without an acknowledgement: `thinned` for space, `aged` for their age."""
 
     thinned: int
     aged: int
 
 
 class Outbox:
-    """One process at a time opens a file. Methods raise StoreError where the disk does not serve just now: then nothing
-    of that call is in the file, and the call may be made again; ConfigError where the file has become damaged, which
-    the next one that opens it puts aside.
+    """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors: the call then
+    has no effect and may be repeated; ConfigError if the file is damaged, which the next process that opens it moves
+    away.
 
     Args:
         path: of the file; made where there is none, its folder must exist.
@@ -122,13 +122,13 @@ class Outbox:
     """
 
     def __init__(self, path: Path | str, max_bytes: int, max_age_s: float) -> None:
-        """Raises StoreError as above, ConfigError where the folder is missing or the file is another program's."""
+        """Raise StoreError as above, ConfigError where the folder is missing or the file is another program's."""
         self._path = Path(path)
         self._max_bytes, self._max_age_ns = max_bytes, round(max_age_s * 1e9)
         self.damage = ""
-        """Where a damaged file was put aside and a new one begun: what that means, in words."""
+        """Description of the damage if a damaged file was moved away and a new one created."""
         if not self._path.parent.is_dir():
-            raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; make it first")
+            raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; create it first")
         self._lock = lock_store(self._path)
         try:
             self._db = self._opened()
@@ -140,7 +140,7 @@ class Outbox:
             os.close(self._lock)
             raise
         self.frames, self.bytes = int(found[0]), int(found[1])
-        """What waits: number of frames, and the bytes of their messages."""
+        """Number of queued frames, and the bytes of their messages."""
 
     def close(self) -> None:
         self._db.close()
@@ -160,7 +160,7 @@ class Outbox:
         with transaction(self._db, str(self._path)) as db:
             for frame in frames:
                 if len(frame.message) > LARGEST_FRAME:
-                    raise ValueError(f"a frame of {len(frame.message)} bytes; {LARGEST_FRAME} at most are kept")
+                    raise ValueError(f"a frame of {len(frame.message)} bytes; the limit is {LARGEST_FRAME}")
                 row = (frame.camera, frame.stamp_ns, frame.view, frame.model, frame.message)
                 if db.execute("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, 0)", row).rowcount:
                     new, size = new + 1, size + len(frame.message)
@@ -168,10 +168,9 @@ class Outbox:
         return new
 
     def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[tuple[FrameKey, int]]:
-        """The newest frames but these, and but those that a `postpone` holds back until later than `now_s`, and the
-        bytes of their messages: a map of the present is worth more than one of an hour ago, and evidence may come in
-        any order. What they hold is read by `frame`, of those alone that are sent.
-        """
+        """Return the newest queued frames, except these and those that `postpone` delays until after `now_s`, and the
+        bytes of their messages. A current map has priority, and evidence may arrive in any order. `frame` reads the
+        content of those that are sent."""
         left_out = set(without)
         with named_errors(str(self._path)):
             rows = self._db.execute(
@@ -182,7 +181,7 @@ class Outbox:
         return [((camera, at), size) for camera, at, size in rows if (camera, at) not in left_out][:limit]
 
     def frame(self, key: FrameKey) -> OutboxFrame | None:
-        """What waits under a key; None: nothing."""
+        """Return the queued frame of a key; None: none."""
         with named_errors(str(self._path)):
             row = self._db.execute(
                 "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?", key
@@ -190,18 +189,18 @@ class Outbox:
         return None if row is None else OutboxFrame(*row)
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
-        """Let go of frames that are in the region's map; how many of them were here."""
+        """Remove frames that are in the region's map; return the number found."""
         return self._remove(list(keys))
 
     def postpone(self, keys: Iterable[FrameKey], until_s: float) -> None:
-        """Do not offer frames again before then, by the clock of `waiting`."""
+        """Delay sending frames until then, by the clock of `waiting`."""
         with transaction(self._db, str(self._path)) as db:
             db.executemany(
                 "UPDATE frames SET retry_s = ? WHERE camera = ? AND stamp_ns = ?", [(until_s, *key) for key in keys]
             )
 
     def oldest_ns(self) -> int | None:
-        """Stamp of the oldest frame; None: nothing waits."""
+        """Return the stamp of the oldest frame; None: the queue is empty."""
         with named_errors(str(self._path)):
             (oldest,) = self._db.execute("SELECT min(stamp_ns) FROM frames").fetchone()
         return None if oldest is None else int(oldest)
@@ -240,7 +239,7 @@ class Outbox:
         return frames
 
     def _opened(self) -> sqlite3.Connection:
-        """A sound database; a damaged one is put aside, for what it held cannot be sent."""
+        """Return a sound database; a damaged one is put aside, for what it held cannot be sent."""
         try:
             return _connect(self._path)
         except _DamagedError as error:
@@ -251,8 +250,8 @@ class Outbox:
                     self._path.with_name(self._path.name + end).unlink(missing_ok=True)
                 self._path.replace(aside)
             except OSError as failed:
-                raise StoreError(f"{self._path}: cannot be moved aside ({failed.strerror}); check the disk") from failed
-            self.damage = f"{error}; it lies in {aside} now, what waited in it was not sent, and a new one has begun"
+                raise StoreError(f"{self._path}: cannot be moved away ({failed.strerror}); check the disk") from failed
+            self.damage = f"{error}; it was moved to {aside}; its queued frames were not sent. A new outbox was created"
             return _connect(self._path)
 
 
@@ -261,7 +260,7 @@ class _DamagedError(ConfigError):
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Raises _DamagedError, ConfigError for a file of another program, which stays as it is, StoreError."""
+    """Raise _DamagedError, ConfigError for a file of another program, which is not changed, StoreError."""
     try:
         if path.exists() and path.stat().st_size:
             _check_header(path)
@@ -306,6 +305,8 @@ def _check_header(path: Path) -> None:
         header = file.read(100)
     application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
     if not header.startswith(b"SQLite format 3\0") or application not in (0, APPLICATION_ID):
-        raise ConfigError(f"{path}: not an outbox; it stays as it is: move it away or name another folder")
+        raise ConfigError(f"{path}: not an outbox; it was not changed. Move it away or name another folder")
     if layout not in (0, LAYOUT):
-        raise ConfigError(f"{path}: an outbox of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+        raise ConfigError(
+            f"{path}: an outbox of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
+        )

@@ -1,4 +1,4 @@
-"""Takes votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
+"""Transfer votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 
 MOST_CELLS: Final = 4_000_000
-"""Of a tower's grid: 60 km square at 30 m."""
+"""Maximum number of cells of a tower's grid: 60 km square at 30 m."""
 
 
 class VoteTransfer:
-    """By nearest cell, as `GridTransfer`; where both grids have one CRS and their cells coincide, that is exact.
+    """Transfer by nearest cell, as `GridTransfer`; exact if both grids have one CRS and coinciding cells.
 
-    What a frame shows of a cell is told of each cell of the region whose centre lies in it, so between two CRSs a cell
+    The evidence of a cell goes to each cell of the region whose centre lies in it, so between two CRSs a cell
     may count twice or not at all: evidence moves by half a cell at most. Bearings are turned from one grid north to the
     other.
 
@@ -40,26 +40,26 @@ class VoteTransfer:
         if source.resolution != target.resolution:
             raise MessageError(
                 f"the tower's fuel cells are {source.resolution:g} m wide, the region's {target.resolution:g} m: "
-                "evidence of other cells does not add up; set fuel.resolution of the tower's site"
+                "evidence of different cells cannot be added; set fuel.resolution of the tower's site"
             )
         if source.width * source.height > MOST_CELLS:
-            raise MessageError(f"the tower's fuel grid has {source.shape} cells; {MOST_CELLS} at most are taken")
+            raise MessageError(f"the tower's fuel grid has {source.shape} cells; the limit is {MOST_CELLS}")
         self.source, self._in_map = source, in_map
         self._source_frame, self._target_frame = SiteFrame(str(source.crs)), SiteFrame(str(target.crs))
         number = np.arange(source.width * source.height, dtype=np.int64).reshape(source.shape)
         try:
             from_cell = GridTransfer(source, target).layer(number, -1).ravel()
         except ProjError as error:
-            raise MessageError(f"nothing leads from {target.crs} to the tower's {source.crs} ({error})") from error
+            raise MessageError(f"no transformation from {target.crs} to the tower's {source.crs} ({error})") from error
         cells = np.flatnonzero(from_cell >= 0)
         self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
-        """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
+        """Cells of the region by the tower's cells that they take from; `_first` has the start of each list."""
         self._first = np.searchsorted(from_cell[self._targets], np.arange(number.size + 1))
         self._same_crs = source.crs == target.crs
         self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:
-        """The votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
+        """Return the votes on the region's grid, in row-major order; votes outside it are dropped.
 
         `votes`: on `source`.
         """
@@ -81,7 +81,8 @@ class VoteTransfer:
         return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
 
     def _turn(self, votes: CellVotes) -> Float64Array:
-        """(N,) radians from a bearing of the tower's grid to that of the region's: the difference of convergences.
+        """Return (N,) radians from a bearing of the tower's grid to that of the region's: the difference of
+        convergences.
 
         Raises MessageError where the tower's CRS has none there.
         """
@@ -94,7 +95,5 @@ class VoteTransfer:
         own = self._source_frame.grid_convergence_deg(float(x), float(y))
         other = self._target_frame.grid_convergence_deg(float(there[0]), float(there[1]))
         if not math.isfinite(own - other):
-            raise MessageError(
-                f"{self.source.crs} is not defined where the region is: name the CRS of the tower's site"
-            )
+            raise MessageError(f"{self.source.crs} is not defined in the region: check the CRS of the tower's site")
         return np.full(len(votes), math.radians(own - other))

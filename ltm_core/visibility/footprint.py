@@ -25,9 +25,8 @@ class Footprints:
 
 
 def ground_normals(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
-    """Upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or over half of
-    one where the other half is unknown; NaN where neither is known.
-    """
+    """Return the upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or
+    over half of one where the other half is unknown; NaN where neither is known."""
     half = dem.geometry.resolution / 2
     here = dem.elevation_at(x, y)
     east = _slope(dem.elevation_at(x - half, y), here, dem.elevation_at(x + half, y), half)
@@ -43,14 +42,14 @@ def _slope(before: Float64Array, here: Float64Array, after: Float64Array, step: 
 
 
 def arrival_directions(position: Float64Array, points: Float64Array, bend: float) -> Float64Array:
-    """Unit directions (..., 3) in which rays from `position` arrive at the points, bent by curvature."""
+    """Return the unit directions (..., 3) in which rays from `position` arrive at the points, bent by curvature."""
     arriving = line_of_sight_vectors(position, points, bend)
     arriving[..., 2] += 2 * bend * (arriving[..., 0] ** 2 + arriving[..., 1] ** 2)
     return np.asarray(arriving / np.linalg.norm(arriving, axis=-1, keepdims=True), np.float64)
 
 
 def sideways(directions: Float64Array) -> Float64Array:
-    """Unit horizontal vectors (..., 3) to the right of the directions; of a plumb one, east."""
+    """Return the unit horizontal vectors (..., 3) to the right of the directions; of a plumb one, east."""
     right = np.stack([directions[..., 1], -directions[..., 0], np.zeros_like(directions[..., 0])], axis=-1)
     length = np.linalg.norm(right, axis=-1, keepdims=True)
     plumb = length[..., 0] < 1e-9
@@ -63,7 +62,7 @@ def sideways(directions: Float64Array) -> Float64Array:
 def ground_footprints(
     camera: Camera, pose: Pose, points: Float64Array, normals: Float64Array, bend: float
 ) -> Footprints:
-    """Footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3).
+    """Return the footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3).
 
     To first order: the inverse of the projection's Jacobian over the plane at each point, distortion included.
     """

@@ -27,7 +27,7 @@ from ltm_core.tracing.pyramid_traversal import (
 )
 
 BY_CEILING, OVER_KNOWN, BEYOND = 1, 2, 4
-"""What a way has come to: a hole's ceiling stands highest; known ground; the terrain ends before the target."""
+"""Result of a way: the highest obstacle is a hole's ceiling; it is known ground; the terrain ends before the target."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -69,9 +69,9 @@ def raise_slopes(
 def blocking_slope(
     ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float, over_known: bool
 ) -> tuple[float, np.uint8]:
-    """The greatest slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is greater; and
-    what the way has come to there. `over_known`: it has been over known ground before; outer holes are free until then.
-    """
+    """Return the maximum slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is
+    greater; and the state of the way there. `over_known`: it has been over known ground before; outer holes are free
+    until then."""
     nodes, bounds, height, width = ground.nodes, ground.bounds, ground.height, ground.width
     ox, oy, oz, bend = stage.ox, stage.oy, stage.oz, stage.bend
     top_level = len(ground.offsets) - 1
@@ -142,7 +142,7 @@ def blocking_slope(
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _slope_below(top: float, oz: float, bend: float, q0: float, q1: float) -> float:
-    """An upper bound of f over [q0, q1] for ground no higher than `top`."""
+    """Return an upper bound of f over [q0, q1] for ground no higher than `top`."""
     rise = top - oz
     if rise > 0:
         return np.inf if q0 <= 0 else rise / q0 - bend * q0
@@ -164,9 +164,8 @@ def _cell_slope(
     q1: float,
     bend: float,
 ) -> float:
-    """The maximum of f over [q0, q1] in a cell with corners a, b (north) and c, d (south); (x, y): the camera from its
-    north-west corner.
-    """
+    """Return the maximum of f over [q0, q1] in a cell with corners a, b (north) and c, d (south); (x, y): the camera
+    from its north-west corner."""
     east, south, twist = b - a, c - a, a - b - c + d
     # Along the way, h - oz = constant + linear q + square q^2.
     constant = a + east * x + south * y + twist * x * y - oz

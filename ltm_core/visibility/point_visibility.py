@@ -22,7 +22,7 @@ from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, OVER_KNOWN
 
 
 def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:
-    """The directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
+    """Return the directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
 
     A ray of slope s stands at z0 + s r + bend r^2 over horizontal range r (`geodesy.ray_bend`), so a point seems lower
     than it is by bend r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant
@@ -39,7 +39,7 @@ def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> 
 
 
 def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
-    """Unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
+    """Return the unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
 
     NaN where the distortion cannot be inverted, as in `Camera.rays`.
     """
@@ -52,18 +52,20 @@ def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
 
 
 TOLERANCE = 0.01
-"""Metres by which a point may lie too low and still count as visible: a point on the ground is never exactly on it."""
+"""Metres by which a point may be too low and still count as visible, because a point on the ground is never exactly on
+it."""
 _CHUNK = 4096
 
 
 class PointState(IntEnum):
     VISIBLE = 0
     HIDDEN = 1
-    """Known terrain stands before it."""
+    """Known terrain is in front of the point."""
     OUTSIDE = 2
-    """It does not fall into the image."""
+    """The point is outside the image."""
     UNKNOWN = 3
-    """In the image, not hidden by known terrain, but behind or over ground that the DEM does not hold."""
+    """The point is in the image and not hidden by known terrain, but behind or over ground that the DEM does not cover.
+    """
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +109,8 @@ class PointVisibility:
         self._beyond = possible.steepest, highest_possible(dem, possible)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
-        """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
-        hangs on unknown ground: a hole's ceiling is in the way, or nothing known is but the way leaves the DEM.
+        """Return the lift that makes points visible from `origin`, (N,) metres, 0 if they are visible; and whether it
+        depends on unknown ground: a hole's ceiling is in the way, or the way leaves the DEM.
 
         Raises PoseError where the origin is under the ground or not finite.
         """
@@ -144,7 +146,8 @@ class PointVisibility:
         return lift, (came_to & BY_CEILING > 0) | nothing_known | np.isnan(slopes)
 
     def visible(self, camera: Camera, pose: Pose, points: ArrayLike, tolerance: float = TOLERANCE) -> Visibility:
-        """Pixels and states of map points (N, 3). A point is visible when raising it by `tolerance` metres shows it."""
+        """Return the pixels and states of map points (N, 3). A point is visible when raising it by `tolerance` metres
+        shows it."""
         targets = np.asarray(points, np.float64)
         lift, unknown = self.lifts(pose.position, targets)
         pixels = project(camera, pose, targets, self.bend)
@@ -155,12 +158,12 @@ class PointVisibility:
 
 
 def project(camera: Camera, pose: Pose, points: ArrayLike, bend: float) -> Float64Array:
-    """Pixels (..., 2) of map points (..., 3) under curvature and refraction; NaN behind the camera."""
+    """Return the pixels (..., 2) of map points (..., 3) under curvature and refraction; NaN behind the camera."""
     return camera.project(line_of_sight_vectors(pose.position, points, bend) @ pose.rotation)
 
 
 def in_image(camera: Camera, pixels: Float64Array) -> BoolArray:
-    """Which places (..., 2) lie on the image, its outermost pixels' outer edges included; NaN does not."""
+    """Return which places (..., 2) lie on the image, its outermost pixels' outer edges included; NaN does not."""
     u, v = pixels[..., 0], pixels[..., 1]
     inside = (u >= -0.5) & (v >= -0.5) & (u <= camera.width - 0.5) & (v <= camera.height - 0.5)
     return np.asarray(inside, np.bool_)

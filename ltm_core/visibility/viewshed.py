@@ -17,9 +17,9 @@ from ltm_core.visibility.footprint import arrival_directions, ground_footprints,
 from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, line_of_sight_vectors, project
 
 _CELLS = 1 << 18
-"""Cells at a time: bounds memory."""
+"""Number of cells processed at a time, which bounds memory."""
 _MOST_CELLS = 16_000_000
-"""Of a result whose resolution nobody has asked for."""
+"""Maximum number of cells of a result if no resolution is given."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Coverage:
         return int((self.count >= 0).sum())
 
     def share(self, cameras: int = 1) -> float:
-        """Share of the known ground that at least so many cameras see."""
+        """Return the share of the known ground that at least `cameras` cameras see."""
         return float((self.count >= cameras).sum() / max(1, self.known))
 
 
@@ -63,7 +63,7 @@ def viewshed(
     max_range: float = math.inf,
     all_round: bool = False,
 ) -> Coverage:
-    """Coverage of the whole DEM.
+    """Return the coverage of the whole DEM.
 
     Args:
         sight: lines of sight over the DEM, in the frame of the poses.
@@ -119,9 +119,8 @@ def _from_one(
     max_range: float,
     all_round: bool,
 ) -> tuple[BoolArray, Float64Array, Float64Array]:
-    """Whether one camera sees the targets over ground `places` (N, 3), its footprints there (metres), and the least
-    visible height above ground (+inf where it sees none).
-    """
+    """Return whether one camera sees the targets over ground `places` (N, 3), its footprints there (metres), and the
+    least visible height above ground (+inf where it sees none)."""
     position = view.pose.position
     near = np.hypot(places[:, 0] - position[0], places[:, 1] - position[1]) <= max_range
     looked = near if all_round else near & _may_be_framed(sight, view, places)
@@ -143,7 +142,8 @@ def _from_one(
 
 
 def _may_be_framed(sight: PointVisibility, view: PosedCamera, places: Float64Array) -> BoolArray:
-    """Cells in the sector that the image spans on the map, at any height: spares the others their line of sight."""
+    """Return the cells in the sector that the image spans on the map, at any height: spares the others their line of
+    sight."""
     forward = view.pose.rotation[:, 2]
     horizontal = float(np.hypot(forward[0], forward[1]))
     if horizontal < 0.5:  # looks steeply up or down

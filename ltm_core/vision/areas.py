@@ -30,9 +30,9 @@ POLYGONS_FILE: Final = "polygons.json"
 MASKED: Final = "masked"
 """Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
 ERASED: Final = "unlabelled"
-"""Class of areas in which what was drawn before is taken back."""
+"""Class of areas in which earlier areas are erased."""
 LARGEST_FILE = 16 << 20
-"""Bytes."""
+"""Maximum bytes of a file."""
 MOST_AREAS = 20_000
 
 
@@ -46,11 +46,11 @@ class NamedArea(StrictModel):
     image: str = Field(max_length=255)
     """File name of the photo."""
     kind: str = Field(alias="class", max_length=80)
-    """A class of the label set, `MASKED`, `ERASED`, or what a mask hides: lens, caption."""
+    """Class of the label set, `MASKED`, `ERASED`, or the kind of a mask: lens, caption."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels of the photo."""
     number: int | None = None
-    """Of a proposal of `ltm mask`."""
+    """Number of the area's proposal by `ltm mask`."""
     reason: str = Field("", max_length=400)
 
 
@@ -59,7 +59,7 @@ class _NamedAreas(StrictModel):
 
 
 def parse_areas(text: str, place: str) -> tuple[NamedArea, ...]:
-    """Raises ConfigError: no JSON, another form, values that are no areas; `place` names the text."""
+    """Parse areas. Raises ConfigError for invalid JSON, another form or invalid areas; `place` names the text."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -70,12 +70,12 @@ def parse_areas(text: str, place: str) -> tuple[NamedArea, ...]:
 
 
 def read_areas(path: Path) -> tuple[NamedArea, ...]:
-    """Raises ConfigError, as `parse_areas` and where the file cannot be read."""
+    """Read areas. Raises ConfigError as `parse_areas`, and if the file cannot be read."""
     return parse_areas(read_text(path, LARGEST_FILE, ConfigError), str(path))
 
 
 def write_areas(path: Path, areas: Sequence[NamedArea]) -> None:
-    """One line an area; whole, or not at all."""
+    """Write one line per area, atomically."""
     lines = [
         json.dumps(area.model_dump(by_alias=True, exclude_defaults=True, mode="json"), ensure_ascii=False)
         for area in areas
@@ -92,13 +92,14 @@ def replace_file(path: Path, content: bytes) -> None:
 
 Outline = tuple[tuple[float, float], ...]
 MOST_HOLES = 200
-"""Of one part; the smallest beyond them are filled, so that no outline needs more corners than it may have."""
+"""Maximum number of holes of one part; the smallest others are filled, so that an outline does not exceed its maximum
+number of corners."""
 _Points = NDArray[np.int32]
 Points = Sequence[Sequence[float]]
 
 
 def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: LabelSet) -> UInt8Array:
-    """(H, W) class ids; 255 where nothing is named, and where the class is none of the label set."""
+    """Return (H, W) class ids; 255 in unlabelled areas and for other classes."""
     drawn = np.full((height, width), UNLABELLED, np.uint8)
     for area in areas:
         value = labels.names.index(area.kind) if area.kind in labels.names else int(UNLABELLED)
@@ -107,7 +108,7 @@ def labels_of(areas: Sequence[NamedArea], height: int, width: int, labels: Label
 
 
 def stroke_areas(image: str, kind: str, points: Points, radius: float, height: int, width: int) -> list[NamedArea]:
-    """What a round brush of this radius (pixels) covers along `points` (u, v) of a photo, as areas."""
+    """Return the areas covered by a round brush of this radius (pixels) along `points` (u, v) of a photo."""
     drawn = np.zeros((height, width), np.uint8)
     path = np.rint(np.array(points, np.float64)).astype(np.int32)
     thick = max(1, round(2 * radius))
@@ -118,9 +119,9 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
 
 
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
-    """A label image (H, W) as areas, the largest first, so that what lies within another lies over it.
+    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones.
 
-    `least`: share of the picture; smaller regions are left out.
+    `least`: share of the image; smaller regions are left out.
     """
     found: list[tuple[float, NamedArea]] = []
     for index, name in enumerate(names):
@@ -137,8 +138,8 @@ def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float 
 
 
 def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False) -> list[Outline]:
-    """Outlines (u, v) of the parts of (H, W), to `tolerance` pixels or, where one would have more corners than a
-    polygon may (`MOST_POINTS`), as much coarser as it must be.
+    """Return outlines (u, v) of the parts of (H, W), to `tolerance` pixels, coarser where a polygon would have too many
+    corners (`MOST_POINTS`).
 
     `filled`: holes are filled. Otherwise the outline goes in to each hole, about it, and back the same way, so that
     filling it by the even-odd rule leaves the hole out.
@@ -166,7 +167,8 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
 
 
 def _with_cuts(region: BoolArray, outer: _Points, holes: list[_Points]) -> tuple[_Points, NDArray[np.bool_]]:
-    """One closed line (N, 2) about a part and its holes, and which of its points (N,) a cut begins or ends at."""
+    """Return one closed line (N, 2) about a part and its holes, and which of its points (N,) a cut begins or ends
+    at."""
     points, fixed = outer, np.zeros(len(outer), np.bool_)
     # From the left: what lies left of a hole, the outline or another hole, is part of the line already.
     for hole in sorted(holes, key=lambda one: int(one[:, 0].min())):

@@ -1,4 +1,4 @@
-"""Installs a model (`ltm models add`): checks and tries its files and copies them where models are found by name."""
+"""Install a model (`ltm models add`): check and test its files and copy them where models are found by name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def add_model(
     progress: Callable[[int], None] = lambda received: None,
     folder: Path | None = None,
 ) -> NetworkManifest:
-    """Copy a manifest and all it names into `folder` (default: the user's own models); gives the added manifest.
+    """Copy a manifest and its files into `folder` (default: the user's own models); return the new manifest.
 
     The network file is taken where the manifest finds it, or, with `fetch`, from its URL; nothing is downloaded unless
     asked, and the checksum decides what is kept. `progress` gets the bytes received. Raises ModelError: a name that
@@ -33,12 +33,10 @@ def add_model(
     manifest = NetworkManifest.load(manifest_path)
     if manifest.name in shipped_names():
         raise ModelError(
-            f"{manifest_path}: a model called {manifest.name!r} ships with the project; give yours another name"
+            f"{manifest_path}: a model named {manifest.name!r} ships with the project; choose another name"
         )
     if manifest_path.stem != manifest.name:
-        raise ModelError(
-            f"{manifest_path}: is called {manifest.name!r}; name the file {manifest.name}.yaml, as it is found by name"
-        )
+        raise ModelError(f"{manifest_path}: its name is {manifest.name!r}; rename the file to {manifest.name}.yaml")
     folder = added_folder() if folder is None else folder
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / manifest.file.name
@@ -48,7 +46,7 @@ def add_model(
         found = _sha256(part)
         if found != manifest.sha256:
             raise ModelError(
-                f"model {manifest.name!r}: the file has sha256 {found}, expected {manifest.sha256}; it was not kept"
+                f"model {manifest.name!r}: the file has sha256 {found}, expected {manifest.sha256}; it was deleted"
             )
         part.replace(target)
     finally:
@@ -76,8 +74,8 @@ def _obtain(manifest: NetworkManifest, part: Path, fetch: bool, progress: Callab
             raise
         if not fetch:
             raise ModelError(
-                f"model {manifest.name!r}: no file {manifest.file} here; it can be had from {manifest.url}. Nothing is "
-                "downloaded unless asked: add --fetch"
+                f"model {manifest.name!r}: no file {manifest.file}; it is available at {manifest.url}. Add --fetch "
+                "to download it"
             ) from absent
     try:
         # The manifest takes https and file URLs only.

@@ -40,8 +40,8 @@ from ltm_core.vision.manifest import (
 class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
-    `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
-    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged.
+    `withdraw`: thresholds for withdrawing labels. `agreement`: confidence by local agreement. `described`:
+    name and checksum, for `labels/info`. `doubt`: warning about how it was tested.
     """
 
     name: str
@@ -55,7 +55,7 @@ class LabelHead:
 
     @property
     def maps(self) -> tuple[str, ...]:
-        """Names of the maps that it reads."""
+        """Return the names of the maps that it reads."""
         return tuple(self.weights)
 
     def add_to(self, scores: Float32Array, maps: Sequence[Float32Array]) -> None:
@@ -67,7 +67,7 @@ class LabelHead:
             if values.ndim != 3 or len(values) != weights.shape[1]:
                 raise ModelError(
                     f"label head {self.name!r}: map {name!r} is {values.shape}, expected ({weights.shape[1]}, h, w); "
-                    "the label head was taught for another network"
+                    "the label head was trained for another network"
                 )
             # einsum and not a matrix product: BLAS would wake its own threads for a millisecond of work.
             part = np.einsum("kc,cn->kn", weights, values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
@@ -81,10 +81,9 @@ _DIGITS: Final = 4
 
 
 class LabelHeadFile(StrictModel):
-    """A label head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
-    each of `classes`, a column for each of the map's channels. `one_view`: it was taught by one view and is for that
-    alone. `calibration`: how its labels err, on photos held out.
-    """
+    """File of a label head. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for
+    each of `classes`, a column for each of the map's channels. `one_view`: it was trained on one view and is for that
+    only. `calibration`: errors of its labels on held-out photos."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
     network: str
@@ -118,7 +117,7 @@ class LabelHeadFile(StrictModel):
 
 
 def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, LabelHeadFile]:
-    """The label head of a file, for the network of a manifest, and all that the file says.
+    """Read a label head for the network of a manifest; return it with the file's content.
 
     Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
     """
@@ -129,17 +128,17 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
     if content.sha256 != manifest.sha256:
         raise ModelError(
             f"{path}: is a label head of network {content.network!r} with sha256 {content.sha256}; the camera's "
-            f"network is {manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model "
+            f"network is {manifest.name!r} with {manifest.sha256}. Train it again: ltm train head PHOTOS --model "
             f"{manifest.name}"
         )
     if content.classes != manifest.classes:
         raise ModelError(
-            f"{path}: is of classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
+            f"{path}: has the classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
         )
     absent = [name for name in content.maps if name not in manifest.maps]
     if absent:
         raise ModelError(
-            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} states {', '.join(manifest.maps) or 'none'} "
+            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} has {', '.join(manifest.maps) or 'none'} "
             "(`maps` in its manifest)"
         )
     wrong = [f"{name} ({len(rows[0])}, not {manifest.maps[name]})" for name, rows in content.maps.items()
@@ -161,7 +160,7 @@ def read_label_head(path: Path, manifest: NetworkManifest) -> tuple[LabelHead, L
 
 
 def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = None) -> Path | None:
-    """The file of a camera's label head; None for the network's own, `landscape`.
+    """Return the file of a camera's label head; None for the network's own, `landscape`.
 
     `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
     the user taught. Raises ModelError with every place looked at.
@@ -177,20 +176,21 @@ def find_label_head(name: str, manifest: NetworkManifest, folder: Path | None = 
         if is_file(place):
             return place
     raise ModelError(
-        f"no label head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm "
+        f"no label head {name!r} of network {manifest.name!r}; searched {', '.join(map(str, places))}. Train one: ltm "
         f"train head PHOTOS --out {Path(name).stem}"
     )
 
 
 def places_of_label_heads(manifest: NetworkManifest, site: Path | None) -> list[Path]:
-    """The folders that label heads of a network are looked for in, the first one first: `site` (a site's), beside the
-    manifest, among what the user taught."""
+    """Return the folders searched for label heads of a network, in order: `site` (a site's), beside the manifest, the
+    user's own."""
     beside = dict.fromkeys([manifest.folder, added_folder()])
     return [*([] if site is None else [site]), *(label_heads_folder(manifest, folder) for folder in beside)]
 
 
 def label_heads_folder(manifest: NetworkManifest, folder: Path | None = None) -> Path:
-    """Where label heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
+    """Return the folder of a network's label heads, below the folder of its manifest or, by default, of the user's own
+    models."""
     return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
 
 

@@ -32,25 +32,26 @@ from ltm_core.vision.manifest import CALIBRATION_SUFFIX, NetworkManifest, Withdr
 
 
 def cie_lab(photo: UInt8Array) -> Float32Array:
-    """(H, W, 3) of a photo (H, W, 3) RGB: lightness 0 to 100, a and b about 128."""
+    """Convert a photo (H, W, 3) RGB to CIE Lab (H, W, 3): lightness 0 to 100, a and b about 128."""
     lab = cv2.cvtColor(photo, cv2.COLOR_RGB2LAB).astype(np.float32)
     lab[..., 0] *= np.float32(100 / 255)  # OpenCV stretches it to a byte
     return np.asarray(lab, np.float32)
 
 
 _GREEN: Final = -0.01
-"""Redness up to which nothing is taken off,"""
+"""Redness up to which nothing is subtracted."""
 _RED: Final = 0.03
-"""and from which on all is. Chosen with the amounts in the manifest on 166 photos of mountains that taught the network
-shipped and on renderings; figures of the tower views were visible meanwhile (docs/labels.md)."""
+"""Redness above which the full amount is subtracted. Both were chosen, with the amounts in the manifest, on 166
+mountain photos that trained the shipped network and on renderings; scores of the tower views were visible meanwhile
+(docs/labels.md)."""
 _REACH: Final = 2 / 320
-"""Of the photo's width, standard deviation of the Gaussian that colours are averaged by: noise is no colour."""
+"""Standard deviation of the Gaussian for averaging colours, as a share of the photo's width; it suppresses noise."""
 _DARK: Final = 4.0
-"""Grey levels added to the sum: in black, colour says nothing."""
+"""Grey levels added to the sum, because colour carries no information in dark areas."""
 
 
 def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """(rows, cols) of a photo (H, W, 3) RGB: red minus green over their sum; 0 where they are alike."""
+    """Return (rows, cols) redness of a photo (H, W, 3) RGB: red minus green over their sum; 0 if equal."""
     small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
     soft = cv2.GaussianBlur(small, (0, 0), _REACH * cols)
     red, green = soft[..., 0], soft[..., 1]
@@ -58,7 +59,7 @@ def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:
 
 
 def against_green(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """(rows, cols) in 0..1: how much a photo (H, W, 3) RGB speaks against what is green."""
+    """Return (rows, cols) in 0..1: evidence of a photo (H, W, 3) RGB against green vegetation."""
     return np.asarray(np.clip((redness(image, rows, cols) - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
 
 
@@ -82,7 +83,8 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
 
 
 def contrast(image: UInt8Array) -> Float32Array:
-    """Standard deviation of grey within 15 pixels, in 8-bit steps, of the photo at a width of 640 (h, 640) float32."""
+    """Return the standard deviation of grey within 15 pixels, in 8-bit steps, of the photo at a width of 640 (h, 640)
+    float32."""
     height, width = image.shape[:2]
     rows = max(1, round(height * _WIDTH / width))
     method = cv2.INTER_AREA if width > _WIDTH else cv2.INTER_LINEAR
@@ -92,16 +94,17 @@ def contrast(image: UInt8Array) -> Float32Array:
 
 
 class LabelAgreement(StrictModel):
-    """`reach`: of the picture's width, standard deviation of the Gaussian that weighs what is around a pixel; 0: only
-    the pixel itself counts. `exponent`: of the mean, so that it is the share of right labels; measured on photos."""
+    """Confidence by local agreement. `reach`: standard deviation of the Gaussian around a pixel as a share of the
+    image's width; 0: only the pixel itself. `exponent`: of the mean, so that it is the share of right labels; measured
+    on photos."""
 
     reach: float = Field(default=0.0, ge=0, le=0.1)
     exponent: float = Field(default=1.0, gt=0, le=5)
 
 
 def agreed(probabilities: Float32Array, rule: LabelAgreement) -> Float32Array:
-    """(h, w) how sure the likeliest of (K, h, w) probabilities is: the mean around the pixel of the probability where
-    the same class is the likeliest, and 0 elsewhere, to the exponent."""
+    """Return (h, w) confidence of the most likely of (K, h, w) probabilities: the mean around the pixel of its
+    probability where the same class is the most likely, 0 elsewhere, to the exponent."""
     winner, best = probabilities.argmax(axis=0), probabilities.max(axis=0)
     sigma = rule.reach * probabilities.shape[2]
     mean = np.zeros(best.shape, np.float32)
@@ -113,9 +116,8 @@ def agreed(probabilities: Float32Array, rule: LabelAgreement) -> Float32Array:
 
 
 class Calibration(StrictModel):
-    """How a model's labels err: `confusion[i][j]` is P(label j given | label i true), classes in the order of
-    `labels.yaml`; `measured_on` says where, and `photographs` on how many photos that were not rendered (None: nobody
-    wrote it down)."""
+    """Label errors of a model: `confusion[i][j]` is P(label j given | label i true), classes in the order of
+    `labels.yaml`; `measured_on` names the data, and `photographs` the number of real photos (None: unknown)."""
 
     classes: tuple[str, ...]
     confusion: tuple[tuple[float, ...], ...]
@@ -135,16 +137,16 @@ class Calibration(StrictModel):
 
     @property
     def on_renderings_alone(self) -> bool:
-        """Whether no photo had a part in it, so that labels of photos err more than it says."""
+        """Return whether no real photo was used, so that labels of photos have more errors."""
         return self.photographs == 0
 
     def matrix(self, labels: LabelSet) -> Float64Array:
-        """The matrix (K, K) for a label set whose first classes are those of the file; classes appended to the set
-        are taken at their word. Raises ModelError for classes in another order."""
+        """Return the matrix (K, K) for a label set whose first classes are those of the file; classes appended to the
+        set are assumed to be right. Raises ModelError for classes in another order."""
         count = len(self.classes)
         if labels.names[:count] != self.classes:
             raise ModelError(
-                f"calibration is of classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
+                f"calibration has the classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
             )
         matrix = np.eye(len(labels))
         matrix[:count, :count] = self.confusion
@@ -152,19 +154,19 @@ class Calibration(StrictModel):
 
 
 def doubt_of_photographs(calibration: Calibration | None) -> str:
-    """What is to be told of a network or a head that no photo has judged; empty where one has."""
+    """Return a warning for a network or label head that was not tested on photos; empty otherwise."""
     if calibration is None:
         return "never scored"
-    return "never scored on photographs" if calibration.on_renderings_alone else ""
+    return "not tested on photos" if calibration.on_renderings_alone else ""
 
 
 def calibration_path(manifest_path: Path) -> Path:
-    """Where the calibration of a manifest lies."""
+    """Return where the calibration of a manifest lies."""
     return manifest_path.with_name(f"{manifest_path.stem}{CALIBRATION_SUFFIX}")
 
 
 def load_calibration(manifest: NetworkManifest) -> Calibration | None:
-    """The calibration beside a manifest; None where it has none. Raises ModelError for a file that cannot be taken."""
+    """Return the calibration beside a manifest; None if there is none. Raises ModelError for an invalid file."""
     path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
     if not is_file(path):
         return None

@@ -1,4 +1,4 @@
-"""The label taxonomy: what the ids in a label image mean, how they are drawn, which count as ground cover.
+"""Label taxonomy: the meaning and colour of the ids in a label image, and which count as ground cover.
 
 Ids travel in label images and bags, so the seven built-in ones are fixed here; `config/labels.yaml` gives their
 colours and their part in fuel votes, and may append further classes.
@@ -89,27 +89,27 @@ class LabelSet:
         return len(self.names)
 
     def id_of(self, name: str) -> int:
-        """Id of a class name; `unlabelled` gives 255. Raises ConfigError for a name that is no class."""
+        """Return the id of a class name; `unlabelled` gives 255. Raises ConfigError for a name that is no class."""
         if name == "unlabelled":
             return UNLABELLED
         try:
             return self.names.index(name)
         except ValueError:
-            raise ConfigError(f"no label is called {name!r}; labels: {', '.join(self.names)}, unlabelled") from None
+            raise ConfigError(f"no label {name!r}; labels: {', '.join(self.names)}, unlabelled") from None
 
     def name_of(self, label: int) -> str:
-        """Class name of an id; `unlabelled` for any id that is no class."""
+        """Return the class name of an id; `unlabelled` for any id that is no class."""
         return self.names[label] if 0 <= label < len(self.names) else "unlabelled"
 
     @cached_property
     def votes_table(self) -> BoolArray:
-        """(256,) bool: True for ids whose pixels vote for ground cover."""
+        """Return (256,) bool: True for ids whose pixels vote for ground cover."""
         table = np.zeros(256, dtype=np.bool_)
         table[: len(self.ground_cover)] = self.ground_cover
         return table
 
     def info(self) -> dict[str, Any]:
-        """The palette as JSON-ready values, for the latched topic `labels/info` and for reports."""
+        """Return the palette as JSON-ready values, for the latched topic `labels/info` and for reports."""
         return {
             "unlabelled": UNLABELLED,
             "labels": [

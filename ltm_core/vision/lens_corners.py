@@ -1,4 +1,4 @@
-"""Finds the corners of pictures that a lens's hood covers: smooth, of one colour, cut off by an arc, in all frames.
+"""Find image corners covered by a lens hood: smooth, of one colour, bounded by an arc, in all frames.
 
 Of a single frame a dark slope in the corner looks alike, or a piece of sky; over frames in other light the hood alone
 keeps its edge. What is found is proposed, and a person confirms it.
@@ -18,21 +18,21 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Arra
 from ltm_core.vision.label_rules import cie_lab
 
 _PATCH = 0.02
-"""Of the width: side of the square in the very corner whose colour is the hood's."""
+"""Side of the square in the corner that gives the hood's colour, as a share of the width."""
 _TOLERANCES = np.arange(5.0, 46.0, 2.0)
-"""Units of CIE Lab by which a hood's colour may vary; the one whose edge is sharpest is taken."""
+"""Tolerances of a hood's colour in units of CIE Lab; the one with the sharpest edge is used."""
 _REACH = 0.5
-"""Of the width: a corner is no wider."""
+"""Maximum width of a corner, as a share of the width."""
 _LEAST_AREA, _MOST_AREA = 0.0015, 0.13
-"""Of the picture."""
+"""Minimum and maximum area, as a share of the image."""
 _MOST_TEXTURE = 1.6
-"""Median of the local contrast (Lab L) in a hood; land has more, and JPEG's noise less."""
+"""Maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less."""
 _MOST_RESIDUAL = 0.014
-"""Of the width, in the mean: by which the edge may miss the arc."""
+"""Maximum mean distance between the edge and the arc, as a share of the width."""
 _LEAST_EDGE = 0.9
-"""Mean gradient at the edge, units of CIE Lab a pixel at a width of 640: of a cloud it is less."""
+"""Minimum mean gradient at the edge in units of CIE Lab per pixel at a width of 640; that of a cloud is lower."""
 _PENUMBRA = 0.012
-"""Of the width, by which a corner is widened: a hood's edge is out of focus."""
+"""Width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class LensCorner:
 
 
 def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
-    """Of pictures (H, W, 3) RGB of one camera, some 640 pixels wide; deterministic."""
+    """Find lens corners in images (H, W, 3) RGB of one camera, about 640 pixels wide; deterministic."""
     labs = [_lab(frame) for frame in frames]
     found = []
     for up in (True, False):
@@ -88,7 +88,7 @@ def _top_left(labs: Sequence[Float32Array]) -> LensCorner | None:
 
 
 def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> LensCorner | None:
-    """The region of one colour in the top left corner, if it is one that a hood would have."""
+    """Return the region of one colour in the top left corner, if it is one that a hood would have."""
     height, width = near.shape
     # Letters on the hood are closed; thin bridges to the sky are cut.
     size = max(3, round(0.012 * width))
@@ -118,7 +118,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     if arc is None:
         return None
     middle, radius, residual = arc
-    # The picture's middle lies on the inner side of the arc, and it bends about it.
+    # The image's middle lies on the inner side of the arc, and it bends about it.
     inside = np.hypot(width / 2 - middle[0], height / 2 - middle[1]) < radius
     if not inside or residual > _MOST_RESIDUAL * width or not 0.25 * width < radius < 3.0 * width:
         return None
@@ -132,7 +132,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
 
 
 def _arc(points: Float64Array) -> tuple[Float64Array, float, float] | None:
-    """Middle (u, v), radius and mean residual of a circle through points (N, 2), by least squares."""
+    """Return the middle (u, v), radius and mean residual of a circle through points (N, 2), by least squares."""
     matrix = np.column_stack([2 * points, np.ones(len(points))])
     solution = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
     square = solution[2] + solution[0] ** 2 + solution[1] ** 2

@@ -15,22 +15,22 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import is_file
 
 DEFAULT_MODEL: Final = "landscape_v2"
-"""Of labels,"""
+"""Default segmentation network."""
 DEFAULT_DEPTH_MODEL: Final = "landscape_v2_depth"
-"""and of depth: the same file's other output."""
+"""Default depth network: the second output of the same file."""
 
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
 DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
-"""Kinds of output that are one number a pixel, a depth; the others label pixels."""
+"""Kinds of output with one depth per pixel; the others label pixels."""
 
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
 FUSION_SUFFIX: Final = "_fusion.yaml"
-"""Ends the name of the file beside a manifest that says how the model errs."""
+"""Suffix of the file beside a manifest with the network's error model."""
 
 SHIPPED_LABEL_HEAD: Final = "landscape"
-"""Name of the head that is the network's own scores: no correction."""
+"""Name of the label head that leaves the network's scores unchanged."""
 
 
 class InputSpec(StrictModel):
@@ -66,36 +66,36 @@ class InputSpec(StrictModel):
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Shape of the input tensor."""
+        """Return the shape of the input tensor."""
         if self.layout == "NCHW":
             return (1, 3, self.height, self.width)
         return (1, self.height, self.width, 3)
 
 
 class CoarseLook(StrictModel):
-    """A second look at the whole picture, at this size, whose scores of land count by `share` (`tiling`). The
-    network's file must take inputs of both sizes."""
+    """Second inference of the whole image at this size, whose scores of land count by `share` (`tiling`). The network's
+    file must accept both input sizes."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
     share: float = Field(gt=0, lt=1)
 
     def image(self, first: InputSpec) -> InputSpec:
-        """What the network takes for it, where it takes `first` for the first look."""
+        """Return its input specification, given the `first` one."""
         return first.model_copy(update={"width": self.width, "height": self.height})
 
 
 class Withdrawal(StrictModel):
-    """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
-    *tree* where the photo's local contrast is lower (`label_rules.contrast`), as of hazy far slopes, where the
-    picture shows more shrub than tree. 0: none."""
+    """Thresholds below which labels are withdrawn and do not vote. `confidence`: of the probability. `tree_contrast`:
+    of the photo's local contrast (`label_rules.contrast`) for *tree*, as on hazy far slopes, if the image shows more
+    shrub than tree. 0: none."""
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
     tree_contrast: float = Field(default=0.0, ge=0)
 
     @property
     def any(self) -> bool:
-        """Whether anything is withdrawn."""
+        """Return whether anything is withdrawn."""
         return self.confidence > 0 or self.tree_contrast > 0
 
 
@@ -129,7 +129,7 @@ class OutputSpec(StrictModel):
 
     @property
     def is_depth(self) -> bool:
-        """Whether the output is a depth and not labels."""
+        """Return whether the output is a depth and not labels."""
         return self.kind in DEPTH_KINDS
 
     @model_validator(mode="after")
@@ -144,7 +144,7 @@ class OutputSpec(StrictModel):
 
 
 class TextSpec(StrictModel):
-    """Embeddings of words, made once, offline, with the text tower that belongs to a network of kind `embeddings`.
+    """Embeddings of words, computed once, offline, with the text tower that belongs to a network of kind `embeddings`.
 
     `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float. The score of a word at a
     pixel is `scale` times the cosine between the two vectors (LSeg 14.3, CLIP 100).
@@ -156,7 +156,7 @@ class TextSpec(StrictModel):
 
 
 class NetworkManifest(StrictModel):
-    """A network file with all that is needed to run it and to judge it; YAML on disk.
+    """Network file with the data needed to run and check it; YAML on disk.
 
     `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
     is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
@@ -186,10 +186,10 @@ class NetworkManifest(StrictModel):
     def _classes_are_known(self) -> NetworkManifest:
         strangers = sorted(set(self.output.offsets) - set(self.classes))
         if strangers:
-            raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
+            raise ValueError(f"output.offsets names {', '.join(strangers)}, not among classes")
         strangers = sorted(set(self.output.redness) - set(self.classes))
         if strangers:
-            raise ValueError(f"output.redness names {', '.join(strangers)}, none of classes")
+            raise ValueError(f"output.redness names {', '.join(strangers)}, not among classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
         if self.maps and self.output.kind != "logits":
@@ -240,36 +240,40 @@ class NetworkManifest(StrictModel):
         path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if is_file(p)), None)
         if path is None:
             names = ", ".join([*shipped_names(), *added_names()]) or "none"
-            raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
+            raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
         return cls.load(path)
 
     def serving(self, head: str) -> NetworkManifest:
-        """The network that answers where a camera has this head: itself, or the one whose heads it takes (`heads_of`).
+        """Return the network used by a camera with this label head: itself, or the network of its heads
+        (`heads_of`).
 
-        Of two the one answers best as it is, the maps of the other teach best. Raises ModelError where that is absent.
+        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is
+        missing.
         """
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 
     @property
     def folder(self) -> Path:
-        """Folder of the manifest file: where its relative paths start."""
+        """Return the folder of the manifest file: where its relative paths start."""
         return self._folder
 
     @property
     def label_columns(self) -> int:
-        """How many columns of labels a photo gets at least: such networks answer for every second pixel of their input,
-        and what fills the photo between them is interpolated."""
+        """Return the minimum number of label columns of a photo: such networks label every second pixel of their input,
+        and the pixels between are interpolated."""
         return max(1, self.input.width // 2)
 
     def model_file(self) -> Path:
-        """Path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare name.
+        """Return the path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare
+        name.
 
         Raises ModelError with every place looked at.
         """
         return self._located(self.file)
 
     def text_file(self) -> Path:
-        """Path of the words' embeddings, found as the network is. Raises ModelError; also where there are none."""
+        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
+        none."""
         if self.text is None:
             raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
         return self._located(self.text.file)
@@ -285,29 +289,29 @@ class NetworkManifest(StrictModel):
         looked = ", ".join(dict.fromkeys(str(place) for place in places))
         source = f" (source: {self.source})" if self.source else ""
         raise ModelError(
-            f"model {self.name!r}: no file {file}; looked at {looked}. "
+            f"model {self.name!r}: no file {file}; searched {looked}. "
             f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
         )
 
 
 def models_folder() -> Path:
-    """Folder of the manifests that ship with the system."""
+    """Return the folder of the manifests that ship with the system."""
     return config_path("labels.yaml").parent / "models"
 
 
 def shipped_names() -> list[str]:
-    """Names of the manifests in `config/models`, sorted."""
+    """Return the names of the manifests in `config/models`, sorted."""
     return _names(models_folder())
 
 
 def added_folder() -> Path:
-    """Folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
+    """Return the folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
     return Path(data) / "ltm" / "models"
 
 
 def added_names() -> list[str]:
-    """Names of the models that a user added, sorted."""
+    """Return the names of the models that a user added, sorted."""
     return _names(added_folder())
 
 

@@ -1,4 +1,4 @@
-"""Proposes what a camera's mask may hide, from several of its images: corners of the lens and captions.
+"""Propose areas for a camera's mask from several of its images: lens corners and captions.
 
 A caption is a row of letters along the upper or lower edge in all images. The text changes with the time, the strip
 does not. The image above and below it must be smooth: over the texture of near ground no caption is proposed.
@@ -23,20 +23,20 @@ MOST_FRAMES = 24
 """Number of images that are read; more images change no proposal."""
 
 _STRIP = 0.08
-"""Of the height, at either edge, in which captions are looked for."""
+"""Share of the height, at either edge, in which captions are searched."""
 _STROKE = 28
-"""Grey levels by which a stroke differs from its surroundings, in any channel."""
+"""Grey levels by which a stroke differs from its surroundings in any channel."""
 _LEAST_ROW = 0.012
-"""Share of a row that is strokes."""
+"""Minimum share of a row that is strokes."""
 _QUIET = 0.3
-"""Times a caption's mean row, that the rows beside it may have at most."""
+"""Maximum of the rows beside a caption, in multiples of the caption's mean row."""
 _TALLEST = 0.06
 _LEAST_FRAMES = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """`hidden`: (H, W) bool at the pictures' size. `kind`: lens, caption, or the class of a drawn area."""
+    """`hidden`: (H, W) bool at the images' size. `kind`: lens, caption, or the class of a drawn area."""
 
     kind: str
     hidden: BoolArray
@@ -55,7 +55,7 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
     small = [np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), np.uint8) for frame in frames]
     count = "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
     found = [
-        Proposal("lens", _at(corner.hidden, shape), f"smooth corner cut off by an arc, in {count}")
+        Proposal("lens", _at(corner.hidden, shape), f"smooth corner bounded by an arc, in {count}")
         for corner in lens_corners(small)
     ]
     return found + [
@@ -65,8 +65,8 @@ def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
 
 
 def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tuple[int, int]) -> list[Proposal]:
-    """Of areas that a person has drawn, in their order, in pictures of this size (H, W), those that hide the landscape:
-    of no class of `names`. What was drawn or erased over them later, in the same picture, is no part of them."""
+    """Return drawn areas that hide the landscape, in order, at this image size (H, W): areas of no class of `names`,
+    without what was drawn or erased over them later in the same image."""
     found: list[tuple[NamedArea, UInt8Array]] = []
     for area in areas:
         drawn = np.zeros(shape, np.uint8)
@@ -82,11 +82,11 @@ def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tup
 
 def _common_shape(frames: Sequence[UInt8Array]) -> tuple[int, int]:
     if not frames:
-        raise ImageError("no pictures to propose a mask from")
+        raise ImageError("no images to propose a mask from")
     shapes = {frame.shape for frame in frames}
     if len(shapes) > 1:
         said = ", ".join(sorted(f"{shape[1]} x {shape[0]}" for shape in shapes))
-        raise ImageError(f"the pictures have different sizes ({said}); name those of one camera alone")
+        raise ImageError(f"the images have different sizes ({said}); give images of one camera only")
     return frames[0].shape[0], frames[0].shape[1]
 
 
@@ -98,7 +98,7 @@ def _at(hidden: BoolArray, shape: tuple[int, ...]) -> BoolArray:
 
 
 def _caption_strips(frames: Sequence[UInt8Array]) -> list[BoolArray]:
-    """(H, W) each, of pictures (H, W, 3) RGB of one camera at their own size."""
+    """Return (H, W) each, of images (H, W, 3) RGB of one camera at their own size."""
     height, width = frames[0].shape[:2]
     rows = max(8, round(_STRIP * height))
     strips = []
@@ -128,7 +128,7 @@ def _strokes(strip: UInt8Array) -> BoolArray:
 
 
 def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
-    """First and last row, first and last column of the letters, where there are any."""
+    """Return the first and last row, first and last column of the letters, where there are any."""
     share: Float64Array = strokes.mean(axis=1)
     busy = share > _LEAST_ROW
     if not busy.any():

@@ -1,6 +1,6 @@
 """Mask the pixels of a camera that never show the landscape, for each of its views.
 
-The masks of a turning camera's views: which one belongs to a picture, by where the camera looked.
+The masks of a turning camera's views: which one belongs to an image, by where the camera looked.
 
 What stands still before the lens of a turning camera, its own mast or a roof, lies elsewhere in each view. A mask drawn
 in one view holds where the camera looks there again, with the lens as wide; anywhere else it would hide what is seen.
@@ -30,9 +30,9 @@ from ltm_core.storage.text_io import open_picture
 
 MOST_POLYGONS = 200
 MOST_VIEW_MASKS = 64
-"""Of one camera."""
+"""Maximum number of view masks of one camera."""
 MOST_POINTS = 2000
-"""Of one polygon."""
+"""Maximum number of points of one polygon."""
 
 Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
 
@@ -45,9 +45,9 @@ class MaskPolygon(StrictModel):
     )
 
     kind: str = Field("", alias="class", max_length=80)
-    """What it is: mast, lens, caption, roof."""
+    """Kind of area: mast, lens, caption, roof."""
     reason: str = Field("", max_length=400)
-    """Why it is masked, in words."""
+    """Reason for the mask, in words."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels, (0, 0) the centre of the top left pixel."""
 
@@ -61,26 +61,27 @@ MaskConfig = Annotated[
     | Annotated[tuple[MaskPolygon, ...], Field(min_length=1, max_length=MOST_POLYGONS), Tag("polygons")],
     Discriminator(_written_as),
 ]
-"""A PNG of one channel and of the picture's size beside the site file, in which all but 0 is masked; or polygons."""
+"""Mask as a single-channel PNG of the image's size beside the site file, in which all but 0 is masked, or as polygons.
+"""
 
 
 class ViewMask(StrictModel):
-    """What hides the landscape where a turning camera looks one way: a preset of its patrol, say."""
+    """Mask for one viewing direction of a turning camera, for example a preset of its patrol."""
 
     name: str = Field(min_length=1, max_length=80)
     azimuth_deg: AzimuthDeg
-    """Of the optical axis, as the pose has it: clockwise from grid north."""
+    """Azimuth of the optical axis in degrees, clockwise from grid north as in the pose."""
     pitch_deg: PitchDeg
     hfov_deg: float | None = Field(None, gt=0, lt=180)
-    """How wide the lens is in this view, to 3 %; None: it does not zoom."""
+    """Horizontal field of view in degrees in this view, within 3 %; None: the lens does not zoom."""
     within_deg: float = Field(0.5, gt=0, le=10)
-    """By which the axis of a picture may be off for the mask to be that picture's."""
+    """Maximum angle in degrees between an image's axis and this direction for the mask to apply."""
     mask: MaskConfig
 
 
 @dataclass(frozen=True, eq=False)
 class CameraMask:
-    """`hidden`: (H, W) bool, True where the landscape is never seen. `place`: what errors call it.
+    """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
 
     Raises ConfigError for a mask that hides nothing, or everything.
     """
@@ -90,22 +91,22 @@ class CameraMask:
 
     def __post_init__(self) -> None:
         if not self.hidden.any():
-            raise ConfigError(f"{self.place}: the mask hides nothing; draw what it shall hide, or leave the key out")
+            raise ConfigError(f"{self.place}: the mask hides nothing; draw an area, or remove the key")
         if self.hidden.all():
             raise ConfigError(
-                f"{self.place}: the mask hides the whole picture, nothing is left to see; masked is what is not 0 in "
-                "the PNG: is it inverted?"
+                f"{self.place}: the mask hides the whole image; non-zero pixels of the PNG are masked, so it may be "
+                "inverted"
             )
 
     @classmethod
     def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
-        """Raises ConfigError, too, where a polygon lies beside a picture of this size."""
+        """Return the mask of polygons. Raises ConfigError, also for a polygon outside an image of this size."""
         drawn = np.zeros((height, width), np.uint8)
         for number, polygon in enumerate(polygons):
             points = np.array(polygon.polygon, np.float64)
             if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
                 raise ConfigError(
-                    f"{place}.{number}: the polygon lies beside the picture of {width} x {height} pixels (it spans "
+                    f"{place}.{number}: the polygon is outside the image of {width} x {height} pixels (it spans "
                     f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()})"
                 )
             fill(drawn, points.tolist())
@@ -113,20 +114,20 @@ class CameraMask:
 
     @cached_property
     def share(self) -> float:
-        """Of the picture."""
+        """Return the masked share of the image."""
         return float(self.hidden.mean())
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Return the size (width, height)."""
         return self.hidden.shape[1], self.hidden.shape[0]
 
     def check_size(self, width: int, height: int) -> None:
-        """Raises ConfigError where the camera's pictures have another size."""
+        """Raise ConfigError if the camera's images have another size."""
         if self.size != (width, height):
             raise ConfigError(
-                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, the camera's pictures have "
-                f"{width} x {height}; draw it anew in that size (`ltm mask`)"
+                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
+                f"{width} x {height}; draw it again in that size (`ltm mask`)"
             )
 
 
@@ -137,17 +138,17 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 
 
 def read_mask(path: Path, place: str) -> CameraMask:
-    """A PNG of one channel in which all but 0 is masked. `place`: the key that names it, for errors.
+    """Read a single-channel PNG in which non-zero pixels are masked. `place`: the key that names it, for errors.
 
-    Raises ConfigError: no such picture, another format, colours or an alpha channel, nothing or everything masked.
+    Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked.
     """
     try:
         with open_picture(path) as (source, _):
             if source.format != "PNG":
-                raise ConfigError(f"{place}: {path} is a {source.format}, whose edges are not sharp; save it as PNG")
+                raise ConfigError(f"{place}: {path} is a {source.format}, which blurs edges; save it as PNG")
             if source.mode not in ("1", "L", "P", "I", "I;16"):
                 raise ConfigError(
-                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a PNG of one channel, "
+                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a single-channel PNG, "
                     "0 where the landscape is seen"
                 )
             hidden = np.asarray(source) != 0
@@ -162,15 +163,17 @@ def write_mask(path: Path, hidden: BoolArray) -> None:
 
 
 MakeMask = Callable[[int, int], CameraMask]
-"""The mask for pictures of a size (width, height). Raises ConfigError where it cannot be."""
+"""Function that returns the mask for images of a size (width, height). It raises ConfigError if the mask does not fit.
+"""
 
 _ZOOM = 0.03
-"""By which the lens may be wider or narrower than the view's: at the edge of the picture, 1.5 % of its width."""
+"""Relative difference of the field of view within which a view mask applies; at the image's edge, it shifts by 1.5 % of
+the width."""
 
 
 @dataclass(frozen=True)
 class Looking:
-    """Where a picture was taken to: azimuth and pitch of the optical axis, and how wide the lens was, degrees."""
+    """Viewing direction of an image: azimuth and pitch of the optical axis, and field of view, degrees."""
 
     azimuth_deg: float
     pitch_deg: float
@@ -185,7 +188,7 @@ class Looking:
         return f"azimuth {self.azimuth_deg:.1f}, pitch {self.pitch_deg:.1f}, {self.hfov_deg:.1f} deg wide"
 
     def off_deg(self, view: ViewMask) -> float:
-        """Angle between the optical axes; infinite where the lens is not as wide as the view's."""
+        """Return the angle between the optical axes; infinite if the fields of view differ."""
         if view.hfov_deg is not None and abs(self.hfov_deg / view.hfov_deg - 1) > _ZOOM:
             return math.inf
         turned = math.radians(self.azimuth_deg - view.azimuth_deg)
@@ -196,8 +199,8 @@ class Looking:
 
 
 class ViewMasks:
-    """`views`: as the site file has them, each with what makes its mask. Raises what these do where they are of a known
-    `size` (width, height)."""
+    """Masks by view. `views`: as in the site file, each with the function that makes its mask. Raises as these for an
+    invalid known `size` (width, height)."""
 
     def __init__(self, views: Mapping[ViewMask, MakeMask], size: tuple[int, int] | None = None) -> None:
         self._views = dict(views)
@@ -206,23 +209,24 @@ class ViewMasks:
                 make(*size)
 
     def at(self, looking: Looking) -> ViewMask | None:
-        """The nearest of those views that look there; None: none does."""
+        """Return the nearest view in that direction; None: none."""
         off = {view: looking.off_deg(view) for view in self._views}
         near = [view for view, angle in off.items() if angle <= view.within_deg]
         return min(near, key=off.__getitem__, default=None)
 
     def mask(self, view: ViewMask, width: int, height: int) -> CameraMask:
-        """Raises ConfigError where it cannot be of this size."""
+        """Return the mask. Raises ConfigError if it cannot have this size."""
         return self._views[view](width, height)
 
 
 def packed(mask: CameraMask) -> MakeMask:
-    """What makes a mask that was read: for its own size alone. Kept as bits, for a patrol has many views."""
+    """Return the function for a mask that was read, valid for its own size only. It is kept as bits, because a patrol
+    has many views."""
     size, place = mask.size, mask.place
     bits: UInt8Array = np.packbits(mask.hidden)
 
     def make(width: int, height: int) -> CameraMask:
-        # A size that does not fit is told by the mask itself.
+        # The mask itself reports a wrong size.
         whole = CameraMask(np.unpackbits(bits, count=size[0] * size[1]).reshape(size[::-1]).astype(np.bool_), place)
         whole.check_size(width, height)
         return whole

@@ -2,8 +2,8 @@
 
 Runs of one network file that several ask for: what one of them computes for the others is kept until they come.
 
-A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for a picture has all
-of it computed that others in this process ask this file for; they take their part when they bring the same picture.
+A file may answer labels and depth from one encoder, which is most of its work. Whoever asks first for an image has all
+of it computed that others in this process ask this file for; they take their part when they bring the same image.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
 
 _PICTURES: Final = 4
-"""Of which parts wait, at most: cameras whose frames are worked at once. A part that nobody took makes room."""
+"""Maximum number of cached images whose other outputs are pending, one per camera in flight; the oldest unused one is
+dropped."""
 
 
 class SharedRuns:
-    """Of one file. Threads may call it at once; each part is given out once, so whoever has it may write to it."""
+    """Shared runs of one file, thread-safe; each output is given to one user, which may modify it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -42,12 +43,13 @@ class SharedRuns:
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
 
     def join(self, owner: object, output: str) -> None:
-        """`owner` will ask for `output` as long as it lives."""
+        """Register `owner` as a user of `output` while it exists."""
         with self._lock:
             self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
-        """These outputs of a picture's tensor, which nobody changes meanwhile; `compute` gives those of its names."""
+        """Return these outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by
+        name."""
         with self._lock:
             others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
@@ -78,11 +80,11 @@ class _Loaded:
 
 
 class OnnxModel:
-    """The network of a manifest, its file's checksum and its tensors compared with what the manifest states.
+    """Network of a manifest; the checksum and tensors of its file are compared with the manifest.
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
     what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
-    picture is run once for all of them (`shared_runs`).
+    image is run once for all of them (`shared_runs`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs.
@@ -96,7 +98,7 @@ class OnnxModel:
         if found != manifest.sha256:
             raise ModelError(
                 f"model {manifest.name!r}: {self.path} has sha256 {found}, expected {manifest.sha256}; "
-                "fetch the file again, or state the new checksum if the network was changed on purpose"
+                "download the file again, or update the checksum if you changed the network"
             )
         # Who opens the same file in this process gets the same session, which any number of threads may run.
         with _one_at_a_time:
@@ -130,9 +132,9 @@ class OnnxModel:
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str], part: bool = False
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
-        """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
+        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
 
-        `part`: of a picture, or another size of it, which nobody else will ask for. Raises ModelError where the file
+        `part`: of an image, or another size of it, which no other user requests. Raises ModelError where the file
         gives something else by such a name.
         """
         names = [self._output_name, *maps]
@@ -147,13 +149,13 @@ class OnnxModel:
         return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, {self._input_name: tensor}))
 
     def _run(self, outputs: list[str], feed: dict[str, npt.NDArray[Any]]) -> list[Any]:
-        """Raises ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
+        """Raise ModelError: some faults of a graph show where it runs alone, as a window larger than what it pools."""
         try:
             return list(self._session.run(outputs, feed, self._options))
         except Exception as reason:  # of the runtime's errors, which have no common base
             raise ModelError(
                 f"model {self.manifest.name!r} ({self.path}): ONNX Runtime {ort.__version__} cannot run it ({reason}); "
-                "give the network that the manifest describes"
+                "use the network that the manifest describes"
             ) from reason
 
     def _checked_input(self) -> str:
@@ -218,13 +220,13 @@ class OnnxModel:
     def _wrong(self, what: str, expected: object, found: object) -> ModelError:
         return ModelError(
             f"model {self.manifest.name!r} ({self.path}): {what}: expected {expected}, found {found}; "
-            "mend the manifest or use the network that it describes"
+            "correct the manifest, or use the network that it describes"
         )
 
 
 @cache
 def _share_arena() -> None:
-    """One heap for the tensors within all networks of this process.
+    """Use one heap for the tensors within all networks of this process.
 
     Else each session keeps as much as its runs at once took, though a thread runs one network after the other. With the
     same blocks for all, and taken as each tensor comes instead of one block for a run, two networks of 640 x 352 keep
@@ -252,12 +254,12 @@ def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
     except Exception as reason:
         raise ModelError(
             f"{path}: expected an ONNX network, found {len(content)} bytes that ONNX Runtime "
-            f"{ort.__version__} refuses: {reason}"
+            f"{ort.__version__} rejects: {reason}"
         ) from reason
 
 
 def _one_channel(shape: list[int | str | None], layout: str) -> bool:
-    """Whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
+    """Return whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
     if len(shape) == 4:
         channels = shape[1 if layout == "NCHW" else 3]
         return not isinstance(channels, int) or channels == 1
@@ -265,19 +267,19 @@ def _one_channel(shape: list[int | str | None], layout: str) -> bool:
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
-    """Whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
+    """Return whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
     return len(found) == len(expected) and all(
         not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
     )
 
 
 def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect."""
+    """Return the network's input tensor for a photo (H, W, 3) uint8 RGB, resized without keeping the aspect."""
     return as_tensor(fitted(image, spec), spec)
 
 
 def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
-    """Photo (H, W, 3) uint8 RGB in the network's size. Shrinks by area (no aliasing), enlarges bilinearly."""
+    """Resize a photo (H, W, 3) uint8 RGB to the network's size. Shrinks by area (no aliasing), enlarges bilinearly."""
     height, width = image.shape[:2]
     if (width, height) == (spec.width, spec.height):
         return image
@@ -287,7 +289,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> UInt8Array:
 
 
 def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Photo (height, width, 3) uint8 RGB of the network's size -> the tensor that it takes."""
+    """Return the tensor of a photo (height, width, 3) uint8 RGB of the network's size."""
     if spec.channels == "bgr":
         image = image[..., ::-1]
     planar = spec.layout == "NCHW"

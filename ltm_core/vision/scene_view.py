@@ -1,4 +1,4 @@
-"""What of a camera's picture shows the landscape: the one place that decides it, for labels, depth, poses and votes."""
+"""Decide which part of a camera's image shows the landscape, for labels, depth, poses and votes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ltm_core.vision.usable import Unusable, Usability, judge
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """`hidden`: (H, W) bool, True where something else stands before the landscape; None: nowhere. `usability`: whether
-    the picture shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was.
-    `smoke`: share of the picture in which smoke hides the land."""
+    """Visible landscape in an image. `hidden`: (H, W) bool, True where something is in front of the landscape; None:
+    nowhere. `usability`: whether the image shows enough; None: not judged. `masked`: the view mask used, if the camera
+    has several. `smoke`: share of the image in which smoke hides the land."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
@@ -30,24 +30,24 @@ class SceneView:
 
     @property
     def reason(self) -> Unusable | None:
-        """Why nothing of the picture is used; None: it is."""
+        """Return why the image is not used; None: it is used."""
         return None if self.usability is None else self.usability.reason
 
     @property
     def unusable(self) -> str:
-        """`reason` in words; empty where the picture is used."""
+        """Return `reason` in words; empty if the image is used."""
         return "" if self.usability is None else self.usability.said
 
     @property
     def doubtful(self) -> BoolArray | None:
-        """A grid (rows, columns) over the picture: where it is burnt out or black; None: nowhere."""
+        """Return a grid (rows, columns) over the image, True where it is overexposed or black; None: nowhere."""
         if self.usability is None or not self.usability.doubtful.any():
             return None
         return self.usability.doubtful
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
-        """Take labels (H, W) and their confidence (H, W) away, in place: where the landscape is not seen, of a picture
-        that is not used, and of land where it is burnt out or black."""
+        """Remove labels (H, W) and their confidence (H, W), in place, where the landscape is not visible, in unusable
+        images, and on overexposed or black land."""
         if self.reason is None and self.hidden is None and self.doubtful is None:
             return
         gone = np.full(labels.shape, self.reason is not None)
@@ -62,11 +62,11 @@ class SceneView:
 
 
 class SceneFilter:
-    """Says of each picture of a camera what of it shows the landscape.
+    """Determine the visible landscape in each image of a camera.
 
-    `make`: the camera's mask, that of all its views; None: it has none. `size`: of its pictures, where it is known
-    beforehand. `judged`: whether pictures are judged usable. `views`: masks of single views besides. `place`: longitude
-    and latitude of the site, radians, by which it is told how high the sun stood; None: that is not asked.
+    `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
+    beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
+    and latitude of the site, radians, for the sun's elevation; None: it is not used.
     """
 
     def __init__(
@@ -79,31 +79,31 @@ class SceneFilter:
     ) -> None:
         self._make, self._judged, self._views, self._place = make, judged, views, place
         self.mask = make(*size) if make is not None and size is not None else None
-        """Of all views, as last needed; None: there is none, or no size is known yet."""
+        """Mask of all views as last used; None: there is none, or the image size is not known yet."""
         self._seen: tuple[str, BoolArray] | None = None
 
     @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
-        """With the mask of a PNG; `place`: what names it in errors. Raises ConfigError as `read_mask`, and where it
-        does not have the pictures' size."""
+        """Return the filter of a PNG mask; `place`: its name in errors. Raises ConfigError as `read_mask`, and if its
+        size is not that of the images."""
         make, own = mask_maker(path, place)
         return cls(make, size or own, judged)
 
     @property
     def by_view(self) -> bool:
-        """Whether what is hidden hangs on where the camera looks."""
+        """Return whether the mask depends on the viewing direction."""
         return self._views is not None
 
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
-        """(H, W) bool, what is masked in pictures of this size that look there (None: wherever they look); None:
-        nothing. Raises ConfigError."""
+        """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);
+        None: no mask. Raises ConfigError."""
         view = None if self._views is None or looking is None else self._views.at(looking)
         if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
             self.mask = self._make(width, height)
         common = None if self.mask is None else self.mask.hidden
         if view is None or self._views is None:
             return common
-        # A camera dwells at a view: its mask is made once for all pictures of the stay.
+        # A camera dwells at a view: its mask is made once for all images of the stay.
         seen = self._seen
         if seen is None or seen[0] != view.name or seen[1].shape != (height, width):
             own = self._views.mask(view, width, height).hidden
@@ -111,8 +111,8 @@ class SceneFilter:
         return seen[1]
 
     def judge(self, picture: UInt8Array, hidden: BoolArray | None, stamp_ns: int | None) -> Usability | None:
-        """Of a picture (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: when it was taken,
-        None: nobody knows. None: pictures are not judged. Raises ImageError for another shape."""
+        """Judge an image (h, w, 3) RGB of any size, of which `hidden` (h, w) is masked; `stamp_ns`: its time, None:
+        unknown. Returns None if images are not judged. Raises ImageError for another shape."""
         if not self._judged:
             return None
         sun_deg = None
@@ -122,10 +122,10 @@ class SceneFilter:
         return judge(picture, hidden, sun_deg)
 
     def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
-        """Of a picture (H, W, 3) RGB; `stamp_ns`: when it was taken, None: nobody knows. Raises ConfigError where the
-        mask is for another size, ImageError for another shape."""
+        """Return the scene view of an image (H, W, 3) RGB; `stamp_ns`: its time, None: unknown. Raises ConfigError if
+        the mask has another size, ImageError for another shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
-            raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
+            raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
         return SceneView(hidden, self.judge(picture, hidden, stamp_ns), self._masked(looking))
 
@@ -133,11 +133,11 @@ class SceneFilter:
         if self._views is None or looking is None:
             return ""
         view = self._views.at(looking)
-        return f"view {view.name}" if view is not None else f"no view of the site file looks to {looking}"
+        return f"view {view.name}" if view is not None else f"no view of the site file has this direction: {looking}"
 
 
 def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
-    """What makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
+    """Return the function that makes the mask, and its size if it has one of its own. Raises ConfigError."""
     if not isinstance(config, Path):
         return partial(CameraMask.of_polygons, config, place=place), None
     read = read_mask(config, place)

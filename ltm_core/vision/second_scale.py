@@ -1,4 +1,4 @@
-"""Runs a network on a photo at a second scale: the whole of it coarser, and on request distant slopes finer, in tiles.
+"""Run a network on a photo at a second scale: the whole image coarser, and on request distant slopes finer, in tiles.
 
 At half the size, the network sees twice as much of a slope's surroundings, and noise and the traces of compression are
 gone. On photographs the two scales err in different places, so their mean is right more often, and less sure where they
@@ -29,7 +29,7 @@ def with_distant_tiles(
     zoom: float,
     look: Callable[[UInt8Array], Float32Array],
 ) -> Float32Array:
-    """Probabilities (K, h', w'), `zoom` times finer than those given (K, h, w) for the whole photo.
+    """Return the probabilities (K, h', w'), `zoom` times finer than those given (K, h, w) for the whole photo.
 
     `look` gives the probabilities (K, rows, cols) of a part of the photo (H, W, 3); it is asked for tiles of 1 / zoom
     of the photo's sides along the skyline of class `sky`. A photo without skyline comes back as it was.
@@ -61,7 +61,8 @@ def with_distant_tiles(
 
 
 def tile_corners(line: Float32Array, size: tuple[int, int], zoom: float) -> list[tuple[float, float]]:
-    """(top, left) of tiles of 1 / zoom of a picture of `size` that cover its skyline (w,), NaN where there is none."""
+    """Return (top, left) of tiles of 1 / zoom of an image of `size` that cover its skyline (w,), NaN where there is
+    none."""
     rows, cols = size
     tall, wide = rows / zoom, cols / zoom
     steps = max(1, int(np.ceil((cols - wide) / (wide * (1.0 - _OVERLAP)))) + 1)
@@ -82,15 +83,15 @@ def tile_corners(line: Float32Array, size: tuple[int, int], zoom: float) -> list
 
 
 def _skyline(sky: BoolArray) -> Float32Array | None:
-    """First row below the sky in each column (w,), NaN where a column does not begin with sky or is sky throughout;
-    None where no column has one."""
+    """Return the first row below the sky in each column (w,), NaN where a column does not begin with sky or is sky
+    throughout; None where no column has one."""
     row = np.argmin(sky, axis=0).astype(np.float32)
     row[~sky[0] | sky.all(axis=0)] = np.nan
     return row if np.isfinite(row).any() else None
 
 
 def _fade(size: tuple[int, ...]) -> Float32Array:
-    """Weights (h, w) of a tile: 2 within, down to 0 at its edges over half the overlap."""
+    """Return the weights (h, w) of a tile: 2 within, down to 0 at its edges over half the overlap."""
     ramps = []
     for length in size:
         place = (np.arange(length) + 0.5) / length
@@ -102,7 +103,7 @@ _CREST: Final = 0.0125  # of the width
 
 
 def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, sky: Sequence[int]) -> Float32Array:
-    """Scores (K, h, w) of a picture, those of its land averaged with `coarse` (K, h', w'), which counts by `share`.
+    """Return scores (K, h, w) of an image, those of its land averaged with `coarse` (K, h', w'), weighted by `share`.
 
     Classes `sky` stay as probable as they were, and the crest below them keeps its classes: both are fine, and tell
     cameras their pose.
@@ -121,7 +122,7 @@ def with_coarse_look(scores: Float32Array, coarse: Float32Array, share: float, s
 
 
 def _beyond_crest(sky: BoolArray) -> Float32Array:
-    """(h, w) 0 within `_CREST` below the lowest sky (h, w) of each column, 1 from twice as far on, and above."""
+    """Return (h, w) 0 within `_CREST` below the lowest sky (h, w) of each column, 1 from twice as far on, and above."""
     rows, cols = sky.shape
     lowest = np.where(sky.any(axis=0), rows - 1 - np.argmax(sky[::-1], axis=0), -np.inf)
     reach = max(1.0, _CREST * cols)

@@ -1,4 +1,4 @@
-"""Segments photos of any size into label images with the network of a manifest."""
+"""Segment photos of any size into label images with the network of a manifest."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from ltm_core.vision.word_embeddings_io import load_text
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What each pixel shows.
+    """Label of each pixel.
 
     `labels` (H, W) uint8: ids of the label set, 255 unlabelled. `confidence` (H, W) uint8: the network's probability
     of that label x 255, of a head as its `agreement` has it; 0 where unlabelled; 255 wherever labelled by a network
@@ -59,7 +59,7 @@ class Segmenter:
     ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
-                f"model {manifest.name!r} gives {manifest.output.kind} depth, not labels; name a segmentation model"
+                f"model {manifest.name!r} outputs {manifest.output.kind} depth, not labels; choose a segmentation model"
             )
         self.manifest = manifest
         self.labels = LabelSet.load() if labels is None else labels
@@ -76,7 +76,7 @@ class Segmenter:
         self._model = OnnxModel(manifest, threads)
         self.head = head
         self.withdraw_otherwise: Mapping[str, float] = {}
-        """Fields of `withdrawal` that are to be others than the head's or the network's."""
+        """Fields of `withdrawal` that override those of the label head or the network."""
 
     @classmethod
     def open(
@@ -87,7 +87,8 @@ class Segmenter:
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
     ) -> "Segmenter":
-        """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
+        """Open a segmenter by its manifest's path, or the name of one in `config/models`, with a label head by its name
+        or path.
 
         With a head, the network is the one that `NetworkManifest.serving` names. `heads`: a folder that is searched for
         the head before others. Raises ModelError: see `find_label_head`, `read_label_head`.
@@ -98,19 +99,19 @@ class Segmenter:
 
     @property
     def name(self) -> str:
-        """What labels, for tables."""
+        """Return the name of the network and label head, for tables."""
         return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
 
     @property
     def withdrawal(self) -> Withdrawal:
-        """Which labels are left out."""
+        """Return the thresholds for withdrawing labels."""
         own = self.manifest.output.withdraw if self.head is None else self.head.withdraw
         return own.model_copy(update=dict(self.withdraw_otherwise))
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
-        ModelError for a calibration that cannot be read."""
+        """Return the names and checksums of network and label head, and whether they were tested on photos, for
+        `labels/info`. Raises ModelError for an unreadable calibration."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
         head = self.head
         told = network if head is None else f"{network}, label head {head.described}"
@@ -119,7 +120,7 @@ class Segmenter:
 
     @property
     def model_path(self) -> Path:
-        """The network file in use."""
+        """Return the network file in use."""
         return self._model.path
 
     def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
@@ -160,25 +161,25 @@ class Segmenter:
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
     def logits(self, image: UInt8Array) -> Float32Array:
-        """The scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by the head
-        and averaged with the coarse look's, before any temperature, at the network's resolution.
+        """Return the scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by
+        the label head and averaged with the coarse inference, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
         _check(image)
         if self.manifest.output.kind == "ids":
-            raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
+            raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
         return self._of_whole(image, *self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
-        that its manifest states: what a head is taught from. Raises as `logits` does."""
+        """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
+        h', w') of its manifest, on which label heads are trained. Raises as `logits` does."""
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
 
     def _answer(self, image: UInt8Array, part: bool = False) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a head
-        may read."""
+        """Return the network's own scores (K, h, w) of a photo, or of a `part` of one, and the maps (C, h', w') that a
+        head may read."""
         return self._run(image, () if self.head is None else self.head.maps, part)
 
     def _run(
@@ -190,7 +191,7 @@ class Segmenter:
         return self._scores(output, small), dict(zip(names, maps, strict=True))
 
     def _of_whole(self, image: UInt8Array, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Scores (K, h, w) of a whole picture, corrected by its head and averaged with the coarse look's."""
+        """Return the scores (K, h, w) of a whole image, corrected by its head and averaged with the coarse look's."""
         scores = self._corrected(scores, maps)
         look = self.manifest.coarse_look
         if look is None:
@@ -200,22 +201,23 @@ class Segmenter:
         return with_coarse_look(scores, coarse, look.share, self._sky_classes)
 
     def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Scores (K, h, w), corrected in place by the head where there is one."""
+        """Return the scores (K, h, w), corrected in place by the head where there is one."""
         if self.head is not None:
             self.head.add_to(scores, [maps[name] for name in self.head.maps])
         return scores
 
     def _tile(self, image: UInt8Array) -> Float32Array:
-        """Probabilities of a part of a photo, with the photo's head."""
+        """Return the probabilities of a part of a photo, with the photo's head."""
         return self._label_probabilities(self._corrected(*self._answer(image, part=True)))
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
-        """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
+        """Return the probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits`
+        does."""
         probabilities = self._probabilities(self.logits(image))
         return dict(zip(self.classes, probabilities, strict=True))
 
     def _scores(self, output: npt.NDArray[Any], image: UInt8Array) -> Float32Array:
-        """Network output of a photo, `image` in the network's size -> (K, h, w), checked."""
+        """Return the network output of a photo, `image` in the network's size -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
         scores = np.ascontiguousarray(scores, dtype=np.float32)
@@ -232,7 +234,7 @@ class Segmenter:
         return scores if self._text is None else self._text.scores(scores)
 
     def _probabilities(self, scores: Float32Array) -> Float32Array:
-        """Scores (K, h, w) -> probabilities of the network's classes."""
+        """Return the scores (K, h, w) -> probabilities of the network's classes."""
         if self.manifest.output.kind in ("logits", "embeddings"):
             temperature = self.manifest.output.temperature if self.head is None else self.head.temperature
             scores = scores * np.float32(1.0 / temperature)
@@ -242,19 +244,20 @@ class Segmenter:
         if low < -1e-3 or high > 1.0 + 1e-3:
             raise ModelError(
                 f"model {self.manifest.name!r}: output lies in {low:.3g}..{high:.3g}, expected probabilities of "
-                "0..1; if these are logits, say `kind: logits` in the manifest"
+                "0..1; if these are logits, write `kind: logits` in the manifest"
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
     def _label_probabilities(self, scores: Float32Array) -> Float32Array:
-        """Scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
+        """Return the scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
         probabilities = self._probabilities(scores)
         count, rows, cols = probabilities.shape
         grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
 
     def _grouped(self, scores: Float32Array) -> Float32Array:
-        """Sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for cores."""
+        """Return the sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for
+        cores."""
         grouped = np.zeros((len(self._group_labels), scores.shape[1]), np.float32)
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score
@@ -271,7 +274,7 @@ def _class_labels(manifest: NetworkManifest, classes: tuple[str, ...], labels: L
     for name, label in manifest.mapping.items():
         if label != "unlabelled" and label not in labels.names:
             raise ModelError(
-                f"model {manifest.name!r}: mapping.{name}: no label is called {label!r}; "
+                f"model {manifest.name!r}: mapping.{name}: no label {label!r}; "
                 f"labels: {', '.join(labels.names)}, unlabelled"
             )
     return np.array([labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in classes], np.uint8)

@@ -1,13 +1,13 @@
-"""Tells smoke before the land: where a camera saw the land's own pattern a while ago, and now something pale without.
+"""Detect smoke in front of the land: pixels that showed the land's pattern earlier and are now pale without it.
 
-Smoke looks as a cloud or a pale slope does in one picture, so each picture is compared with earlier ones of the same
+Smoke looks as a cloud or a pale slope does in one image, so each image is compared with earlier ones of the same
 view. The land's pattern comes back under any exposure; in a cloud of smoke it does not. What is new on the land and
 stays, a felled stand, say, looks like smoke too at first, but it has a pattern that comes back: from one remembered
-picture of it on, it is land again.
+image of it on, it is land again.
 
-Pictures of another view, or of another light, do not agree with the present one and are left out; where none agrees,
-nothing is told.
-The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/masks.md).
+Images of another view, or of another light, do not agree with the present one and are ignored; if none agrees,
+no smoke is reported.
+The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/cameras.md).
 """
 
 from __future__ import annotations
@@ -25,44 +25,46 @@ from ltm_core.vision.labels import UNLABELLED, Label
 
 WORKING_WIDTH: Final = 320
 APART_S: Final = 300.0
-"""Seconds between two pictures of a view that are remembered, and the least age of one that is compared with."""
+"""Seconds between two remembered images of a view, and the minimum age of an image to compare with."""
 AT_LEAST_APART_S: Final = 30.0
-"""Seconds between any two: pictures in which no view is known again, in fog say, shall not drive out all others."""
+"""Minimum seconds between any two remembered images, so that images in which no view is recognised (in fog) do not
+displace all others."""
 OLDEST_S: Final = 10_800.0
-"""Of pictures that are compared with: later, shadows lie elsewhere."""
+"""Maximum age in seconds of an image to compare with; later, shadows have moved."""
 REMEMBERED: Final = 36
-"""Pictures: those of three hours of one view, or fewer of each of a patrol's; of more views none comes back."""
+"""Number of images remembered: three hours of one view, or fewer of each view of a patrol; with more views, none is
+seen again in time."""
 COMPARED: Final = 3
-"""That agree best."""
+"""Number of best matching images to compare with."""
 
 _COARSE: Final = 4
-"""Times smaller are the pictures by which another view is told cheaply,"""
+"""Reduction factor of the images by which a change of view is detected."""
 _OF_A_VIEW: Final = 0.4
-"""by a correlation below this: on photographs of real towers, hours apart, one view has 0.9, and two views of a tower,
-by their mast and caption, 0.42 at most."""
+"""Correlation below which the view has changed. On photos of real towers hours apart, the same view has 0.9, and two
+views of a tower have 0.42 at most, by their mast and caption."""
 _REACH: Final = 3.3
-"""Pixels: standard deviation of the Gaussian in which patterns are compared."""
+"""Standard deviation in pixels of the Gaussian in which patterns are compared."""
 _NOISE: Final = 0.5
-"""Variance of grey levels that noise and compression make."""
+"""Variance of grey levels due to noise and compression."""
 _ALIKE: Final = 0.8
-"""Correlation from which on a pattern is the same,"""
+"""Correlation above which a pattern is unchanged."""
 _AGREES: Final = 0.45
-"""and the share of the land that must be so for an earlier picture to be of this view and light."""
+"""Minimum share of the land with unchanged patterns for an earlier image to have the same view and light."""
 _GONE: Final = 0.5
-"""Correlation below which a pattern is gone,"""
+"""Correlation below which a pattern is gone."""
 _PATTERN: Final = 2.0
-"""where there was one: grey levels of deviation in the earlier picture."""
+"""Minimum deviation in grey levels of the earlier image for a pattern to exist."""
 _PALER: Final = 8.0
-"""Grey levels by which smoke is brighter than what it hides,"""
+"""Grey levels by which smoke is brighter than what it hides."""
 _LEAST: Final = 1e-3
-"""Share of the picture that a cloud of it has at least."""
+"""Minimum share of the image of a smoke cloud."""
 _WIDER: Final = 6
-"""Pixels, by which its edge is wider than what is told of it."""
+"""Pixels by which a detected cloud is enlarged."""
 
 
 @dataclass(frozen=True, eq=False)
 class _SmokeFrame:
-    """A picture at `at_s` seconds. `grey`: (h, w) uint8; `land`: (h, w) bool; `coarse`: (h / 4, w / 4), its pattern."""
+    """An image at `at_s` seconds. `grey`: (h, w) uint8; `land`: (h, w) bool; `coarse`: (h / 4, w / 4), its pattern."""
 
     at_s: float
     grey: UInt8Array
@@ -95,13 +97,13 @@ class _Kept:
 
     @property
     def land(self) -> BoolArray:
-        """(h, w) bool."""
+        """Return (h, w) bool land."""
         return np.unpackbits(self.packed_land, count=self.grey.size).view(np.bool_).reshape(self.grey.shape)
 
 
 class _Places:
-    """Memory for `REMEMBERED` pictures, taken with the first one and used in turn: a camera shall need in three hours
-    what it needs at once. 2.9 MB where pictures are 16 to 9, 3.8 MB at 4 to 3."""
+    """Memory for `REMEMBERED` images, taken with the first one and used in turn: a camera must need in three hours
+    what it needs at once. 2.9 MB where images are 16 to 9, 3.8 MB at 4 to 3."""
 
     def __init__(self) -> None:
         self._bytes = np.empty((REMEMBERED, 0), np.uint8)
@@ -112,8 +114,8 @@ class _Places:
         return self._bytes.nbytes
 
     def keep(self, seen: _SmokeFrame) -> _Kept:
-        """In the place of the one that was kept `REMEMBERED` pictures ago. One that is larger than the first gets a
-        place of its own."""
+        """Keep an image in the slot of the one that is `REMEMBERED` images older. One larger than the first gets a slot
+        of its own."""
         packed = np.packbits(seen.land)
         # Numbers of four bytes first, for they must begin at a multiple of four.
         ends = np.cumsum([seen.coarse.nbytes, seen.grey.nbytes, packed.nbytes])
@@ -130,7 +132,7 @@ class _Places:
 
 
 class SmokeMemory:
-    """What a camera saw of its land in the last hours: it tells smoke in later pictures, in their order."""
+    """Recent views of a camera's land, by which smoke is detected in later images, in their order."""
 
     def __init__(self) -> None:
         self._seen: deque[_Kept] = deque(maxlen=REMEMBERED)
@@ -138,13 +140,13 @@ class SmokeMemory:
 
     @property
     def nbytes(self) -> int:
-        """That it holds, all of it from the first picture on."""
+        """Return the bytes used, all of them from the first image on."""
         return self._places.nbytes
 
     def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
-        """(H, W) bool, where smoke hides the land in a picture (H, W, 3) RGB taken at `at_s`; None: nowhere that could
-        be told. `labels`: (H, W), what was taken for land is remembered as such. A picture from before the last one
-        is judged, and not remembered; one from hours before begins anew, for a clock was set."""
+        """Return (H, W) bool, where smoke hides the land in an image (H, W, 3) RGB taken at `at_s`; None: nowhere
+        detectable. `labels`: (H, W), land is remembered. An image earlier than the last one is judged but not
+        remembered; one hours earlier resets the memory, because a clock was set."""
         now = _SmokeFrame.of(picture, labels, at_s)
         if self._seen and at_s < self._seen[-1].at_s - OLDEST_S:
             self._seen.clear()
@@ -157,7 +159,7 @@ class SmokeMemory:
         return np.asarray(cv2.resize(found.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
     def _is_new(self, now: _SmokeFrame) -> bool:
-        """By views, for a patrol that comes round in five minutes would else be remembered in one of them alone."""
+        """Return whether an image is new for its view; a patrol would otherwise be remembered in one view only."""
         if not self._seen or now.at_s - self._seen[-1].at_s < AT_LEAST_APART_S:
             return not self._seen
         return not any(_of_one_view(s, now) for s in self._seen if now.at_s - s.at_s < APART_S)
@@ -183,7 +185,7 @@ class SmokeMemory:
 
 @dataclass(frozen=True, eq=False)
 class _Pattern:
-    """A picture and, of the grey levels around each pixel, their mean and variance: (h, w) each."""
+    """An image and, of the grey levels around each pixel, their mean and variance: (h, w) each."""
 
     grey: Float32Array
     mean: Float32Array
@@ -198,7 +200,7 @@ class _Pattern:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """The present picture against an earlier one, (h, w) each. `correlation` of their patterns; `deviation`: how much
+    """The present image against an earlier one, (h, w) each. `correlation` of their patterns; `deviation`: how much
     pattern there was; `brighter`: grey levels, exposure left aside; `land`: there was. `agrees`: share of the land."""
 
     correlation: Float32Array
@@ -209,7 +211,7 @@ class _Pair:
 
 
 def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
-    """Whether they may be: a first look, that of `_compare` is the one that counts."""
+    """Return whether they may be: a first look, that of `_compare` is the one that counts."""
     if one.grey.shape != other.grey.shape:
         return False
     scale = float(np.linalg.norm(one.coarse) * np.linalg.norm(other.coarse))
@@ -217,7 +219,7 @@ def _of_one_view(one: _Kept, other: _SmokeFrame) -> bool:
 
 
 def _newest_and_others(could: list[_Kept]) -> list[_Kept]:
-    """At most so many that each picture stays cheap: the newest, and others spread over the rest."""
+    """Return at most as many images as stay cheap: the newest, and others spread over the rest."""
     if len(could) <= 2 * COMPARED:
         return could
     places = np.linspace(0, len(could) - 1, 2 * COMPARED).round().astype(int)
@@ -252,7 +254,7 @@ def _around(values: Float32Array) -> Float32Array:
 
 
 def _clouds(rough: UInt8Array) -> BoolArray:
-    """Connected areas that are large enough, widened."""
+    """Return the connected areas that are large enough, widened."""
     _, parts, statistics, _ = cv2.connectedComponentsWithStats(rough)
     large = statistics[:, cv2.CC_STAT_AREA] >= _LEAST * rough.size
     large[0] = False

@@ -1,4 +1,4 @@
-"""Upsamples class probabilities to the photo's resolution: the winning class of each pixel and its probability."""
+"""Upsample class probabilities to the photo's resolution: the winning class of each pixel and its probability."""
 
 import numba
 import numpy as np
@@ -7,7 +7,7 @@ from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 
 
 def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tuple[UInt8Array, UInt8Array]:
-    """Most probable class of each pixel of a `height` x `width` image, interpolated bilinearly.
+    """Return the most probable class of each pixel of a `height` x `width` image, interpolated bilinearly.
 
     `probabilities` is (K, h, w) float32 in 0..1. Both grids cover the same field of view edge to edge (pixel
     centres at half-integers, as in `cv2.resize`). Returns (H, W) uint8 indices into K, the lower one on a tie, and
@@ -48,8 +48,8 @@ def _interpolate(
     winner: UInt8Array,
     confidence: UInt8Array,
 ) -> None:
-    """Row by row. Where one class is the likeliest on both sides of a pixel it is so between them, and the others are
-    not looked at."""
+    """Upsample row by row. Where one class is the likeliest on both sides of a pixel it is so between them, and the
+    others are not looked at."""
     classes, rows, cols = probabilities.shape
     height, width = winner.shape
     lines = np.empty((classes, cols + 1), dtype=np.float32)

@@ -1,7 +1,7 @@
-"""Judges whether a picture shows enough of the landscape to be used, and where it does not, cheaply.
+"""Judge at low cost whether an image shows enough of the landscape to be used, and in which parts.
 
-By night, at dusk, in fog, in glare, with a blank or a blurred picture, a network names what it was taught to see. Such
-a picture does not vote. The judgement is of one picture, reduced to some 480 columns, and of how high the sun stood: a
+By night, at dusk, in fog, in glare, with a blank or a blurred image, a network names what it was taught to see. Such
+an image does not vote. The judgement is of one image, reduced to some 480 columns, and of how high the sun stood: a
 few milliseconds at most.
 
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
@@ -21,34 +21,35 @@ from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 
 WORKING_WIDTH = 480
 ROWS, COLUMNS = 9, 12
-"""Of the grid on which regions are judged."""
+"""Rows and columns of the grid on which regions are classified."""
 
 _BLANK = 1.5
-"""Standard deviation of grey levels below which a picture holds nothing."""
+"""Standard deviation of grey levels below which an image is blank."""
 _NIGHT = 60.0
-"""Grey level that 95 % of the picture stay below by night."""
+"""Grey level below which 95 % of a night image lies."""
 _DIM, _LOW_SUN_DEG = 145.0, 5.0
-"""The same where the sun stands lower than that, in degrees: the camera has not made up for the light that is missing.
-A picture of a dark forest is as dim at noon, so neither tells it alone. Chosen on drawn months (`ltm-lab bench archive
---month`), where all plants turn into darker ones in such pictures; of 159 mountain photos 11 are as dim."""
+"""Grey level for a low sun, and the sun's elevation in degrees below which it applies, because the camera has not
+compensated for the missing light. A dark forest is as dim at noon, so neither value is sufficient alone. Chosen on
+rendered months (`ltm-lab bench archive --month`), in which all plants turn into darker ones in such images; 11 of 159
+mountain photos are as dim."""
 _GLARE, _GLARE_BELOW = 0.35, 0.2
-"""Shares of the picture, and of its lower half, that are burnt out."""
+"""Shares of the image, and of its lower half, that are overexposed."""
 _BURNT, _BLACK = 245, 14
-"""Levels above which all channels, or below which none, tell anything."""
+"""Levels above which all channels, or below which none, carry information."""
 _CONTRAST = 1.5
-"""Grey levels: local contrast of a cell of the grid that shows something."""
+"""Local contrast in grey levels above which a cell of the grid shows something."""
 _FOG = 0.06
-"""Share of the cells that show something; in fog it is less."""
+"""Share of the cells that show something below which an image is classified as fog."""
 _BLUR = 0.2
-"""Fine against coarse contrast, where there is any; out of focus, or with a wet lens, it is less."""
+"""Ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)."""
 _BLUR_CONTRAST = 1.0
-"""Coarse contrast of the best cells, from which on that can be told."""
+"""Coarse contrast of the best cells above which blur can be detected."""
 _REGION = 0.6
-"""Share of a cell that is burnt out or black, for the cell to be doubtful."""
+"""Share of overexposed or black pixels above which a cell is not used."""
 
 
 class Unusable(StrEnum):
-    """Why a picture shows too little."""
+    """Reason why an image is unusable."""
 
     BLANK = "blank"
     NIGHT = "night"
@@ -60,36 +61,36 @@ class Unusable(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Usability:
-    """`reason`: why the picture as a whole shows too little; None: it can be used. `doubtful`: (ROWS, COLUMNS) bool,
-    edge to edge over the picture: cells that are burnt out or black, so that nothing can be told there."""
+    """Usability of an image. `reason`: why it is unusable as a whole; None: usable. `doubtful`: (ROWS, COLUMNS) bool,
+    edge to edge over the image: overexposed or black cells."""
 
     reason: Unusable | None
     doubtful: BoolArray
 
     @property
     def said(self) -> str:
-        """In words; empty where the picture can be used."""
+        """Return the reason in words; empty if the image is usable."""
         return "" if self.reason is None else _SAID[self.reason]
 
 
 _SAID = {
-    Unusable.BLANK: "blank: the picture is of one colour",
-    Unusable.NIGHT: "night: the picture is too dark",
-    Unusable.DUSK: "dusk: the sun is low and the picture dim",
-    Unusable.GLARE: "glare: too much of the picture is burnt out",
-    Unusable.FOG: "fog: the picture shows no contrast anywhere",
-    Unusable.BLUR: "blur: the picture has no fine detail; out of focus, or a wet or dirty lens",
+    Unusable.BLANK: "blank: the image has one colour",
+    Unusable.NIGHT: "night: the image is too dark",
+    Unusable.DUSK: "dusk: the sun is low and the image dim",
+    Unusable.GLARE: "glare: too much of the image is overexposed",
+    Unusable.FOG: "fog: the image has no contrast anywhere",
+    Unusable.BLUR: "blur: the image has no fine detail; out of focus, or a wet or dirty lens",
 }
 
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
-    """Of a picture (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
-    `sun_deg`: how high the sun stood, degrees; None: nobody knows.
+    """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
+    sun's elevation, degrees; None: unknown.
 
     Raises ImageError for another shape.
     """
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
-        raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
+        raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     height, width = picture.shape[:2]
     size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
@@ -122,12 +123,12 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
 
 
 class _Cells:
-    """Means over the cells of the grid, of what is seen (h, w)."""
+    """Means of the visible image (h, w) over the cells of the grid."""
 
     def __init__(self, seen: BoolArray) -> None:
         self._share = _to_grid(seen.astype(np.float32))
         self.known = self._share > 0.3
-        """Cells of which enough is seen."""
+        """Cells of which enough is visible."""
 
     def mean(self, values: Float32Array) -> Float32Array:
         return np.asarray(_to_grid(values) / np.maximum(self._share, np.float32(1e-3)), np.float32)

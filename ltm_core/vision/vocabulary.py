@@ -1,4 +1,4 @@
-"""Maps words of a user to classes of a network: the open-vocabulary query of the paper.
+"""Map words of a user to classes of a network: the open-vocabulary query of the paper.
 
 A network of kind `embeddings` answers words that its text file holds. Any other network knows a few classes; a word is
 then read as one of them through `config/vocabulary.yaml`, and the reading says so.
@@ -33,7 +33,7 @@ class _VocabularyFile(StrictModel):
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words and the label that each stands for."""
+    """Words and their labels."""
 
     synonyms: dict[str, tuple[str, ...]]
 
@@ -46,20 +46,20 @@ class Vocabulary:
         for label, words in vocabulary.synonyms.items():
             for word in words:
                 if word in seen:
-                    raise ConfigError(f"{path}: {word!r} stands for {seen[word]} and for {label}; it needs one label")
+                    raise ConfigError(f"{path}: {word!r} is mapped to {seen[word]} and to {label}; give it one label")
                 seen[word] = label
         return vocabulary
 
     @cached_property
     def label_of(self) -> dict[str, str]:
-        """Each known word and the label it stands for; labels stand for themselves."""
+        """Return each known word and the label it stands for; labels stand for themselves."""
         words = {word: label for label, words in self.synonyms.items() for word in words}
         return words | {label: label for label in self.synonyms}
 
 
 @dataclass(frozen=True)
 class QueryMatch:
-    """What was made of one query: the network's classes that answer it, and how that came, in words."""
+    """Match of one query: the network's classes for it, and the way it was found."""
 
     query: str
     classes: tuple[str, ...]
@@ -67,7 +67,7 @@ class QueryMatch:
 
 
 def parse_queries(text: str) -> list[str]:
-    """Comma-separated queries, trimmed, in lower case. Raises ConfigError for none, or one twice."""
+    """Return the comma-separated queries, trimmed, in lower case. Raises ConfigError for none, or one twice."""
     queries = [" ".join(part.lower().split()) for part in text.split(",")]
     queries = [query for query in queries if query]
     if not queries or len(set(queries)) != len(queries):
@@ -78,7 +78,8 @@ def parse_queries(text: str) -> list[str]:
 
 
 def read_queries(queries: Sequence[str], manifest: NetworkManifest, vocabulary: Vocabulary) -> list[QueryMatch]:
-    """What a network makes of each query. Raises ConfigError for a word that neither it nor the vocabulary knows."""
+    """Match each query to classes of a network. Raises ConfigError for a word unknown to both network and
+    vocabulary."""
     words = load_text(manifest).names if manifest.text is not None else manifest.classes
     readings: list[QueryMatch] = []
     taken: dict[str, str] = {}
@@ -100,31 +101,31 @@ def _read(query: str, words: Sequence[str], manifest: NetworkManifest, vocabular
     if manifest.text is not None:
         close = ", ".join(difflib.get_close_matches(query, words, 4, 0.4)) or ", ".join(list(words)[:12])
         raise ConfigError(
-            f"{query!r} is not among the {len(words)} words whose embeddings {manifest.name} has (near: {close}); "
+            f"{query!r} is not among the {len(words)} words whose embeddings {manifest.name} has (similar: {close}); "
             "add its embedding to the text file"
         )
     for phrase, how in ((query, ""), (query.rpartition(" ")[2], " by its last word")):
         label = vocabulary.label_of.get(phrase)
         classes = tuple(name for name in manifest.classes if label is not None and manifest.mapping.get(name) == label)
         if classes:
-            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} knows no finer word")
+            return QueryMatch(query, classes, f"is read as {label}{how}: {manifest.name} has no finer word")
         if label is not None:
-            raise ConfigError(f"{query!r} is {label}, of which {manifest.name} knows no class")
+            raise ConfigError(f"{query!r} means {label}, for which {manifest.name} has no class")
     known = sorted(vocabulary.label_of)
     close = ", ".join(difflib.get_close_matches(query, known, 4, 0.5)) or ", ".join(vocabulary.synonyms)
-    raise ConfigError(f"nothing here knows {query!r}; near it: {close} (words stand in config/vocabulary.yaml)")
+    raise ConfigError(f"unknown word {query!r}; similar words: {close} (see config/vocabulary.yaml)")
 
 
 def open_vocabulary(
     manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
 ) -> tuple[Segmenter, list[QueryMatch]]:
-    """A segmenter whose labels are the queries, in their order, and what was made of each.
+    """Return a segmenter whose labels are the queries, in their order, and the match of each.
 
     Among a text network's words only the queries compete; another network's classes that answer no query stay
     unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
     """
     if len(queries) > UNLABELLED:
-        raise ConfigError(f"{len(queries)} classes; a label image holds {UNLABELLED} at most")
+        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
     readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
     labels = LabelSet(
         names=tuple(queries),

@@ -1,4 +1,4 @@
-"""Reads word embeddings that are compared with pixel embeddings, for open-vocabulary networks such as LSeg."""
+"""Read word embeddings that are compared with pixel embeddings, for open-vocabulary networks such as LSeg."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ltm_core.storage.text_io import load_arrays
 from ltm_core.vision.manifest import NetworkManifest
 
 LARGEST = 64 << 20
-"""Bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
+"""Maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class TextEmbeddings:
     scale: float
 
     def only(self, words: Sequence[str] | None) -> TextEmbeddings:
-        """These words alone, in their order; all where None. Raises ModelError for a word that is not there."""
+        """Return these words only, in order; all for None. Raises ModelError for a missing word."""
         if words is None:
             return self
         absent = sorted(set(words) - set(self.names))
@@ -34,7 +34,7 @@ class TextEmbeddings:
         return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
 
     def scores(self, dense: Float32Array) -> Float32Array:
-        """`scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
+        """Return `scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
         length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
         # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
         cosine = np.einsum("kd,dhw->khw", self.vectors, dense) / np.maximum(length, 1e-12)
@@ -42,8 +42,8 @@ class TextEmbeddings:
 
 
 def load_text(manifest: NetworkManifest) -> TextEmbeddings:
-    """The text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than the
-    manifest states, a word twice, or one in `mapping` that is not there."""
+    """Load the text embeddings of a manifest. Raises ModelError for a missing file, other arrays, another dimension
+    than stated, repeated words, or words in `mapping` that are missing."""
     path, spec = manifest.text_file(), manifest.text
     if spec is None:
         raise ModelError(f"model {manifest.name!r} has no text embeddings")
@@ -57,11 +57,11 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
             "row a name, as text.dimensions states"
         )
     if len(set(names)) != len(names):
-        raise ModelError(f"{path}: names repeat; each word once")
+        raise ModelError(f"{path}: repeated names; give each word once")
     unknown = sorted(set(manifest.mapping) - set(names))
     if unknown:
         raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
-        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; make the file again")
+        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; generate the file again")
     return TextEmbeddings(names, vectors / length, spec.scale)

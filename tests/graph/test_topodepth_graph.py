@@ -40,7 +40,7 @@ NAME = "hollow"
 NETWORKS = {
     "constant": "same depth everywhere (0.5)",
     "nan": "no depth for 100% of its pixels",
-    "negative": "the network's depth runs against the terrain's",
+    "negative": "the network's depth is opposite to the terrain's",
     "green": "the network's depth explains",
 }
 """What the networks answer, each for a camera of its own, and words of what is said of them. The photos of the last two

@@ -231,7 +231,7 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
     assert not (Path(options.out) / STORE_FILE).exists()
     record = json.loads((Path(options.out) / "run.json").read_text())
     assert record["frames"]["failed"] == 1
-    assert "cut short" in record["failures"][0]["why"]
+    assert "truncated" in record["failures"][0]["why"]
     summary = reprocessed(replace(options, max_failed=0.1))
     assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
     assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)
@@ -484,7 +484,7 @@ def test_pictures_that_show_nothing_are_passed_over(
     sample = Sample.parsed("2/day")
     planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
     assert {frame.camera for frame in planned.frames} == {"mast"}
-    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES, REPEATED: FRAMES - 1}
+    assert planned.passed_over == {"blank: the image has one colour": FRAMES, REPEATED: FRAMES - 1}
 
 
 def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:

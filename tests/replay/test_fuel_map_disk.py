@@ -32,7 +32,7 @@ def test_disk_that_fills_up(states: States) -> None:
     assert (soon["frames"], soon["unsaved"], soon["updates"]) == (6, 0, 6), "in the room that the store holds"
     assert soon["troubled"]
     assert "full" in soon["error"]
-    assert "held for it" in soon["error"]
+    assert "reserved space" in soon["error"]
     assert during["unsaved"] > 0, "half of that room is for the end"
     assert during["frames"] + during["unsaved"] == FRAMES
     assert during["troubled"]

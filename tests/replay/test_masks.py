@@ -119,7 +119,7 @@ def test_the_mask_of_a_view_hides_in_that_view_alone(small: SmallSite, plain: Re
     turning = Results(small, write_turning_site(small), tmp_path / "turning")
     summary = turning.summaries[f"/{NAME}/tower/segmentation"]
     assert summary["dropped"] == "0"
-    assert summary["mask"].startswith("no view of the site file looks to azimuth 100.0")
+    assert summary["mask"].startswith("no view of the site file has this direction: azimuth 100.0")
     geometry = small.site.fuel_geometry(small.dem)
     names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
     for number in range(FRAMES):

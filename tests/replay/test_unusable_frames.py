@@ -84,7 +84,7 @@ def test_dark_frames_change_nothing_and_are_counted(small: SmallSite, tmp_path: 
                 continue
             assert (labels == 255).all()
             assert found[FUEL_VOTES][i].width == 0
-            assert (info["verdict"], info["reason"]) == ("picture_unusable", "night: the picture is too dark")
+            assert (info["verdict"], info["reason"]) == ("picture_unusable", "night: the image is too dark")
             assert np.isnan(msg_to_depth(found[MEASURED_DEPTH][i])).all()
             # Where the terrain lies is known at night, too.
             np.testing.assert_array_equal(msg_to_depth(found[FUSED_DEPTH][i]), msg_to_depth(found[DEPTH_IMAGE][i]))

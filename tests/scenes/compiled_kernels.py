@@ -20,7 +20,7 @@ from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.evidence_merge import PartialEvidence
-from ltm_core.fuel.frame_evidence import tell_by_look
+from ltm_core.fuel.frame_evidence import form_by_appearance
 from ltm_core.fuel.life_form import FORMS
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
@@ -120,7 +120,7 @@ def _labels(_: str) -> None:
     upsampled_winner(np.full((3, 5, 7), 1 / 3, np.float32), 40, 60)
     none, own = np.zeros(0, np.int64), np.zeros((0, FORMS))
     look = np.array([0.1, 0.5]), np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_)
-    tell_by_look(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
+    form_by_appearance(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), *look, -4.6, own)
 
 
 def _parts_of_an_archive(_: str) -> None:

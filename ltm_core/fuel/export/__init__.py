@@ -1,1 +1,1 @@
-"""Writes fuel maps as files for fire models and GIS."""
+"""Write fuel maps as files for fire models and GIS."""

@@ -19,25 +19,25 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
 
 _MARK: Final = b"<!-- by ltm export -->"
-"""Of styles that may be written over."""
+"""Marker of style files that may be overwritten."""
 Entry = tuple[int, str, Color]
-"""A value, its label and its colour."""
+"""Value, label and colour."""
 
 
 def style_path(raster: Path) -> Path:
-    """Where QGIS looks for the style of a raster."""
+    """Return the path at which QGIS looks for the style of a raster."""
     return raster.with_suffix(".qml")
 
 
 def code_entries(codes: Int16Array) -> list[Entry]:
-    """The fuel models that occur, by code."""
+    """Return the fuel models that occur, by code."""
     names = fuel_models()
     found = np.unique(codes[codes != NODATA]).tolist()
     return [(code, f"{code} {names.name(code)}", code_color(code)) for code in found]
 
 
 def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -> Path:
-    """A style that shows a band's values by name. Raises ConfigError where it cannot be written."""
+    """Write a style that shows a band's values by name. Raises ConfigError if it cannot be written."""
     renderer = _renderer("paletted", band=str(band))
     palette = SubElement(renderer, "colorPalette")
     for value, label, color in entries:
@@ -53,7 +53,7 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
 
 
 def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
-    """A style that shows a band from black to white. Raises ConfigError where it cannot be written."""
+    """Write a style that shows a band from black to white. Raises ConfigError if it cannot be written."""
     renderer = _renderer("singlebandgray", grayBand=str(band), gradient="BlackToWhite")
     stretch = SubElement(renderer, "contrastEnhancement")
     for name, text in (
@@ -71,7 +71,7 @@ def _renderer(kind: str, **attributes: str) -> Element:
 
 def _write(path: Path, renderer: Element) -> Path:
     if path.is_file() and _MARK not in path.read_bytes()[:500]:
-        return path  # somebody's own style
+        return path  # the user's own style
     root = Element("qgis", version="3.22", styleCategories="Symbology")
     SubElement(root, "pipe").append(renderer)
     indent(root)
@@ -81,7 +81,7 @@ def _write(path: Path, renderer: Element) -> Path:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path
 
 
@@ -97,12 +97,13 @@ _NEVER: Final = "1970-01-01T00:00:00Z"
 
 
 def item_path(export: Path) -> Path:
-    """Where the item of an export stands: beside a file, inside a folder."""
+    """Return the path of the STAC item of an export: beside a file, inside a folder."""
     return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
 
 
 def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> dict[str, Any]:
-    """The item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with `ltm:`."""
+    """Return the item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with
+    `ltm:`."""
     from rasterio.warp import transform_bounds
 
     west, south, east, north = (
@@ -146,7 +147,7 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
 
 
 def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
-    """Writes the item of an export. Raises ConfigError where it cannot be written."""
+    """Write the item of an export. Raises ConfigError if it cannot be written."""
     path = item_path(export)
     partial = path.with_name(f".{path.name}.partial")
     try:
@@ -154,5 +155,5 @@ def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path

@@ -1,4 +1,4 @@
-"""Transfers a site's fuel map and terrain to the grid and CRS of an exported file."""
+"""Transfer a site's fuel map and terrain to the grid and CRS of an exported file."""
 
 from __future__ import annotations
 
@@ -23,25 +23,24 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 
 _LIKE_HEIGHTS = 50.0
-"""Metres of the median difference up to which a prior's elevations are of the same ground in the same unit."""
+"""Median difference in metres up to which a prior's elevations are in the same unit as the DEM."""
 _MOST_SAMPLES = 8
-"""Of the DEM, a side of a fuel cell, for its mean height."""
+"""Maximum number of DEM samples per side of a fuel cell for its mean height."""
 
 
 def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridGeometry:
-    """The grid of the same resolution over `geometry` in another CRS, edges at phase mod resolution, as LANDFIRE's in
-    EPSG:5070. Raises ConfigError where the CRS is unknown or not projected in metres.
-    """
+    """Return the grid of the same resolution over `geometry` in another CRS, edges at phase mod resolution, as
+    LANDFIRE's in EPSG:5070. Raises ConfigError where the CRS is unknown or not projected in metres."""
     from rasterio.warp import transform_bounds
 
     SiteFrame(crs)
     if geometry.crs is None:
-        raise ConfigError("a fuel grid in a bare map frame cannot be put into another CRS")
+        raise ConfigError("a fuel grid without a CRS cannot be reprojected")
     return GridGeometry.snapped(transform_bounds(geometry.crs, crs, *geometry.bounds), geometry.resolution, phase, crs)
 
 
 class GridTransfer:
-    """Takes layers from one grid to another by nearest cell, which is what codes allow; both grids name their CRS."""
+    """Resample layers from one grid to another by nearest cell, as codes require; both grids have a CRS."""
 
     def __init__(self, source: GridGeometry, target: GridGeometry) -> None:
         self.source, self.target = source, target
@@ -52,7 +51,7 @@ class GridTransfer:
         self._rows, self._cols = np.where(self._inside, rows, 0), np.where(self._inside, cols, 0)
 
     def layer(self, layer: NDArray[Any], outside: float) -> NDArray[Any]:
-        """(..., H, W) on the target grid; `outside` where the source does not reach."""
+        """Return (..., H, W) on the target grid; `outside` beyond the source."""
         taken = layer[..., self._rows, self._cols]
         return np.where(self._inside, taken, np.array(outside, layer.dtype))
 
@@ -68,9 +67,8 @@ class GridTransfer:
         return replace(prior, codes=codes, geometry=self.target, canopy=canopy, fbfm13=beside)
 
     def heights(self, dem: Dem, frame: SiteFrame) -> Float64Array:
-        """Mean heights (H + 2, W + 2) of the target's cells and of a border of one cell about it, from a DEM in the map
-        frame: of what it knows of the cell; NaN where it knows nothing.
-        """
+        """Return mean heights (H + 2, W + 2) of the target's cells and of a border of one cell, from a DEM in the map
+        frame: over the known part of the cell; NaN where nothing is known."""
         g = self.target
         around = GridGeometry(
             g.x_min - g.resolution, g.y_max + g.resolution, g.resolution, g.width + 2, g.height + 2, g.crs
@@ -113,8 +111,8 @@ def make_landscape(
     spare: Float32Array | None = None,
     seen: SeenCanopy | None = None,
 ) -> Landscape:
-    """The landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
-    code, or nothing.
+    """Return the landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
+    code, or none.
 
     Args:
         source: the grid of layers and prior, in the site's CRS.
@@ -136,7 +134,7 @@ def make_landscape(
 
 
 def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64Array, BoolArray]:
-    """Heights (H + 2, W + 2), and where (H, W) they are those of `spare` (H, W)."""
+    """Return the heights (H + 2, W + 2), and where (H, W) they are those of `spare` (H, W)."""
     own = heights[1:-1, 1:-1]
     both = np.isfinite(own) & np.isfinite(spare)
     shift = float(np.median((own - spare)[both])) if both.any() else np.inf
@@ -160,9 +158,8 @@ def with_fuel(
     climate: FuelClimate,
     seen: SeenCanopy | None = None,
 ) -> Landscape:
-    """A landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as of
-    `make_landscape`.
-    """
+    """Return a landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as in
+    `make_landscape`."""
     bands = landscape.bands.copy()
     bands[3] = surface_codes(layers, prior, climate, landscape.system)
     bands[4:] = _canopy(layers, prior, climate, seen)

@@ -28,10 +28,10 @@ LANDSCAPE_BANDS: Final = (
 )
 LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
 FLAT: Final = -1
-"""Aspect of level ground, as LANDFIRE has it."""
+"""LANDFIRE's aspect of level ground."""
 _HORN: Final = np.array([1.0, 2.0, 1.0])
 _ENOUGH_CELLS = 20
-"""Of the prior's own trees, to learn from what canopy a code has here."""
+"""Minimum number of the prior's tree cells from which the canopy of a code is learned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Landscape:
     dropped: int = 0
 
     def terrain_note(self) -> str:
-        """What is to be told of heights that the site's terrain does not have; empty where it has all."""
+        """Return a note about heights that the site's terrain lacks; empty if it has all."""
         parts = []
         if self.filled:
             parts.append(f"{self.filled} cells have the elevations of the prior map")
@@ -65,14 +65,14 @@ class Landscape:
                 f"got {self.bands.shape} {self.bands.dtype}"
             )
         if self.geometry.crs is None:
-            raise RasterError("a landscape needs a CRS, but this grid is in a bare map frame")
+            raise RasterError("a landscape needs a CRS, but this grid has none")
 
     def band(self, name: str) -> Int16Array:
         return np.asarray(self.bands[LANDSCAPE_BANDS.index(name)])
 
 
 def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Float64Array, Float64Array]:
-    """Degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
+    """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
 
     Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
     north, FLAT where the ground is level; both are NaN beside unknown heights.
@@ -89,16 +89,15 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Floa
 
 
 def _steepest(east: Float64Array, south: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
+    """Return the slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
     slope = np.degrees(np.arctan(np.hypot(east, south)))
     aspect = np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
     return slope, aspect
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
-    """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where the
-    height is unknown. Where a neighbour's is, the slope from the cell's other side goes on to it.
-    """
+    """Return elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where
+    the height is unknown. If a neighbour's is unknown, the slope from the cell's other side is extended."""
     heights = np.asarray(padded, np.float64)
     slope, aspect = slope_and_aspect(heights, cell)
     own = heights[1:-1, 1:-1]
@@ -121,7 +120,7 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
 
 
 def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate) -> Int16Array:
-    """Cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
+    """Return cover, height, base height and bulk density (4, H, W) for the layers' codes.
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
     their code or, where there are few, the climate's canopy; cells that have lost them get none. Bands that the prior
@@ -149,7 +148,7 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClima
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, climate: FuelClimate, system: FuelSystem) -> Int16Array:
-    """The layers' codes in a system, of the fuel type that they have in their own.
+    """Return the layers' codes in a system, with the fuel type that they have in their own.
 
     Cells that have changed, or never had a prior, take what the climate has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk

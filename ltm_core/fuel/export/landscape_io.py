@@ -33,9 +33,10 @@ HEADER_BYTES: Final = 7316
 _WITH_CROWN: Final = 21
 _WITHOUT_GROUND: Final = 20
 _LISTED: Final = 99
-"""Classes of a band that its list of 100 takes: its first entry is padding."""
+"""Number of classes in a band's list of 100; its first entry is padding."""
 _UNITS: Final = (0, 0, 2, 0, 1, 3, 3, 3, 0, 0)
-"""m; degrees; azimuth; codes as they are; %; m x 10; m x 10; kg/m3 x 100; duff and woody fuel, which are not there."""
+"""Units of the bands: m; degrees; azimuth; codes; %; m x 10; m x 10; kg/m3 x 100; duff and woody fuel, which are
+absent."""
 _METRES: Final = 0
 
 
@@ -56,13 +57,13 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: the landscape cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot write the landscape ({error.strerror})") from error
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
 
 def lcp_header(landscape: Landscape, description: str = "") -> bytes:
-    """The header, 7316 bytes; see the module's source."""
+    """Return the header, 7316 bytes; see the module's source."""
     g = landscape.geometry
     to_degrees = Transformer.from_crs(g.crs, "EPSG:4326", always_xy=True)
     _, latitude = to_degrees.transform((g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2)
@@ -78,7 +79,7 @@ def lcp_header(landscape: Landscape, description: str = "") -> bytes:
 
 
 def _classes(band: Int16Array) -> bytes:
-    """Least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
+    """Return the least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
     values = np.unique(band[band != NODATA]).astype(int).tolist()
     if not values:
         return struct.pack("<103i", *[0] * 103)
@@ -90,7 +91,7 @@ def _classes(band: Int16Array) -> bytes:
 
 MOST_CELLS: Final = 60_000_000
 MOST_NODATA: Final = 0.5
-"""Share of cells; with more, and with more cells than that, FlamMap and IFTDSS refuse a GeoTIFF landscape."""
+"""Maximum share of nodata cells; with a higher share, FlamMap and IFTDSS reject a GeoTIFF landscape."""
 _ELMFIRE: Final[Mapping[str, str]] = {
     "dem": "elevation",
     "slp": "slope",
@@ -116,16 +117,16 @@ _LAYER_UNITS: Final[Mapping[str, str]] = {
 def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
     """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it.
 
-    Raises RasterError for a landscape that they would refuse, ConfigError where it cannot be written.
+    Raises RasterError for a landscape that they would reject, ConfigError where it cannot be written.
     """
     path = Path(path)
     cells = landscape.geometry.width * landscape.geometry.height
     if cells >= MOST_CELLS:
-        raise RasterError(f"{path}: {cells} cells; FlamMap takes less than {MOST_CELLS}: export a part")
+        raise RasterError(f"{path}: {cells} cells; FlamMap reads fewer than {MOST_CELLS}: export a smaller area")
     unknown = float((landscape.bands == NODATA).any(axis=0).mean())
     if unknown > MOST_NODATA:
         raise RasterError(
-            f"{path}: {unknown:.0%} of the cells have no data, FlamMap takes at most {MOST_NODATA:.0%}: give the site "
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: give the site "
             "a prior fuel map, or a DEM that covers it"
         )
     write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
@@ -142,7 +143,7 @@ def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, s
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
     for name, band in {**_ELMFIRE, fuel: "fuel"}.items():
         unit = LANDSCAPE_UNITS[LANDSCAPE_BANDS.index(band)]
@@ -165,7 +166,7 @@ def write_raster(
     colormap: Mapping[int, tuple[int, int, int]] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
-    """A GeoTIFF that appears whole or not at all, its bands named. Raises ConfigError where it cannot be written."""
+    """Write a GeoTIFF atomically, with named bands. Raises ConfigError if it cannot be written."""
     import rasterio
 
     partial = path.with_name(f".{path.stem}.partial.tif")
@@ -177,7 +178,7 @@ def write_raster(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot be written ({error})") from error
 
 
 def write_layers(
@@ -187,14 +188,15 @@ def write_layers(
     tags: Mapping[str, str] | None = None,
     palette: LabelSet | None = None,
 ) -> None:
-    """Every layer as a Cloud Optimized GeoTIFF of its name, with its unit and a QGIS style; `palette`: of life forms.
+    """Write every layer as a Cloud Optimized GeoTIFF with its name, with its unit and a QGIS style; `palette`: of life
+    forms.
 
     Raises ConfigError where it cannot be written.
     """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
     for name, layer in vars(layers).items():
         # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
@@ -221,7 +223,7 @@ def write_cog(
     tags: Mapping[str, str] | None = None,
     name: str = "",
 ) -> None:
-    """A Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
+    """Write a Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
 
     Raises ConfigError where it cannot be written.
     """
@@ -249,4 +251,4 @@ def write_cog(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error})") from error
+        raise ConfigError(f"{path}: cannot be written ({error})") from error

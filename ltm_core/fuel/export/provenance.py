@@ -1,4 +1,4 @@
-"""What an exported fuel map says of itself: of which site and when, how much of it was seen, what it came from."""
+"""Provenance of an exported fuel map: its site and date, the share that was seen, and its sources."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Provenance:
     """`as_of`: ISO 8601 UTC of the newest frame that had a say, or of the moment asked for; NOTHING_SEEN where no frame
     had, WITHOUT_DATES of a map that does not tell. `seen`, `changed`: shares of the cells with a code; None where it is
     not known. `prior_version`: LANDFIRE's where its name tells it, and a digest of the codes on the fuel grid.
-    `terrain`, `surface`: what is to be told of heights, empty where they are the site's own.
+    `terrain`, `surface`: notes about heights, empty for the site's own.
     """
 
     site: str
@@ -37,11 +37,10 @@ class Provenance:
     terrain: str = ""
     surface: str = ""
     own_fbfm13: str = ""
-    """What was kept of the FBFM13 map that came with the prior (`PriorConfig.own_fbfm13`); empty: there is none in it.
-    """
+    """What was kept of the prior's FBFM13 map (`PriorConfig.own_fbfm13`); empty: nothing."""
 
     def tags(self) -> dict[str, str]:
-        """For GeoTIFF: TIFF's own, and ours."""
+        """Return the tags of a GeoTIFF: standard TIFF tags and our own."""
         tags = {
             "site": self.site,
             "as_of": self.as_of,
@@ -64,7 +63,7 @@ class Provenance:
         return tags
 
     def line(self) -> str:
-        """In one line, for formats with a field of text."""
+        """Return one line for formats with a text field."""
         seen = "unknown" if self.seen is None else f"{self.seen:.1%}"
         parts = [
             f"fuel map of {self.site}",
@@ -77,17 +76,17 @@ class Provenance:
         return "; ".join(filter(None, [*parts, self.terrain, self.surface]))
 
     def moment(self) -> datetime | None:
-        """None where no frame had a say, or none is dated."""
+        """Return the time; None if no frame contributed, or none has a date."""
         return None if self.as_of in (NOTHING_SEEN, WITHOUT_DATES) else datetime.fromisoformat(self.as_of)
 
 
 def landscape_units() -> dict[str, str]:
-    """The unit of each band of a landscape, as tags."""
+    """Return the unit of each band of a landscape, as tags."""
     return {f"unit_{name}": unit for name, unit in zip(LANDSCAPE_BANDS, LANDSCAPE_UNITS, strict=True)}
 
 
 def surface_note(surface: SurfaceVersion) -> str:
-    """What is to be told of heights that views have confirmed."""
+    """Return a note about heights that views have confirmed."""
     return (
         f"heights of surface {surface.version}, confirmed by views as of {iso_moment(surface.as_of_ns)}: "
         f"{surface.changed_share:.1%} of {surface.seen} terrain cells seen have changed"
@@ -95,7 +94,7 @@ def surface_note(surface: SurfaceVersion) -> str:
 
 
 def iso_moment(stamp_ns: int) -> str:
-    """ISO 8601, UTC, to the second."""
+    """Return the time in ISO 8601, UTC, to the second."""
     return datetime.fromtimestamp(stamp_ns // 10**9, UTC).isoformat()
 
 
@@ -108,11 +107,11 @@ def software() -> str:
 
 
 def landfire_version(name: str) -> str:
-    """LANDFIRE's release by a file's name: LC22_F40_230.tif is of 2022, version 2.3.0; empty where it tells none."""
+    """Return LANDFIRE's release by a file's name: LC22_F40_230.tif is of 2022, version 2.3.0; empty if unknown."""
     found = re.search(r"LC(\d\d)_[A-Za-z0-9]+_(\d)(\d)(\d)(?!\d)", name)
     return "" if found is None else f"LANDFIRE 20{found[1]}, version {found[2]}.{found[3]}.{found[4]}"
 
 
 def as_rows(tags: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Our own tags, TIFF's left out: for formats with a table."""
+    """Return our own tags, without TIFF's, for formats with a table."""
     return [(name, value) for name, value in tags.items() if not name.startswith("TIFFTAG_")]

@@ -29,8 +29,9 @@ def write_kmz(
     made: Provenance | None = None,
     shows: str = "life forms",
 ) -> None:
-    """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
-    (h, w, 3) stays in the screen's corner; `made`: what the viewer tells of it, and its time.
+    """Write a KMZ of an image `picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent
+    outside; `legend` (h, w, 3) is fixed in the screen's corner; `made`: the description shown by the viewer, and its
+    time.
 
     Raises ConfigError where it cannot be written.
     """
@@ -76,7 +77,7 @@ def write_kmz(
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _told(made: Provenance | None) -> str:
@@ -105,7 +106,8 @@ _LAS_CLASS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class FuelPoints:
-    """`xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16. `rgb`: (N, 3) uint8."""
+    """Points of the fuel map. `xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16.
+    `rgb`: (N, 3) uint8."""
 
     xyz: Float64Array
     life_form: UInt8Array
@@ -115,7 +117,8 @@ class FuelPoints:
 
 
 def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometry, labels: LabelSet) -> FuelPoints:
-    """The cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none is."""
+    """Return the cells with known life form and height (H, W), at their centres. Raises ConfigError if there are
+    none."""
     known = np.isfinite(heights) & (layers.life_form <= len(LifeForm)) & (layers.life_form > 0)
     if not known.any() or geometry.crs is None:
         raise ConfigError("no cell of the fuel map has a life form and a known height: there are no points to write")
@@ -133,9 +136,8 @@ def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometr
 
 
 def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
-    """Binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS and what it is of as
-    comments.
-    """
+    """Write a binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; CRS and provenance as
+    comments."""
     table = np.empty(
         len(points.xyz),
         [("xyz", "<f8", 3), ("rgb", "u1", 3), ("life_form", "u1"), ("code", "<i2")],
@@ -150,7 +152,8 @@ def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) ->
 
 
 def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
-    """LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra `export`)."""
+    """Write LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra
+    `export`)."""
     import laspy
     from pyproj import CRS
 
@@ -161,7 +164,7 @@ def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) ->
     if made is not None:
         header.generating_software = made.software[:32]
         told = made.line().encode("ascii", "replace")[:32_000]
-        header.vlrs.append(laspy.VLR("LTM", 1, "what the map says of itself"[:32], told))
+        header.vlrs.append(laspy.VLR("LTM", 1, "description of the map"[:32], told))
     header.add_extra_dim(laspy.ExtraBytesParams("fuel_code", "int16", "surface fuel model"))
     cloud: Any = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = points.xyz.T
@@ -177,7 +180,7 @@ def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) ->
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -187,4 +190,4 @@ def _write(path: Path, content: bytes) -> None:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error

@@ -1,4 +1,4 @@
-"""How the mount of a PTZ head is written in a site file; `ltm pose` writes it."""
+"""The mount of a PTZ head in a site file, as written by `ltm pose`."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ _ANGLES = 4
 
 
 class MountConfig(PoseConfig):
-    """Where a PTZ head stands and how it is mounted: the keys of a pose are those of its camera where pan and tilt are
-    0.
+    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0.
 
     The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated.
     """
@@ -33,28 +32,29 @@ class MountConfig(PoseConfig):
     position_sigma: float | None = Field(0.5, gt=0)
     height_sigma: float | None = Field(0.5, gt=0)
     tilt_zero_deg: PitchDeg = 0.0
-    """What is added to each tilt, upwards."""
+    """Angle in degrees added to each tilt, positive upwards."""
     tilt_zero_sigma_deg: float = Field(0.3, gt=0)
     pan_sign: Sign = 1
-    """1 where pan grows clockwise as seen from above."""
+    """Sign of pan: 1 if pan grows clockwise as seen from above, else -1."""
     tilt_sign: Sign = 1
-    """1 where tilt grows upwards."""
+    """Sign of tilt: 1 if tilt grows upwards, else -1."""
     encoder_sigma_deg: float = Field(0.03, gt=0)
-    """Of each of pan and tilt: how well the PTZ head comes back to a reading."""
+    """Standard deviation of pan and of tilt in degrees when the PTZ head returns to a reading."""
     covariance_deg2: tuple[tuple[float, ...], ...] | None = None
-    """Of azimuth, pitch, roll and tilt zero, 4 by 4, as a calibration gives it; instead of their sigmas."""
+    """Covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, from a calibration; instead of their
+    sigmas."""
     lens: LensConfig | None = None
-    """None: the lens does not zoom, and `calibration` states it."""
+    """Zoom lens of the camera; None: the lens does not zoom, and `calibration` describes it."""
 
     @model_validator(mode="after")
     def _a_covariance(self) -> Self:
         if self.covariance_deg2 is None:
             return self
         if len(self.covariance_deg2) != _ANGLES or any(len(row) != _ANGLES for row in self.covariance_deg2):
-            raise ValueError("covariance_deg2 is 4 by 4: azimuth, pitch, roll, tilt zero")
+            raise ValueError("covariance_deg2 must be 4 by 4: azimuth, pitch, roll, tilt zero")
         matrix = np.array(self.covariance_deg2)
         if not np.allclose(matrix, matrix.T, rtol=1e-4, atol=1e-12) or np.linalg.eigvalsh(matrix)[0] < -1e-9:
-            raise ValueError("covariance_deg2 is no covariance: it must be symmetric, without negative variances")
+            raise ValueError("covariance_deg2 is not a covariance: it must be symmetric, without negative variances")
         return self
 
     @property
@@ -62,7 +62,7 @@ class MountConfig(PoseConfig):
         return self.covariance_deg2 is not None
 
     def model(self, dem: Dem, frame: SiteFrame) -> MountModel:
-        """In the map frame. Raises what `PoseConfig.pose` raises."""
+        """Return the mount in the map frame. Raises as `PoseConfig.pose`."""
         base = self.pose(dem, frame)
         sigmas = (self.position_sigma, self.height_sigma, *self.angle_sigmas_deg[:3])
         covariance = np.zeros((7, 7))
@@ -82,7 +82,7 @@ class MountConfig(PoseConfig):
 
     @property
     def angle_sigmas_deg(self) -> tuple[float, float, float, float]:
-        """Of azimuth, pitch, roll and tilt zero, as they are stated."""
+        """Return the stated sigmas of azimuth, pitch, roll and tilt zero."""
         return (
             self.azimuth_sigma_deg or 1.5,
             self.pitch_sigma_deg or 0.5,
@@ -92,7 +92,7 @@ class MountConfig(PoseConfig):
 
 
 def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
-    """The section `mount` of a calibrated PTZ head, for YAML; its place in the frame's CRS."""
+    """Return the section `mount` of a calibrated PTZ head for YAML, with its position in the frame's CRS."""
     x, y, z = (float(v) for v in model.base.position)
     azimuth, pitch, roll = model.base.angles_deg
     angles = np.degrees(np.degrees(model.angle_covariance))
@@ -128,22 +128,22 @@ def _short(value: float) -> float:
 
 
 class PoseRefinementConfig(StrictModel):
-    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
-    for each camera. Angles in degrees."""
+    """Settings for refining poses of mounted cameras by their images; a site with this section runs the node `pose` for
+    each camera. Angles in degrees."""
 
     every: float = Field(10.0, ge=0)
-    """Seconds between two pictures that are looked at."""
+    """Minimum seconds between two images that are used."""
     gather: int = Field(6, ge=2)
-    """Clear pictures in which a mount's error is sought together,"""
+    """Number of clear images from which a mount's error is estimated jointly."""
     most_gathered: int = Field(12, ge=2)
-    """and at most so many, where they leave it open."""
+    """Maximum number of images to gather if fewer leave the error ambiguous."""
     judged: int = Field(6, ge=1)
-    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    """Number of most recent clear images that are checked for a slip once the mount's error is known."""
     slipped: int = Field(4, ge=1)
-    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    """Number of these images that must contradict the mount before it is reported as slipped."""
     least_slip_deg: float = Field(0.2, gt=0)
-    """A picture says so where it is off by more than this"""
+    """Minimum deviation in degrees for an image to contradict the mount."""
     slip_sigmas: float = Field(3.0, gt=0)
-    """and by so many of its standard deviations,"""
+    """Minimum deviation in standard deviations for an image to contradict the mount."""
     slip_sigma_deg: float = Field(3.0, gt=0)
-    """and this is the standard deviation of a slip's angles."""
+    """Standard deviation of the angles of a slip in degrees."""

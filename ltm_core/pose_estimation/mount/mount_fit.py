@@ -1,8 +1,8 @@
-"""One correction for several pictures of one mount: presets of a PTZ head, or days of a fixed camera.
+"""Fit one correction to several images of one mount: presets of a PTZ head, or days of a fixed camera.
 
-A picture's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
+An image's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
-where it is free, a factor of the focal length. Single pictures propose corrections; that which explains all pictures
+where it is free, a factor of the focal length. Single images propose corrections; that which explains all images
 best is refined over all of them at once.
 """
 
@@ -27,19 +27,19 @@ from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, RO
 
 TILT_ZERO_SIGMA_DEG = 0.3
 _SURE = 3.0
-"""Sigmas by which a tilt zero must be shown."""
+"""Number of sigmas by which a tilt zero must be significant."""
 _PROPOSALS = 3
-"""Hypotheses of each picture that are tried on all."""
+"""Number of hypotheses of each image that are tested on all images."""
 _STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
-"""Corrections that are refined, at least so far apart in azimuth (far ranges are like saws, with a best fit a tooth) or
-in the logarithm of the focal length."""
+"""Number of corrections that are refined, and their minimum distance in azimuth and in the logarithm of the focal
+length. Far ridges are periodic, with one local optimum per peak."""
 
 
 @dataclass(frozen=True, eq=False)
 class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
-    poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
-    else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by what is stated.
+    poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the images, with it, where it is accepted,
+    else as stated. `gap`: by which the next best correction costs more. `cost`: by the images and by what is stated.
     `focal`: factor of the focal length, `focal_sigma` of its logarithm; 1 and 0 where it is held.
     """
 
@@ -57,7 +57,7 @@ class MountFit:
     focal_sigma: float = 0.0
 
     def pose_covariance(self, picture: int) -> Float64Array:
-        """(6, 6) of a picture's pose, as in `pose_covariance`."""
+        """Return the covariance (6, 6) of an image's pose, as in `pose_covariance`."""
         to_pose = np.zeros((6, 7))
         to_pose[:, :6] = np.eye(6)
         to_pose[3:, 6] = self.found[picture].rotation[:, 0]
@@ -71,14 +71,14 @@ def fit_mount(
     tilt_zero_sigma_deg: float = TILT_ZERO_SIGMA_DEG,
     focal_sigma: float = 0.0,
 ) -> MountFit:
-    """Fit one correction to the pictures of `searches`, each searched from its own of `priors`.
+    """Fit one correction to the images of `searches`, each searched from its own of `priors`.
 
     The sigmas of the first prior are those of the mount; of its azimuth about the vertical, of pitch and roll about the
     level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. `focal_sigma`: of the focal length, relative,
-    which was free in the searches, too; 0 holds it. Raises PoseError without pictures.
+    which was free in the searches, too; 0 holds it. Raises PoseError without images.
     """
     if not priors or len(priors) != len(searches):
-        raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
+        raise PoseError(f"{len(priors)} stated poses for {len(searches)} images; give one for each")
     pictures = [
         MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)
@@ -86,7 +86,7 @@ def fit_mount(
     sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
     starts = _proposals(pictures)
     if not starts:
-        return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
+        return _stated(pictures, "no_skyline", "no image shows a skyline or a ridge of the DEM", sigma)
     costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
     order = np.argsort(costs)
     fits = []
@@ -127,16 +127,16 @@ def fit_ptz_mount(
     config: PicturePoseConfig,
     tilt_zero_sigma_deg: float,
 ) -> MountFit:
-    """Of a PTZ head: with the zero of its tilt axis where pictures in several directions ask for one, else without.
+    """Fit a PTZ mount: with the zero of its tilt axis if images in several directions need one, else without.
 
     A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
-    three sigmas from none; no picture is then surer of its direction than without it.
+    three sigmas from none; no image is then surer of its direction than without it.
     """
     plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
     if tilt_zero_sigma_deg == 0:
         return plain
     ptz = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
-    # A floor of pitch is in the mount's rotation, once for each picture's pose; the zero by itself has it, too.
+    # A floor of pitch is in the mount's rotation, once for each image's pose; the zero by itself has it, too.
     sigma = math.hypot(math.sqrt(ptz.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
     if ptz.word != "accepted" or abs(ptz.tilt_zero) < _SURE * sigma or plain.cost - ptz.cost < _SURE**2 / 2:
         return plain
@@ -148,7 +148,7 @@ def fit_ptz_mount(
     return replace(
         ptz,
         covariance=ptz.covariance * wider,
-        reason=f"{ptz.reason}, with the tilt axis read {math.degrees(ptz.tilt_zero):+.2f} deg off its zero",
+        reason=f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg",
     )
 
 
@@ -158,7 +158,7 @@ def _stated(pictures: list[MountPicture], word: Word, reason: str, sigma: Float6
 
 
 def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) -> Float64Array:
-    """(8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
+    """Return (8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
     level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
     turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
     return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
@@ -192,15 +192,15 @@ def _apart(states: list[Float64Array]) -> list[int]:
 
 
 def _deviation(state: Float64Array) -> Float64Array:
-    """(8,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the vertical
-    about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
+    """Return (8,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the
+    vertical about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
     """
     tipped = matrix_of_vector(state[3:6])[:, 2]
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 
 
 def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
-    """Of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
+    """Return the cost of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
     away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
@@ -216,7 +216,7 @@ def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array
 def _refined(
     pictures: list[MountPicture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """The state (8,) as in `_cost` and its covariance."""
+    """Return the state (8,) as in `_cost` and its covariance."""
     free = np.flatnonzero(sigma > 0)
     state = np.where(sigma > 0, start, 0.0)
     state[3:6] = start[3:6]
@@ -255,13 +255,13 @@ def _refined(
 
 
 def _floor(pictures: list[MountPicture]) -> Float64Array:
-    """(3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the picture:
-    that of every direction is another, and their mean is surer."""
+    """Return (3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the
+    image: that of every direction is another, and their mean is surer."""
     azimuth, pitch, roll = MOUNT_FLOOR_DEG
     directions = sum(1.0 / alike(p, pictures) for p in pictures)
     return pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch / math.sqrt(directions), roll)[3:, 3:]
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:
-    """The same prior for a single picture of a mount whose tilt zero, too, is not known."""
+    """Return the prior for a single image of a mount whose tilt zero, too, is unknown."""
     return replace(prior, pitch_sigma_deg=math.hypot(prior.pitch_sigma_deg, extra_deg))

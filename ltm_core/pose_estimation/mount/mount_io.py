@@ -1,8 +1,8 @@
-"""Read landmarks and photos of a mount's presets; keep what the photos say of a mount across restarts.
+"""Read landmarks and photos of a mount's presets; store the state of a mount across restarts.
 
-Keeps what a camera's pictures have told of its mount, in a file, over a restart.
+Keeps the state of a camera's mount, estimated from its images, in a file across restarts.
 
-It holds for the place, mount and calibration that the site states, and for the DEM that the pictures were compared
+It holds for the place, mount and calibration that the site states, and for the DEM that the images were compared
 with: where any of these has changed since, it is not used, and the mount's error is found anew.
 """
 
@@ -37,15 +37,15 @@ READING_COLUMNS: dict[str, Sequence[str]] = {
 
 
 def read_ptz_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> PtzPoints:
-    """Control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and zoom of the
-    picture in which each is marked. One place may be marked in several pictures. Raises PoseError."""
+    """Return the control points as `read_control_points` reads them, with three further columns: pan_deg, tilt_deg and
+    zoom of the image in which each is marked. One place may be marked in several images. Raises PoseError."""
     names, rows = read_point_rows(path, frame, first_pixel, READING_COLUMNS)
     return PtzPoints(names, rows[:, :3], rows[:, 3:5], rows[:, 5:8])
 
 
 def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
-    """Pan (deg), tilt (deg) and zoom by the picture's name, of a CSV with the columns name, pan_deg, tilt_deg, zoom, as
-    `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
+    """Return the pan (deg), tilt (deg) and zoom by the image's name, of a CSV with the columns name, pan_deg, tilt_deg,
+    zoom, as `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
     path = Path(path)
     reader = csv.DictReader(io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline=""))
     found: dict[str, tuple[float, float, float]] = {}
@@ -60,18 +60,18 @@ def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
             name = (row[columns["name"] or ""] or "").strip()
             place = f"{path}, line {reader.line_num}"
             if not name or name in found:
-                raise PoseError(f"{place}: {'the name ' + name + ' stands twice' if name else 'no name'}")
+                raise PoseError(f"{place}: {'the name ' + name + ' is repeated' if name else 'no name'}")
             pan, tilt, zoom = (_number(row[columns[key] or ""], key, place) for key in READING_COLUMNS)
             found[name] = pan, tilt, zoom
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not found:
-        raise PoseError(f"{path}: holds no reading")
+        raise PoseError(f"{path}: contains no reading")
     return found
 
 
 def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom: float) -> None:
-    """One line more, below a head line that is written first."""
+    """Append one line, after a header line in a new file."""
     new = not path.exists()
     with path.open("a", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -93,16 +93,16 @@ def _number(text: str | None, column: str, place: str) -> float:
 _LAYOUT = 1
 _LARGEST = 64 << 10
 _ROUNDING = 1e-6
-"""Of a covariance's greatest eigenvalue: by which it may be none."""
+"""Share of the largest eigenvalue of a covariance by which the smallest may be negative."""
 _Three = tuple[float, float, float]
 _Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
-"""Radians."""
+"""Angle in radians."""
 
 
 class _Memory(StrictModel):
     layout: int
     terms: str
-    """What it holds for (`mount_terms`)."""
+    """Terms for which the state is valid (`mount_terms`)."""
     state: MountState
     reason: str = Field(max_length=2000)
     rotation: tuple[_Angle, _Angle, _Angle]
@@ -116,7 +116,7 @@ def memory_file(folder: Path, camera: str) -> Path:
 
 
 def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
-    """In place of the former file, at once and whole. Raises StoreError."""
+    """Replace the previous file atomically. Raises StoreError."""
     angles = watch.correction.angles
     memory = _Memory(
         layout=_LAYOUT,
@@ -137,7 +137,7 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        raise StoreError(f"{path}: what is known of the mount cannot be kept ({error.strerror})") from error
+        raise StoreError(f"{path}: cannot save the state of the mount ({error.strerror})") from error
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
@@ -150,21 +150,19 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     try:
         memory = _Memory.model_validate_json(read_text(path, _LARGEST, StoreError))
     except ValidationError as error:
-        raise StoreError(
-            f"{path}: does not hold what is known of a mount ({error.error_count()} errors); remove it"
-        ) from error
+        raise StoreError(f"{path}: not a valid mount state ({error.error_count()} errors); remove it") from error
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
     if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
-        raise StoreError(f"{path}: its angles and tilt_covariance are no covariance; remove it")
+        raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
     watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True
 
 
 def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
-    """Nobody's slip would ever be seen against sigmas that are no numbers."""
+    """Reject sigmas that are not finite, against which no slip could be detected."""
     joint = np.empty((4, 4))
     joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
     values = np.linalg.eigvalsh((joint + joint.T) / 2)

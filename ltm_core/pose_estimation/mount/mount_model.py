@@ -20,13 +20,13 @@ from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
 _UNKNOWN = 1.0
-"""Variance, rad^2, from which on a direction is not known."""
+"""Variance in rad^2 above which a direction is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseCorrection:
-    """`rotation`: (3,) rad about the map's axes, by which stated poses are turned; `angles`: (3, 3) covariance of their
-    angles then, about these axes, rad^2; None: as it is stated.
+    """Correction of poses. `rotation`: (3,) rad about the map's axes, by which stated poses are turned; `angles`: (3,
+    3) covariance of their angles then, about these axes, rad^2; None: as stated.
 
     `tilt_zero` (rad): by which a PTZ head's camera is turned up about its own right besides, wherever it looks.
     `tilt_covariance`: (4,) of it with the rotation about x, y and z, and its variance.
@@ -39,16 +39,16 @@ class PoseCorrection:
 
     @property
     def known(self) -> bool:
-        """Whether the angles of a pose are of use with it."""
+        """Return whether the angles of a pose are usable with it."""
         return self.angles is None or bool(self.angles.diagonal().max() < _UNKNOWN)
 
     @property
     def held(self) -> bool:
-        """Whether pictures have found it, and agree with it still."""
+        """Return whether images have determined it, and still agree with it."""
         return self.angles is not None and self.known
 
     def applied(self, pose: Pose, covariance: Float64Array) -> tuple[Pose, Float64Array]:
-        """A stated pose and its covariance (6, 6) as in `pose_covariance`, corrected."""
+        """Correct a stated pose and its covariance (6, 6) as in `pose_covariance`."""
         if self.angles is not None:
             stated, covariance = covariance, np.zeros((6, 6))
             covariance[:3, :3] = stated[:3, :3]
@@ -60,7 +60,8 @@ class PoseCorrection:
         return corrected, covariance
 
     def angles_at(self, corrected: Pose) -> Float64Array:
-        """(3, 3) of a corrected pose: of another at each pan where the tilt zero is not sure."""
+        """Return (3, 3) the angle covariance of a corrected pose, which depends on pan if the tilt zero is
+        uncertain."""
         assert self.angles is not None  # nosec B101 # tells the type checker what holds
         right, cross = corrected.rotation[:, 0], self.tilt_covariance[:3]
         both = np.outer(cross, right)
@@ -72,7 +73,7 @@ Sign = Literal[1, -1]
 
 @dataclass(frozen=True, eq=False)
 class MountModel:
-    """`base`: the camera's pose where pan is 0 and the tilt axis reads so that it looks along its level.
+    """Mount of a PTZ head. `base`: the camera's pose where pan is 0 and the tilt axis reads level.
 
     `tilt_zero` (rad): what is added to each tilt. `covariance`: (7, 7) of place (m), rotation about the map's axes
     (rad), tilt zero (rad), as in `MountFit`. `pan_sign`: 1 where pan grows clockwise as seen from above; `tilt_sign`: 1
@@ -88,17 +89,17 @@ class MountModel:
     encoder_sigma: float = math.radians(0.03)
 
     def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
-        """(3, 3), optical to map."""
+        """Return (3, 3), optical to map."""
         pan, tilt = ptz_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
         return np.asarray(self.base.rotation @ ptz_rotation(pan, tilt + self.tilt_zero), np.float64)
 
     def pose(
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Pose, Float64Array]:
-        """The camera's pose, and its (6, 6) covariance as in `pose_covariance`, of what the encoders say.
+        """Return the camera's pose for encoder readings, and its (6, 6) covariance as in `pose_covariance`.
 
         The covariance holds the calibration's, the encoders' and that of motion: `moved_deg` is by how much pan and
-        tilt changed while the picture was taken, which lies somewhere between.
+        tilt changed while the image was taken, which lies somewhere between.
         """
         rotation = self.rotation(pan_deg, tilt_deg)
         to_pose = np.zeros((6, 9))
@@ -113,7 +114,7 @@ class MountModel:
     def corrected(
         self, rotation: Float64Array, tilt_zero: float, shift: Float64Array, covariance: Float64Array
     ) -> MountModel:
-        """With a correction as `MountFit` holds it."""
+        """Return the mount with a correction as in `MountFit`."""
         return replace(
             self,
             base=turned(self.base, rotation, shift),
@@ -123,12 +124,12 @@ class MountModel:
 
     @property
     def angle_covariance(self) -> Float64Array:
-        """(4, 4) of the mount's azimuth, pitch and roll and its tilt zero, rad^2."""
+        """Return the covariance (4, 4) of the mount's azimuth, pitch and roll and its tilt zero, rad^2."""
         to_angles = self._to_angles()
         return np.asarray(to_angles @ self.covariance[3:, 3:] @ to_angles.T, np.float64)
 
     def with_angle_covariance(self, angles: Float64Array) -> MountModel:
-        """The other way: from (4, 4), rad^2."""
+        """Return the mount with such a covariance (4, 4), rad^2."""
         to_map = np.linalg.inv(self._to_angles())
         covariance = self.covariance.copy()
         covariance[3:, 3:] = to_map @ angles @ to_map.T
@@ -141,7 +142,8 @@ class MountModel:
         return to_angles
 
     def direction_sigma_deg(self, pan_deg: float, tilt_deg: float = 0.0) -> float:
-        """Of where the camera looks, by the calibration alone: that across in the worse direction."""
+        """Return the standard deviation of the viewing direction by the calibration alone, across the worse
+        direction."""
         still = replace(self, encoder_sigma=0.0)
         pose, covariance = still.pose(pan_deg, tilt_deg)
         across = pose.rotation[:, :2]
@@ -149,11 +151,11 @@ class MountModel:
 
 
 def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
-    """Pan clockwise and tilt upwards, rad."""
+    """Return pan clockwise and tilt upwards, rad."""
     return pan_sign * math.radians(pan_deg), tilt_sign * math.radians(tilt_deg)
 
 
 def ptz_rotation(pan: float, tilt: float) -> Float64Array:
-    """(3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
+    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
     right."""
     return matrix_of_pan_tilt(pan, tilt)

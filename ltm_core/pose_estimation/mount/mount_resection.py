@@ -1,6 +1,6 @@
-"""A PTZ head's mount from landmarks that are marked in pictures of several presets.
+"""Calibrate a PTZ mount from landmarks marked in images of several presets.
 
-Shared by all pictures are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
+Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
 form (`mount_search`), least squares in the image, as in `resection`.
 """
@@ -25,13 +25,15 @@ from ltm_core.pose_estimation.skyline.pose_prior import turned
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
 
 LEAST_LANDMARKS = 4
-"""With two, a lean of the mount and a zero of its tilt are not told apart; with three, no error shows."""
+"""Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
+three, no error is detected."""
 WORST_SIGMA_DEG = 0.3
-"""Of a direction somewhere on the circle, beyond which landmarks are said to be crowded in pan."""
+"""Worst standard deviation of a direction on the circle, in degrees, above which landmarks are too close together in
+pan."""
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
-"""How far a mount may lean, tilts may be off and a table's focal lengths wrong: weak beside four landmarks."""
+"""Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
 _SIGN_GAIN = 3.0
-"""By so much must another sign of an axis explain the landmarks better than the stated one."""
+"""Factor by which another sign of an axis must fit the landmarks better than the stated one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +89,7 @@ def resect_mount(
             break
     if not fits:
         raise PoseError(
-            f"no mount within {math.degrees(STEEPEST_LEAN):.0f} deg of the stated lean explains the landmarks. "
-            + REMEDY
+            f"no mount within {math.degrees(STEEPEST_LEAN):.0f} deg of the stated lean fits the landmarks. " + REMEDY
         )
     best = min(fits, key=lambda signs: fits[signs][0])
     if stated in fits and fits[stated][0] <= _SIGN_GAIN * max(fits[best][0], sigma_px):
@@ -96,7 +97,7 @@ def resect_mount(
     notes = []
     if best != stated:
         axes = [name for name, x, y in zip(("pan", "tilt"), best, stated, strict=True) if x != y]
-        notes.append(f"{' and '.join(axes)} runs opposite to what was stated: the landmarks fit only so")
+        notes.append(f"{' and '.join(axes)} has the opposite sign of the stated one: only so do the landmarks fit")
     _, model, state = fits[best]
     return problem.solved(model, state, notes)
 
@@ -106,7 +107,7 @@ def _check(points: PtzPoints, lens: ZoomLens) -> None:
     if len(different) < LEAST_LANDMARKS:
         raise PoseError(
             f"{len(different)} landmarks: a mount needs at least {LEAST_LANDMARKS} different ones, spread in pan: "
-            "its lean and the zero of its tilt cannot be told apart with fewer"
+            "with fewer, its lean and the zero of its tilt cannot be separated"
         )
     u, v = points.pixels.T
     outside = (u < -0.5) | (v < -0.5) | (u > lens.width - 0.5) | (v > lens.height - 0.5)
@@ -143,7 +144,7 @@ class _Adjustment:
         self._free = np.concatenate([place > 0, np.ones(4, bool), focal > 0, np.ones(len(encoder), bool)])
 
     def robust_fit(self, model: MountModel) -> tuple[float, Float64Array]:
-        """Median residual (pixels) and state of a fit that gross errors move little, from `model`."""
+        """Return the median residual (pixels) and the state of a robust fit from `model`."""
         self._begun = model
         state = np.zeros(int(self._free.sum()))
         everyone = np.ones(len(self._points.names), bool)
@@ -152,7 +153,7 @@ class _Adjustment:
         return float(np.median(np.linalg.norm(self._residuals(state), axis=1))), state
 
     def solved(self, model: MountModel, state: Float64Array, notes: list[str]) -> MountResection:
-        """From a robust fit to the result: least squares over the landmarks that are no outliers."""
+        """Return the result from a robust fit: least squares over the landmarks without outliers."""
         self._begun = model
         count = len(self._points.names)
         used = np.ones(count, bool)
@@ -162,7 +163,7 @@ class _Adjustment:
             if now.mean() < 1 - MAX_OUTLIER_SHARE or now.sum() < LEAST_LANDMARKS:
                 worst = [k for k in np.argsort(-off) if not now[k]]
                 named = ", ".join(f"{self._points.names[k]} (off by {off[k]:.0f} px)" for k in worst[:8])
-                raise PoseError(f"{len(worst)} of {count} landmarks fit no common mount: {named}. {REMEDY}")
+                raise PoseError(f"{len(worst)} of {count} landmarks do not fit a common mount: {named}. {REMEDY}")
             settled = bool((now == used).all())
             used = now
             state = self._least(state, used, "linear", self._sigma_px)
@@ -198,7 +199,7 @@ class _Adjustment:
             span = _span_deg(self._points.readings[used, 0])
             notes = [
                 *notes,
-                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is open by "
+                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is uncertain by "
                 f"{worst[1]:.2f} deg; mark some there",
             ]
         return MountResection(
@@ -227,7 +228,7 @@ class _Adjustment:
         )
 
     def _residuals(self, state: Float64Array) -> Float64Array:
-        """(N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""
+        """Return (N, 2) pixels; a constant for a landmark behind the camera, which keeps it from pulling."""
         whole = self._whole(state)
         model = self._model(whole)
         zooms, presets = len(self._zooms), len(self._presets)
@@ -275,7 +276,7 @@ class _Adjustment:
 
 
 def _span_deg(pans: Float64Array) -> float:
-    """The shortest arc that holds all pans."""
+    """Return the shortest arc that holds all pans."""
     at = np.sort(np.asarray(pans) % 360.0)
     gaps = np.diff(np.append(at, at[0] + 360.0))
     return float(360.0 - gaps.max())

@@ -1,4 +1,4 @@
-"""Where the fit of a PTZ head's mount begins: mounts in closed form, from pairs of landmarks and each sign of the axes.
+"""Find starts for the fit of a PTZ mount: mounts in closed form, from pairs of landmarks and each sign of the axes.
 
 The directions to the landmarks in the PTZ head's axes are turned onto those on the map (Wahba's problem, Kabsch 1976).
 """
@@ -19,17 +19,17 @@ from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 STEEPEST_LEAN = math.radians(20.0)
-"""Of a mount from what is stated of it."""
+"""Maximum lean of a mount from its stated orientation."""
 _REACHED = 3
-"""Landmarks within reach of a pair's mount, beyond which it is fitted to all of them."""
+"""Number of landmarks that must fit the mount of a pair before it is fitted to all of them."""
 _MOST_PAIRS = 200
 
 
 def closed_forms(
     points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float
 ) -> dict[tuple[Sign, Sign], MountModel]:
-    """For each sign of pan and tilt, that which is stated first, the mount that most landmarks agree on, without a tilt
-    zero."""
+    """Return, for each sign of pan and tilt (the stated ones first), the mount that most landmarks agree on, without a
+    tilt zero."""
     sights = line_of_sight_vectors(start.base.position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]
@@ -49,7 +49,8 @@ def closed_forms(
 
 
 def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
-    """Median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those within reach."""
+    """Return the median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those
+    within reach."""
     pairs = list(itertools.combinations(range(len(sights)), 2))
     pairs = [pairs[k] for k in np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]
     best: tuple[float, Float64Array] | None = None
@@ -69,7 +70,7 @@ def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel
 
 
 def _aligned(in_ptz: Float64Array, sights: Float64Array) -> Float64Array:
-    """The rotation that turns directions (N, 3) onto others with the least squares."""
+    """Return the rotation that turns directions (N, 3) onto others with the least squares."""
     u, _, vt = np.linalg.svd(sights.T @ in_ptz)
     turn = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
     return np.asarray(u @ turn @ vt, np.float64)

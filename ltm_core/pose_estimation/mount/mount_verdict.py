@@ -1,6 +1,6 @@
 """Decide whether a correction that several photos of a mount share is accepted.
 
-Pictures of one mount, and where a correction that all share puts them.
+Images of one mount, and where a correction that all share puts them.
 
 A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
 the focal length.
@@ -27,24 +27,24 @@ from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline
 
 @dataclass(frozen=True, eq=False)
 class MountPicture:
-    """A picture as stated (`prior`), what was found in it by itself, and the ridges around."""
+    """Image as stated (`prior`), its own result, and the ridges around."""
 
     prior: PosePrior
     search: PictureSearch
     ridges: ContourDirections
 
     def pose(self, state: Float64Array) -> Pose:
-        """With a correction (8,)."""
+        """Return the pose with a correction (8,)."""
         stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
         return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
 
     def camera(self, state: Float64Array) -> Camera:
-        """With a correction (8,)."""
+        """Return the camera with a correction (8,)."""
         return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
 
 
 def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
-    """Of pictures that have a skyline how it lies on the terrain's, each figure the median; where none has, all fit."""
+    """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
     fits = [
         skyline_fit(p.pose(state), p.camera(state), p.search.evidence, p.search.horizon, config)
         for p in pictures
@@ -54,7 +54,7 @@ def skylines_at(pictures: list[MountPicture], state: Float64Array, config: Pictu
 
 
 def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
-    """How many pictures look where this one does: they share the DEM's errors, so that they count as one."""
+    """Return the number of images with this viewing direction: they share the DEM's errors and count as one."""
     width = picture.search.evidence.camera.hfov_deg
     azimuth = picture.prior.pose.angles_deg[0]
     away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
@@ -70,31 +70,30 @@ def judge_mount(
     away: float,
     config: VerdictConfig,
 ) -> tuple[Word, str]:
-    """The verdict in a word, and why. `found`: poses of the pictures with the correction. `seen`: how their skylines
-    lie on the terrain's there. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: by which the next
-    best correction costs more. `away`: sigmas of what is stated by which it is from none, the most of any angle.
-    """
+    """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
+    skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
+    the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
     apart = _alone_apart(pictures, found, config.mount_sharp_deg)
     if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
-        return "ambiguous", f"the pictures leave the mount open by {turns_deg.max():.2f} deg"
+        return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
     if gap < _gap_asked(pictures, seen, config):
         return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     if seen.support < config.least_support:
-        return "ambiguous", f"only {seen.support:.0%} of the photos' skylines lies on the terrain's"
+        return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
     if max(apart, default=0.0) > config.mount_apart_deg:
-        return "ambiguous", f"a picture that is sure of itself lies {max(apart):.1f} deg from where the mount puts it"
+        return "ambiguous", f"an image accepted by itself is {max(apart):.1f} deg from the mount's pose"
     if seen.open > config.open_share and not _told_alone(pictures, found, config):
         return (
             "ambiguous",
-            "land beyond the DEM may look like its horizon, and no two pictures alone are of the same mount",
+            "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount",
         )
     if away > config.contradiction:
-        return "contradicts_prior", f"the mount is {away:.1f} sigmas from where it is said to be"
-    return "accepted", f"{len(pictures)} pictures agree"
+        return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
+    return "accepted", f"{len(pictures)} images agree"
 
 
 def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config: VerdictConfig) -> bool:
-    """Whether two pictures or more are accepted by themselves, and all of these lie where the mount puts them."""
+    """Return whether two images or more are accepted by themselves, and all of these lie where the mount puts them."""
     apart = _alone_apart(pictures, found)
     return len(apart) > 1 and max(apart) <= config.mount_apart_deg
 
@@ -102,8 +101,8 @@ def _told_alone(pictures: Sequence[MountPicture], found: Sequence[Pose], config:
 def _alone_apart(
     pictures: Sequence[MountPicture], found: Sequence[Pose], most_sigma_deg: float = math.inf
 ) -> list[float]:
-    """Degrees of azimuth or pitch between where pictures are found by themselves and where the mount puts them, of
-    those that are accepted and so sure."""
+    """Return the degrees of azimuth or pitch between where images are found by themselves and where the mount puts
+    them, of those that are accepted and so sure."""
     return [
         float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max()))
         for p, pose in zip(pictures, found, strict=True)
@@ -112,7 +111,7 @@ def _alone_apart(
 
 
 def _gap_asked(pictures: Sequence[MountPicture], seen: SkylineFit, config: VerdictConfig) -> float:
-    """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
+    """Return the minimum gap of a mount as of an image (`pose_verdict.judge`): more if only ridges are used."""
     evidences = [p.search.evidence for p in pictures]
     if any(evidence.skyline is not None for evidence in evidences):
         return config.gap_asked(seen.veiled, seen.variance)

@@ -1,10 +1,10 @@
-"""Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
+"""Maintain the pose of a mounted camera: correct the stated pose by its images, and detect slips.
 
 A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a PTZ head that of its tilt axis'
-zero. It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog
-only delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last
-ones say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is
-sought anew.
+zero. It is found in several clear images together (`mount_fit`), so that one wrong skyline moves nothing, and fog
+only delays it. From then on each clear image is laid on the terrain from the corrected pose; where most of the last
+ones show another viewing direction, the mount is reported as slipped, its poses are not used, and the error is
+estimated again.
 """
 
 from __future__ import annotations
@@ -35,39 +35,39 @@ from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 16
-"""Horizons: as many as a PTZ head has presets."""
+"""Maximum number of horizons kept, as many as a PTZ head has presets."""
 _STEP_DEG = 2.0
-"""Directions that differ by less share a horizon."""
+"""Difference in degrees below which two directions share a horizon."""
 _TRACKING = (*ROUNDS[::2], ROUNDS[-1])
-"""Rounds of the fit in a picture of a mount that is known: it begins close by."""
+"""Number of rounds of the fit for an image of a known mount, which starts close to the solution."""
 _TRACKED_SIGMA_DEG = 1.0
-"""Of each angle, within which a picture of a mount that is known may say otherwise."""
+"""Standard deviation of each angle in degrees within which an image of a known mount may deviate."""
 _TURN_STEP_DEG, _TURN_STEPS = 0.25, 8
-"""Turns to either side of a known pose at which the skyline is tried."""
+"""Step in degrees and number of the turns to either side of a known pose at which the skyline is tested."""
 _TURN_NEAR = 2
-"""Steps within which a fit that starts at the known pose finds the turn itself."""
+"""Number of steps within which a fit from the known pose finds the turn itself."""
 _TURN_GAIN = 2.0
-"""Least difference of cost between a turned and the known pose."""
+"""Minimum difference of cost between a turned and the known pose."""
 
 
 class MountState(Enum):
     STATED = "stated"
-    """Its poses are taken as they are stated: too few clear pictures yet."""
+    """Poses are used as stated: too few clear images so far."""
     HELD = "held"
-    """They are corrected, and pictures agree."""
+    """Poses are corrected, and images agree."""
     SLIPPED = "slipped"
-    """Pictures say that it looks elsewhere; where is not known yet."""
+    """Images show another viewing direction, which is not known yet."""
     CONTRADICTED = "contradicted"
-    """Pictures agree with each other, and not with what is stated, by more than its sigmas allow."""
+    """Images agree with each other, but differ from the stated pose by more than its sigmas allow."""
 
 
 class MountWatch:
-    """What the pictures of one camera say of its mount; give them in time order.
+    """Monitor the mount of one camera by its images; give them in time order.
 
     Args:
         terrain: what its skylines are compared with.
-        config: how many pictures it takes.
-        picture_config: constants of the search in a single picture.
+        config: how many images it takes.
+        picture_config: constants of the search in a single image.
         tilt_zero_sigma_deg: of a PTZ head, how far the zero of its tilt axis may be off; 0: none is sought.
     """
 
@@ -82,25 +82,27 @@ class MountWatch:
         self._terrain, self._config, self._search = terrain, config, picture_config
         self.correction = PoseCorrection(np.zeros(3), None)
         self.state = MountState.STATED
-        self.reason = "too few clear pictures yet"
-        """Of the state, in words."""
+        self.reason = "too few clear images so far"
+        """Reason for the state, in words."""
         self.slips = 0
-        """How often the mount was said to have slipped."""
+        """Number of slips reported for the mount."""
         self._priors: list[PosePrior] = []
         self._searches: list[PictureSearch] = []
         self._contradictions: list[Float64Array] = []
-        """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
+        """Deviations from the stated pose (azimuth, pitch and roll in degrees) of clear images that show nothing near
+        it."""
         self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
-        """Of each clear picture of a mount that is held: by how much the camera is off, radians of azimuth, pitch and
-        roll, where that is more than errors explain."""
+        """For each clear image of a known mount: deviation of the camera in radians of azimuth, pitch and roll, where
+        it exceeds the errors."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
     def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
-        """Go on from what a former watch of the same mount has found."""
+        """Continue from the result of a previous monitor of the same mount."""
         self._become(state, correction, reason)
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
-        """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
+        """Process an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; return whether it
+        was clear.
 
         Raises PoseError for a camera beside the DEM or under its ground.
         """
@@ -120,7 +122,7 @@ class MountWatch:
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
         if evidence.skyline is not None and search.verdict.support < self._search.verdict.clear_support:
-            # What is stated as sure holds a search by force: does the picture show another direction?
+            # What is stated as sure holds a search by force: does the image show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
         self._searches.append(search)
@@ -129,7 +131,7 @@ class MountWatch:
         return True
 
     def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
-        """Whether a picture is clear that shows nothing from near the stated pose."""
+        """Return whether an image is clear that shows nothing from near the stated pose."""
         sigma = self._config.slip_sigma_deg
         wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
         search = self._find(evidence, wide)
@@ -140,8 +142,8 @@ class MountWatch:
         if len(self._contradictions) >= self._config.gather:
             azimuth, pitch, roll = np.median(self._contradictions, axis=0)
             reason = (
-                f"{len(self._contradictions)} clear pictures show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
-                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
+                f"{len(self._contradictions)} clear images show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
+                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which exceeds its sigmas: correct "
                 "one of them"
             )
             self._become(MountState.CONTRADICTED, self._nowhere(), reason)
@@ -166,7 +168,7 @@ class MountWatch:
             del self._priors[:half], self._searches[:half]
 
     def _nowhere(self) -> PoseCorrection:
-        """The correction so far, of which it is no longer known that it is right."""
+        """Return the correction so far, of which it is no longer known that it is right."""
         return PoseCorrection(self.correction.rotation, unknown_angles(), self.correction.tilt_zero)
 
     def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
@@ -213,7 +215,7 @@ class MountWatch:
         azimuth, pitch, roll = np.median(elsewhere, axis=0)
         self.slips += 1
         reason = (
-            f"{len(elsewhere)} of the last {len(self._tracked)} clear pictures say that the camera has turned by "
+            f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
             f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
         )
         self._become(MountState.SLIPPED, self._nowhere(), reason)
@@ -238,7 +240,7 @@ class MountWatch:
 
 
 def unknown_angles() -> Float64Array:
-    """(3, 3): the covariance of angles by which nothing shall be placed."""
+    """Return (3, 3) the covariance of unknown angles, with which nothing is located."""
     return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
 
 

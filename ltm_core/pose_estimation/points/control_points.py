@@ -48,8 +48,8 @@ class ControlPoints:
 
 @dataclass(frozen=True, eq=False)
 class PtzPoints:
-    """Landmarks in pictures of a head. `names`: (N,); `places`: (N, 3) map metres; `pixels`: (N, 2), (0, 0) the centre
-    of the top-left pixel; `readings`: (N, 3) pan (deg), tilt (deg) and zoom of each one's picture."""
+    """Landmarks in images of a head. `names`: (N,); `places`: (N, 3) map metres; `pixels`: (N, 2), (0, 0) the centre
+    of the top-left pixel; `readings`: (N, 3) pan (deg), tilt (deg) and zoom of each one's image."""
 
     names: tuple[str, ...]
     places: Float64Array

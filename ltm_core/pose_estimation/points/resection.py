@@ -37,7 +37,7 @@ from ltm_core.pose_estimation.points.resection_search import coarse_poses
 
 @dataclass(frozen=True)
 class Rejected:
-    """A parameter that the points determine too badly, as they would have had it.
+    """Parameter that the points determine too poorly, with its estimate.
 
     `values`, `sigmas`: of fx (pixels), of k1, or of x, y, z (map metres). `median_px`: median residual of the points.
     """
@@ -76,7 +76,7 @@ class Resection:
 
     @property
     def residual_px(self) -> Float64Array:
-        """(N,) lengths of the residuals, pixels; +inf behind the camera."""
+        """Return (N,) lengths of the residuals, pixels; +inf behind the camera."""
         return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
 
     @property
@@ -149,9 +149,8 @@ def _rough_fit(
     free: tuple[Parameter, ...],
     sigma_px: float,
 ) -> Fit:
-    """The best of the coarse search's poses, after a short fit; of those that explain the points alike, that whose
-    position is nearest to the stated one.
-    """
+    """Return the best of the coarse search's poses, after a short fit; of those that explain the points alike, that
+    whose position is nearest to the stated one."""
     starts = coarse_poses(
         problem.points, camera, problem.position, angles_deg, "focal" in free, "position" in free, problem.bend
     )
@@ -206,7 +205,7 @@ def _result(
 
 
 def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, float]:
-    """Deviations of fx (pixels), k1 and x, y, z (metres), of those that were fitted."""
+    """Return the deviations of fx (pixels), k1 and x, y, z (metres), of those that were fitted."""
     deviations = list(map(float, np.sqrt(np.diag(fit.covariance))[3:]))
     sigmas: dict[str, float] = {}
     for name in fitted:
@@ -220,7 +219,8 @@ def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, floa
 
 
 def _angle_sigmas(pose: Pose, turns: Float64Array) -> dict[str, float]:
-    """Deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's axes."""
+    """Return the deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's
+    axes."""
     step = 1e-6
     slopes = np.empty((3, 3))
     for axis in range(3):

@@ -22,14 +22,14 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors
 
 Parameter = Literal["focal", "k1", "position"]
-"""What may be fitted besides the angles, which always are."""
+"""Parameters that may be fitted in addition to the angles, which always are."""
 
 PARAMETERS: tuple[Parameter, ...] = ("focal", "k1", "position")
 SIZE = {"focal": 1, "k1": 1, "position": 3}
-"""Numbers that each parameter is."""
+"""Number of values of each parameter."""
 
 MIN_REDUNDANCY = 2
-"""Measured coordinates beyond the number of parameters: with fewer no error shows."""
+"""Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
 OUTLIER_SIGMAS = 4.0
 MAX_OUTLIER_SHARE = 0.25
 
@@ -47,7 +47,7 @@ class Fit:
     used: BoolArray
     sigma_px: float
     covariance: Float64Array
-    """Of rotation (rad), then the free parameters."""
+    """Covariance of the rotation (rad), then of the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,8 @@ class Adjustment:
     def robust_fit(
         self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
     ) -> Fit:
-        """Soft-L1, then Cauchy loss, which gross errors move less; the median residual of all points is its scale."""
+        """Fit with soft-L1, then Cauchy loss, which reduce the effect of gross errors; the median residual of all
+        points is the scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
@@ -71,14 +72,14 @@ class Adjustment:
         return fit
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
-        """Least squares over the points within OUTLIER_SIGMAS, until that set stays."""
+        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable."""
         size = 3 + size_of(free)
         before = None
         for _ in range(10):
             used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise PoseError(
-                    f"{(~used).sum()} of {len(used)} control points fit no common pose: "
+                    f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
                     f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())
@@ -111,7 +112,8 @@ class Adjustment:
 
 
 def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
-    """Camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1, position."""
+    """Return the camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1,
+    position."""
     rest = list(x[3:])
     position = pose.position
     for name in free:
@@ -126,7 +128,7 @@ def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter,
 
 
 def _inverse(jacobian: Float64Array) -> Float64Array:
-    """(J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
+    """Return (J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
     norms = np.linalg.norm(jacobian, axis=0)
     norms[norms == 0] = 1e-12
     _, singular, basis = np.linalg.svd(jacobian / norms, full_matrices=False)
@@ -136,7 +138,7 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
 
 
 def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
-    """The points of `which` by residual, largest first."""
+    """Return the points of `which` with their residuals, largest first."""
     off = lengths(residuals)
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
     shown = [
@@ -155,7 +157,8 @@ def median_px(residuals: Float64Array) -> float:
 
 
 def _scale(residuals: Float64Array, parameters: int) -> float:
-    """Deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n - p."""
+    """Return the deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n -
+    p."""
     observed = residuals.size
     return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
 
@@ -169,14 +172,14 @@ def diagonal(camera: Camera) -> float:
 
 
 MAX_MEDIAN_SHARE = 0.02
-"""Median residual over the image's diagonal above which no pose explains the points."""
+"""Median residual, as a share of the image's diagonal, above which no pose explains the points."""
 MAX_ANGLE_SIGMA_DEG = 1.0
 MAX_FOCAL_SIGMA = 0.03
-"""Share of the focal length."""
+"""Maximum standard deviation of the focal length, as a share of it."""
 MAX_K1_SHIFT = 0.01
-"""Share of the image's diagonal: what one sigma of k1 moves at the image's corner."""
+"""Maximum shift at the image's corner by one sigma of k1, as a share of the image's diagonal."""
 MAX_POSITION_SIGMA = 0.02
-"""Share of the median distance of the points."""
+"""Maximum standard deviation of the position, as a share of the median distance of the points."""
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:
@@ -225,9 +228,8 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
 def unbearable(
     fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
-    """The free parameter that the points bear least, and why; None where they bear all but those that are `forced`.
-    Raises for the angles.
-    """
+    """Return the free parameter that the points determine worst, and why; None if they determine all except those in
+    `forced`. Raises for the angles."""
     camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
     sights = points.places[fit.used] - fit.pose.position
@@ -250,7 +252,7 @@ def unbearable(
             excess = own / limit
             reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
             if _in_line(points.places[fit.used]):
-                reason += "; the points lie in one line"
+                reason += "; the points are on one line"
         if name not in forced and excess > 1 and (worst is None or excess > worst[0]):
             worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image"
     if worst is not None:

@@ -1,4 +1,4 @@
-"""Checks a resection against the terrain: traces the marked pixels and compares with the surveyed points."""
+"""Check a resection against the terrain: trace the marked pixels and compare with the surveyed points."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 HIDDEN_BY = 5.0
-"""Metres: a ray aimed at a surveyed point that ends this far from it met other ground: the DEM hides the point, or cuts
-off the edge on which it stands."""
+"""Distance in metres from a surveyed point above which its ray met other ground: the DEM hides the point, or cuts off
+the edge on which it is."""
 
 
 class SurveyedState(StrEnum):
-    """What the DEM says of a surveyed point, seen from the fitted camera."""
+    """State of a surveyed point in the DEM as seen from the fitted camera."""
 
     SEEN = "seen"
     HIDDEN = "hidden"
-    """Other ground lies in front of it."""
+    """Other ground is in front of the point."""
     BESIDE = "beside the DEM"
-    """No ground is known at its place, or on the way to it."""
+    """No ground is known at the point or on the way to it."""
     BELOW = "below its surface"
-    """Under the DEM's surface, on which it would be seen."""
+    """The point is below the DEM's surface, on which it would be seen."""
     ABOVE = "above its surface"
-    """The ray goes over the DEM there: it cuts off the edge or tree on which the point stands."""
+    """The ray passes above the DEM there: it cuts off the edge or tree on which the point is."""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedErrors:
-    """`errors`: (N,) metres from the traced to the surveyed place, +inf where the pixel meets no known terrain.
-    `states`: of each point. `above_ground`: (N,) metres by which a point stands over the DEM's surface, NaN beside it.
-    """
+    """Tracing errors. `errors`: (N,) metres from the traced to the surveyed place, +inf where the pixel meets no known
+    terrain. `states`: of each point. `above_ground`: (N,) metres from the DEM's surface up to a point, NaN outside."""
 
     errors: Float64Array
     states: tuple[SurveyedState, ...]
@@ -43,12 +42,12 @@ class TracedErrors:
 
     @property
     def visible(self) -> BoolArray:
-        """(N,) whether the ray aimed at the surveyed place itself ends there."""
+        """Return (N,) whether the ray aimed at the surveyed place itself ends there."""
         return np.array([state is SurveyedState.SEEN for state in self.states])
 
     @property
     def met(self) -> BoolArray:
-        """(N,) whether the marked pixel meets known terrain."""
+        """Return (N,) whether the marked pixel meets known terrain."""
         return np.isfinite(self.errors)
 
 
@@ -72,7 +71,8 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
 
 
 def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array) -> Float64Array:
-    """Metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not known."""
+    """Return the metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not
+    known."""
     sights = line_of_sight_vectors(position, places, tracer.bend)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 

@@ -1,4 +1,4 @@
-"""Reads and writes the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
+"""Read and write the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _COLUMNS: dict[str, Sequence[str]] = {
 
 @dataclass(frozen=True)
 class ResectionSetup:
-    """A guess placed in a map frame; `dem` only where one was given."""
+    """Initial guess in a map frame; `dem` only if one was given."""
 
     frame: SiteFrame
     camera: Camera
     position: Float64Array
     angles_deg: tuple[float, float, float] | None
-    """(azimuth, pitch, roll), from grid north; None: nothing is known of them."""
+    """Azimuth from grid north, pitch and roll in degrees; None: unknown."""
     dem: Dem | None
 
 
@@ -56,11 +56,9 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
         crs = crs or pose.crs
         local = None
         if crs is None:
-            raise ConfigError(
-                "without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem"
-            )
+            raise ConfigError("the control points have no CRS: give --crs EPSG:... or --dem")
         if pose.z is None:
-            raise ConfigError("without a DEM the camera's height above the ground does not help: give its z, or --dem")
+            raise ConfigError("a height above the ground needs a DEM: give z, or --dem")
         x, y = pose.xy(SiteFrame(crs)) or (0.0, 0.0)
         frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
         position = (x - frame.x_origin, y - frame.y_origin, pose.z)
@@ -84,8 +82,8 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
 def read_point_rows(
     path: Path | str, frame: SiteFrame, first_pixel: float = 0.0, further: Mapping[str, Sequence[str]] = {}
 ) -> tuple[tuple[str, ...], Float64Array]:
-    """Names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`, each by
-    the names that it may have. Raises PoseError as `read_control_points` does."""
+    """Return names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`,
+    each by its possible names. Raises PoseError as `read_control_points` does."""
     path = Path(path)
     lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
@@ -95,7 +93,7 @@ def read_point_rows(
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not rows:
-        raise PoseError(f"{path}: holds no control point")
+        raise PoseError(f"{path}: contains no control point")
     names, values = tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows])
     x, y = values[:, 0], values[:, 1]
     if columns["x"].strip().lower().startswith("lon"):
@@ -106,7 +104,7 @@ def read_point_rows(
 
 
 def _columns(header: Sequence[str], path: Path, names_of: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """The file's column for each key of `names_of`; name may be missing."""
+    """Return the file's column for each key of `names_of`; name may be missing."""
     given = {name.strip().lower(): name for name in header}
     wanted = dict(names_of)
     if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
@@ -139,12 +137,12 @@ def _numbers(
 
 
 def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
-    """Write a pose file that `ltm trace` reads; how it was found stands in its comments."""
+    """Write a pose file for `ltm trace`, with the method in its comments."""
     lengths = result.residual_px
     notes = [
         f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
         "Standard deviations: " + ", ".join(f"{name} {value:.3g}" for name, value in result.sigmas.items()),
-        *(f"{name} was held: {reason}" for name, reason in result.held.items()),
+        *(f"{name} was fixed: {reason}" for name, reason in result.held.items()),
     ]
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
@@ -160,14 +158,14 @@ def _pose_sigmas(result: Resection) -> dict[str, float]:
 
 
 def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
-    """A line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+    """Return a line for each parameter that should be fitted but is fixed: why, its estimate, and the remedy.
 
     `position`: as it was given, map metres.
     """
     notes = []
     median = float(np.median(result.residual_px))
     for name, reason in result.held.items():
-        note = f"{name} is held: {reason}"
+        note = f"{name} is fixed: {reason}"
         rejected = result.rejected.get(name)
         if rejected is not None:
             values = ", ".join(
@@ -179,7 +177,7 @@ def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> l
                 values += f" ({away:.1f} m from the given place)"
             note += (
                 f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
-                f"{median:.2f} px; --force {name} takes it"
+                f"{median:.2f} px; --force {name} fits it anyway"
             )
         notes.append(note)
     return notes

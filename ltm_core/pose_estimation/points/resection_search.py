@@ -22,17 +22,17 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
-"""Shares of the stated focal length that are tried where it is free: steps of 5 %."""
+"""Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
 MAX_PAIRS = 400
 MIN_SEPARATION = 0.03
-"""Of the image's diagonal: points that are closer give no rotation."""
+"""Minimum separation of points as a share of the image's diagonal; closer points give no rotation."""
 STARTS = 4
 MAX_TRIPLES = 150
 MIN_TRIANGLE = 0.002
-"""Of the image's diagonal squared: marks of three points that span less give no position."""
+"""Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
 FREE_STARTS = 6
 APART = 0.05
-"""Of the points' median distance: starts of a free position lie that far from each other."""
+"""Distance between starts of a free position, as a share of the points' median distance."""
 
 
 def coarse_poses(
@@ -44,7 +44,7 @@ def coarse_poses(
     position_free: bool,
     bend: float,
 ) -> list[tuple[Camera, Pose]]:
-    """The best few (camera, pose) to start from. Raises PoseError where all points are crowded together."""
+    """Return the best few starts (camera, pose). Raises PoseError if all points are too close together."""
     diagonal = float(np.hypot(camera.width, camera.height))
     sights = line_of_sight_vectors(position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
@@ -68,7 +68,7 @@ def coarse_poses(
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
         raise PoseError(
-            f"the pixels of the control points {', '.join(points.names)} have no rays under the distortion "
+            f"the pixels of the control points {', '.join(points.names)} have no rays with the distortion "
             f"{camera.distortion}: check it"
         )
     return starts
@@ -77,7 +77,7 @@ def coarse_poses(
 def _poses_from_triples(
     points: ControlPoints, camera: Camera, focal_free: bool, bend: float, limit: float
 ) -> list[tuple[Camera, Pose]]:
-    """The best few (camera, pose) at any position, apart from each other."""
+    """Return the best few (camera, pose) at any position, apart from each other."""
     triples = _triples(points, float(np.hypot(camera.width, camera.height)))
     candidates: list[tuple[float, float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS[::2] if focal_free else (1.0,):
@@ -103,7 +103,7 @@ def _poses_from_triples(
 
 
 def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
-    """Triples of points whose marks span a triangle, at most MAX_TRIPLES of them: (T, 3)."""
+    """Return the triples of points whose marks span a triangle, at most MAX_TRIPLES of them: (T, 3)."""
     triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
     a, b, c = (points.pixels[triples[:, k]] for k in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
@@ -114,7 +114,7 @@ def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
 
 
 def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
-    """(position, rotation from optical to map) of the cameras that see three places along three rays."""
+    """Return (position, rotation from optical to map) of the cameras that see three places along three rays."""
     if not np.isfinite(rays).all():
         return []
     # Near zero, so that the solver's polynomials keep their digits.
@@ -132,16 +132,17 @@ def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[F
 
 
 def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tuple[Int64Array, Int64Array]:
-    """Pairs of points that stand apart in the image and on the map, at most MAX_PAIRS of them."""
+    """Return the pairs of points that stand apart in the image and on the map, at most MAX_PAIRS of them."""
     pairs = np.array(list(combinations(range(len(points.names)), 2)))
     apart = np.linalg.norm(points.pixels[pairs[:, 0]] - points.pixels[pairs[:, 1]], axis=1)
     turn = np.linalg.norm(np.cross(sights[pairs[:, 0]], sights[pairs[:, 1]]), axis=1)
     far = (apart > MIN_SEPARATION * diagonal) & (turn > 1e-3)
     if not far.any():
         raise PoseError(
-            f"the control points {', '.join(points.names)} crowd in one place: they span {apart.max():.0f} px of the "
+            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} "
+            "px of the "
             f"image (at least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees "
-            "seen from the camera; mark points further apart"
+            "as seen from the camera; mark points further apart"
         )
     pairs = pairs[far]
     if len(pairs) > MAX_PAIRS:
@@ -150,7 +151,7 @@ def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tupl
 
 
 def _bases(a: Float64Array, b: Float64Array) -> Float64Array:
-    """Orthonormal bases (N, 3, 3), as columns, of the planes through unit vectors a and b (N, 3)."""
+    """Return the orthonormal bases (N, 3, 3), as columns, of the planes through unit vectors a and b (N, 3)."""
     middle = a + b
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     normal = np.cross(a, b)
@@ -162,7 +163,7 @@ def _bases(a: Float64Array, b: Float64Array) -> Float64Array:
 def _costs(
     camera: Camera, rotations: Float64Array, sights: Float64Array, pixels: Float64Array, limit: float
 ) -> Float64Array:
-    """Sum over the points of their distances to their marks, each at most `limit` pixels: (K,)."""
+    """Return the sum over the points of their distances to their marks, each at most `limit` pixels: (K,)."""
     errors = camera.project(sights @ rotations) - pixels
     lengths = np.nan_to_num(np.hypot(errors[..., 0], errors[..., 1]), nan=limit)
     return np.asarray(np.minimum(lengths, limit).sum(axis=1), np.float64)

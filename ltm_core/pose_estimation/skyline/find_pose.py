@@ -1,9 +1,9 @@
-"""Finds a camera's pose in its picture: the terrain's horizon and ridges are laid on the photo's skyline and edges.
+"""Find a camera's pose in its image by matching the terrain's horizon and ridges with the photo's skyline and edges.
 
 1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
-3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the picture, or
+3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the image, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
 4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`).
@@ -36,13 +36,13 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing.holes import PossibleGround
 
 _LEAST_SUPPORT = 0.3
-"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges may stand by themselves: above
-trees, and where a good skyline leaves two poses open, they mislead more often than not."""
+"""Minimum share of the photo's skyline that must lie on the DEM's horizon, unless ridges alone agree. Above trees, and
+if a good skyline leaves two poses open, ridges mislead more often than not."""
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSearch:
-    """Hypotheses from the best down, and what they were judged by."""
+    """Hypotheses in order of cost, and the evidence by which they were judged."""
 
     hypotheses: tuple[Hypothesis, ...]
     evidence: PictureEvidence
@@ -52,20 +52,20 @@ class PictureSearch:
 
 @dataclass(frozen=True, eq=False)
 class SearchTerrain:
-    """Ground for the search: the DEM, the bend of rays over it, and how high ground may be that it does not know."""
+    """Terrain for the search: the DEM, the bend of rays over it, and the maximum height of unknown ground."""
 
     dem: Dem
     bend: float
     possible: PossibleGround = field(default_factory=PossibleGround)
 
     def above(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Without those whose camera a free place has brought under the ground."""
+        """Return the hypotheses whose camera is not under the ground."""
         places = np.array([h.refined.pose.position for h in hypotheses]).reshape(-1, 3)
         under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
         return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
 
     def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
-        """Seen from the prior position, as far round as the search may look."""
+        """Return the horizon from the prior position over the range of the search."""
         reach = search_reach(prior, config)
         half = math.radians(camera.hfov_deg) / 2 + reach + math.radians(8.0)
         pixel = math.atan(1 / camera.fx)
@@ -82,7 +82,7 @@ def find_pose(
     focal_sigma: float = 0.0,
     horizon: TerrainHorizon | None = None,
 ) -> PictureSearch:
-    """Search the pose of a picture and judge it.
+    """Search the pose of an image and judge it.
 
     `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
     already. Raises PoseError as `terrain_horizon`.
@@ -125,7 +125,7 @@ class _JudgedPose:
         return self.verdict.word == "accepted"
 
     def doubted(self, reason: str) -> _JudgedPose:
-        """The same, not accepted."""
+        """Return the result with a verdict that is not accepted."""
         if not self.accepted:
             return self
         return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
@@ -134,21 +134,22 @@ class _JudgedPose:
 def _decided(
     by_skyline: _JudgedPose, by_ridges: _JudgedPose, together: _JudgedPose | None, config: VerdictConfig
 ) -> _JudgedPose:
-    """What counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one pose."""
+    """Return what counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one
+    pose."""
     if not by_skyline.hypotheses:
         return by_ridges
     seen = by_skyline.hypotheses[0].refined.skyline
     if not _may_mislead(seen, config):
         if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
-        reason = "it hangs on hardly more than one crest, and ridges alone do not lie there"
+        reason = "it rests on a single ridge, and the other ridges do not confirm it"
         return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
     if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
         return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
             return other
-    return by_skyline.doubted("land beyond the DEM may look like its horizon, and ridges alone do not lie there")
+    return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
 
 
 def _settled(
@@ -160,8 +161,8 @@ def _settled(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> _JudgedPose:
-    """An open view's pose settled on its ridges alone, whose errors go together by what grows there; as it was where
-    ridges leave it open."""
+    """Return an open view's pose settled on its ridges alone, whose errors are correlated by what grows there; as it
+    was where ridges leave it open."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, evidence, horizon, prior, focal_sigma, config)
     kept = terrain.above([replace(best, refined=refined)])
@@ -171,8 +172,8 @@ def _settled(
 
 
 def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
-    """Whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the pose open,
-    where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
+    """Return whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the
+    pose open, where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
     if not by_skyline.accepted:
         return True
     best, verdict = by_skyline.hypotheses[0], by_skyline.verdict
@@ -182,12 +183,12 @@ def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
 
 
 def _may_mislead(skyline: SkylineFit, config: VerdictConfig) -> bool:
-    """Whether what is seen may not be the DEM's skyline at all: then ridges may stand by themselves."""
+    """Return whether what is seen may not be the DEM's skyline at all: then ridges may stand by themselves."""
     return skyline.open > config.open_share or skyline.support < _LEAST_SUPPORT
 
 
 def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:
-    """Whether ridges alone are of the same azimuth."""
+    """Return whether ridges alone are of the same azimuth."""
     if not by_ridges:
         return False
     apart = float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0])
@@ -197,8 +198,8 @@ def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig)
 def _on_skyline(
     hypotheses: list[Hypothesis], evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
 ) -> list[Hypothesis]:
-    """The same, the first one with how the photo's skyline lies there: a mean lies where none of those fits that it is
-    of, and ridges are sought without a skyline."""
+    """Return the same, the first one with how the photo's skyline lies there: a mean lies where none of those fits that
+    it is of, and ridges are sought without a skyline."""
     if not hypotheses:
         return hypotheses
     best, *others = hypotheses

@@ -32,7 +32,8 @@ class ImageContours:
 
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
-    """Edges of a photo (H, W, 3) at a width of so many pixels; `hidden` (H, W): what has no edges, clouds and masks.
+    """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
+    and masks.
 
     The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it.
     """
@@ -63,22 +64,21 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
 
 
 _ABOVE, _SKY = 12.0 / 640, 20.0 / 640
-"""Widths of the image above the nearer land's edge within which pale land is sought, and above those where the sky
-tells how uneven it is."""
+"""Shares of the image width above the edge of nearer land: within the first, pale land is searched; above it, to the
+second, the sky's variation is measured."""
 _LEAST_STEP, _STEPS = 3.0, 6.7
-"""By which it must stand out, in units of CIE Lab, and in what the sky changes by."""
+"""Minimum contrast, in units of CIE Lab and in multiples of the sky's variation."""
 _PALE, _ALIKE = 25.0, (2.0, 2.0)
-"""What differs from the sky by more is no pale land; nor what does by more than so many times the step and so much."""
+"""Contrast to the sky above which it is not pale land, and the multiples of the step and of the variation."""
 _ACROSS = 5
-"""Pixels across which colours are averaged,"""
+"""Width in pixels over which colours are averaged."""
 _THICK = 2.0
-"""and by how many of an image of 640 across pale land must be higher than what a slanted edge is blurred to by that."""
+"""Minimum height of pale land in pixels of an image 640 wide, in excess of the blur of a slanted edge."""
 
 
 def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Array:
-    """Rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at rows `v`;
-    `v` where there is none, or three of five neighbouring columns do not agree on it. Columns must rise.
-    """
+    """Return rows (K,) where pale land begins in columns `u` of a photo (H, W, 3), above nearer land that begins at
+    rows `v`; `v` if there is none, or if fewer than three of five neighbouring columns agree. Columns must increase."""
     if len(u) < 2:
         return v
     unit = photo.shape[1] / 640
@@ -96,7 +96,7 @@ def pale_edges(photo: UInt8Array, u: Int64Array, v: Float64Array) -> Float64Arra
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
-    """How far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
+    """Return how far the mean colour of `size` rows from `a` on is from that of those from `b` on."""
     total = 0.0
     for i in range(3):
         away = 0.0
@@ -108,7 +108,8 @@ def _apart(lab: Float32Array, column: int, a: int, b: int, size: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _is_pale(lab: Float32Array, column: int, row: int, end: int, above: int, size: int, step: float) -> bool:
-    """Whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no cloud."""
+    """Return whether all from `row` down to `end` stands out from what is `above` it by about a step, and is no
+    cloud."""
     if lab[row : row + size, column, 0].mean() > lab[above + 1 : above + 1 + size, column, 0].mean():
         return False  # air makes far land as light as the sky and no lighter
     lowest, highest = np.inf, 0.0
@@ -147,14 +148,15 @@ def _first_step(lab: Float32Array, u: Int64Array, ends: Int64Array, above: int, 
 
 COLUMNS = 240
 _RUN = 3
-"""Rows of land under each other that end the sky."""
+"""Number of consecutive rows of land that end the sky."""
 _REACH = 7.0 / 640
-"""Widths of the image within which the edge is sought about the labels' edge, one sigma at half of it."""
+"""Distance around the labels' edge within which the edge is searched, as a share of the image width; sigma is half of
+it."""
 _FAINT = 2.0
-"""A gradient, in units of CIE Lab, by which an edge is known twice as well as by the labels alone. Far ranges in
-rendered haze err by 0.35 pixels from gradients of 5 on, which 1.4 would state: a photo's edges are less sharp."""
+"""Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
+haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""
 _SHARP_PX, _PALE_PX = 0.45, 0.5
-"""What sharp edges err by, and those of pale land besides."""
+"""Standard deviation of sharp edges in pixels, and the additional one of pale land."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +177,7 @@ class ImageSkyline:
     spacing: float
 
     def only(self, kept: BoolArray) -> ImageSkyline:
-        """Of those columns (K,) alone."""
+        """Return the skyline of those columns (K,) only."""
         return replace(
             self,
             u=self.u[kept],
@@ -187,7 +189,7 @@ class ImageSkyline:
 
 
 def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
-    """Of a photo (H, W, 3) and its labels (H, W)."""
+    """Find the skyline of a photo (H, W, 3) with its labels (H, W)."""
     height, width = labels.shape
     spacing = max(1.0, width / COLUMNS)
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
@@ -219,7 +221,7 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
 
 
 def _vertical_gradient(photo: UInt8Array) -> Float32Array:
-    """How much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
+    """Return how much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
     lab = cv2.cvtColor(cv2.GaussianBlur(photo, (0, 0), 1.0), cv2.COLOR_RGB2LAB).astype(np.float32)
     change = np.zeros_like(lab)
     change[1:-1] = lab[2:] - lab[:-2]
@@ -229,7 +231,7 @@ def _vertical_gradient(photo: UInt8Array) -> Float32Array:
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
-    """The first row from which on `run` rows are no sky; H without."""
+    """Return the first row from which on `run` rows are no sky; H without."""
     height = sky.shape[0]
     top = np.full(len(columns), height, np.int64)
     for k in range(len(columns)):
@@ -246,8 +248,8 @@ def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
 def _sharpened(
     strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
 ) -> tuple[Float64Array, Float64Array]:
-    """The edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how strong
-    it is."""
+    """Return the edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how
+    strong it is."""
     height = strength.shape[0]
     v, sharpness = np.empty(len(columns)), np.empty(len(columns))
     for k in range(len(columns)):

@@ -1,4 +1,4 @@
-"""Prepares a photo for the search of its pose: undistorted, in a working size, its skyline and edges found."""
+"""Prepare a photo for the search of its pose: undistort and resize it, and find its skyline and edges."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import ContourConfig, 
 from ltm_core.vision.labels import UNLABELLED, Label
 
 _BORDER = 0.006
-"""Of the width: a skyline so near, above or below, to what is hidden is its border."""
+"""Distance, as a share of the width, within which a skyline next to a hidden area is the border of that area."""
 _SKY_EDGE = 0.01
-"""Of the width: edges so near to the land are kept, those of clouds further up are not."""
+"""Distance from the land, as a share of the width, within which edges are kept; edges of clouds further up are not."""
 _LEAST_SKY = 0.1
-"""Share of columns that a skyline must have to be one."""
+"""Minimum share of columns that must have a skyline."""
 
 
 @dataclass(frozen=True, eq=False)
 class PictureEdges:
-    """A photo's edges, each found when it is first asked for: `find` gives those in a picture so many pixels wide."""
+    """Edges of a photo, each computed on first use: `find` returns those at a width in pixels."""
 
     find: Callable[[int], ImageContours]
     config: ContourConfig
 
     @cached_property
     def fine(self) -> ImageContours:
-        """To which ridges are laid."""
+        """Return the edges to which ridges are fitted."""
         return self.find(self.config.width)
 
     @cached_property
     def coarse(self) -> ImageContours:
-        """By which poses are compared: who only tracks a pose never needs them."""
+        """Return the edges by which poses are compared; tracking a pose does not need them."""
         return self.find(self.config.coarse_width)
 
 
 @dataclass(frozen=True, eq=False)
 class PictureEvidence:
-    """What a photo, undistorted and in its working size, shows: `skyline` (None: no sky in it), `found`, its edges, and
-    the labels (H, W) that tell what grows on a ridge."""
+    """Evidence in a photo, undistorted and at its working size: `skyline` (None: no sky), `found`, its edges, and the
+    labels (H, W) for the cover of ridges."""
 
     camera: Camera
     labels: UInt8Array
@@ -62,12 +62,12 @@ class PictureEvidence:
 
     @property
     def unseen(self) -> PictureEvidence:
-        """The same, its edges still to be found: for who measures how long that takes."""
+        """Return a copy whose edges are not computed yet, to measure the time."""
         return replace(self, found=replace(self.found))
 
     @property
     def plants(self) -> float:
-        """The share of trees and shrubs in the land."""
+        """Return the share of trees and shrubs in the land."""
         land = self.labels != np.uint8(Label.SKY)
         grown = (self.labels == np.uint8(Label.TREE)) | (self.labels == np.uint8(Label.SHRUB))
         return float(grown.sum()) / max(float(land.sum()), 1.0)
@@ -80,13 +80,13 @@ def picture_evidence(
     config: PicturePoseConfig = PicturePoseConfig(),
     hidden: BoolArray | None = None,
 ) -> PictureEvidence:
-    """Of a photo (H, W, 3) of `camera`, its labels (H, W), and where it shows something else (`hidden`, (H, W): a
-    caption, parts of a tower). Raises ImageError where their sizes differ.
-    """
+    """Return the evidence in a photo (H, W, 3) of `camera` with its labels (H, W); `hidden` (H, W): captions and parts
+    of a tower. Raises ImageError if their sizes differ."""
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(
-            f"photo {photo.shape}, labels {labels.shape} and camera {size} must be of one size, (H, W, 3) and (H, W)"
+            f"photo {photo.shape}, labels {labels.shape} and camera {size} must have the same size, (H, W, 3) "
+            "and (H, W)"
         )
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
     width = min(camera.width, config.working_width)
@@ -126,8 +126,8 @@ def picture_evidence(
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
-    """Labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes below: a
-    caption over the sky is no land, and a lens's corner does not cover its columns."""
+    """Return the labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes
+    below: a caption over the sky is no land, and a lens's corner does not cover its columns."""
     first = np.argmin(shut, axis=0)
     row = ids[first, np.arange(ids.shape[1])]
     found = np.empty_like(ids)

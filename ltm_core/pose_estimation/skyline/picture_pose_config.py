@@ -17,11 +17,11 @@ from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.vision.labels import Label
 
 _NEAR, _FAR = 250.0, 1500.0
-"""Metres; between them by the logarithm of the range."""
+"""Ranges in metres; heights between them are interpolated by the logarithm of the range."""
 
 
 class CoverHeights(StrictModel):
-    """Metres by which a crest of each class stands over the DEM, and their standard deviation."""
+    """Mean height of each class on a crest above the DEM in metres, and its standard deviation."""
 
     tree: tuple[float, float]
     shrub: tuple[float, float]
@@ -30,7 +30,7 @@ class CoverHeights(StrictModel):
     other: tuple[float, float]
 
     def table(self) -> Float64Array:
-        """(256, 2) metres by label: how high, and its sigma."""
+        """Return (256, 2) metres by label: height and sigma."""
         table = np.tile(np.array(self.other), (256, 1))
         for label, values in ((Label.TREE, self.tree), (Label.SHRUB, self.shrub), (Label.GRASS, self.grass)):
             table[label] = values
@@ -39,17 +39,17 @@ class CoverHeights(StrictModel):
 
 
 class CrestCover(StrictModel):
-    """Of crests up to 250 m away, and from 1500 m on."""
+    """Cover of crests up to 250 m and beyond 1500 m."""
 
     near: CoverHeights
     far: CoverHeights
 
     def of(self, labels: UInt8Array) -> Float64Array:
-        """(N, 4) of labels (N,): near height and sigma, far height and sigma."""
+        """Return (N, 4) of labels (N,): near height and sigma, far height and sigma."""
         return np.asarray(_table(self)[labels], np.float64)
 
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
+        """Return heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         both, far = self.of(labels), farness(ranges)
         height, sigma = ((1 - far) * both[:, k] + far * both[:, k + 2] for k in (0, 1))
         return height, sigma
@@ -57,17 +57,17 @@ class CrestCover(StrictModel):
 
 @lru_cache(maxsize=8)
 def _table(cover: CrestCover) -> Float64Array:
-    """(256, 4) by label: a search asks for it hundreds of times."""
+    """Return (256, 4) by label: a search asks for it hundreds of times."""
     return np.column_stack([cover.near.table(), cover.far.table()])
 
 
 def farness(ranges: Float64Array) -> Float64Array:
-    """0 up to 250 m, 1 from 1500 m on."""
+    """Return 0 up to 250 m, 1 beyond 1500 m, and an interpolated value between."""
     return np.asarray(np.clip(np.log(np.maximum(ranges, 1.0) / _NEAR) / np.log(_FAR / _NEAR), 0.0, 1.0), np.float64)
 
 
 def everywhere(heights: CoverHeights) -> CrestCover:
-    """The same at all ranges."""
+    """Return a cover with the same heights at all ranges."""
     return CrestCover(near=heights, far=heights)
 
 
@@ -75,200 +75,208 @@ BARE_EARTH = CrestCover(
     near=CoverHeights(tree=(5.5, 5.2), shrub=(0.7, 0.8), grass=(0.2, 0.4), bare=(0.1, 0.3), other=(1.0, 2.0)),
     far=CoverHeights(tree=(1.8, 2.9), shrub=(1.5, 2.0), grass=(0.3, 0.4), bare=(0.2, 0.4), other=(1.0, 2.0)),
 )
-"""Over a DEM of bare earth; by maximum likelihood on `tower_k` to `tower_n`, 192 rendered views, true poses."""
+"""Heights over a bare-earth DEM, estimated by maximum likelihood on `tower_k` to `tower_n` (192 rendered views with
+true poses)."""
 CANOPY_SURFACE = everywhere(
     CoverHeights(tree=(0.0, 1.0), shrub=(0.0, 0.5), grass=(0.1, 0.3), bare=(0.1, 0.3), other=(0.0, 1.0))
 )
-"""For a DEM that holds the tops of the canopy already."""
+"""Heights for a DEM that already includes the canopy."""
 
 
 class SkylineConfig(StrictModel):
-    """How far a skyline may lie from the terrain's horizon."""
+    """Error model of a skyline against the terrain's horizon."""
 
     dem_sigma: float = Field(0.2, gt=0)
-    """Metres, of the DEM's heights along a crest,"""
+    """Standard deviation of the DEM's heights along a crest in metres."""
     cell_share: float = Field(0.08, ge=0)
-    """and of its cell, that crests are cut into,"""
+    """Height by which the DEM cuts off crests, as a share of its cell size (standard deviation)."""
     cell_lift: float = Field(0.03, ge=0)
-    """which they stand over by this."""
+    """Mean height by which crests exceed the DEM, as a share of its cell size."""
     correlation: float = Field(60.0, gt=0)
-    """Metres along a crest within which these errors are one and the same,"""
+    """Distance along a crest in metres within which these errors are fully correlated."""
     independent: float = Field(24.0, gt=0)
-    """and how many independent places a skyline has at most that goes all through a picture: it is smooth;"""
+    """Maximum number of independent places of a skyline across the whole image, because it is smooth."""
     independent_fit: float = Field(40.0, gt=0)
-    """in the fit, to which columns of something else do not count, so many: errors of a sharp one change faster."""
+    """Maximum number of independent places in the fit, which ignores outlier columns: errors of a sharp skyline vary
+    faster."""
     stated: float = Field(2.0, gt=0)
-    """Independent places as which these sigmas count beside those where a photo shows how far its skyline lies off."""
+    """Number of independent places by which the stated sigmas count against the misfit observed in the photo."""
     outliers: float = Field(0.15, gt=0, lt=1)
     """Share of columns whose skyline is something else: near trees, masts, clouds, wrong labels."""
     outlier_span: float = Field(0.2, gt=0)
-    """Radians over which those are spread."""
+    """Range in radians over which outliers are spread."""
     own_crest: float = Field(0.5, ge=0, lt=1)
-    """Share of skylines that are the DEM's horizon where land beyond it may stand over that."""
+    """Share of skylines that are the DEM's horizon where land beyond the DEM may rise above it."""
     no_land: float = Field(0.2, gt=0, lt=1)
-    """Share of pale edges above a crest that are no land's."""
+    """Share of pale edges above a crest that are not land."""
     cover: CrestCover = BARE_EARTH
 
     @property
     def odds(self) -> float:
-        """The density of a fitting column in one sigma over that of an outlier, for a sigma of one radian."""
+        """Return the density ratio of a fitting column to an outlier for a sigma of one radian."""
         # 0.375: the density of Student's t with four degrees of freedom at 0
         return (1 - self.outliers) / self.outliers * self.outlier_span * 0.375
 
 
 class ContourConfig(StrictModel):
-    """What ridges within the scene count."""
+    """Weights of ridges within the scene."""
 
     width: int = Field(640, gt=63)
-    """Pixels across the pictures in which edges are sought,"""
+    """Width in pixels of the images in which edges are searched."""
     coarse_width: int = Field(320, gt=31)
-    """and in which poses are compared."""
+    """Width in pixels of the images in which poses are compared."""
     weight: float = Field(0.4, ge=0)
-    """Of half the square of a pose's robust z among all that were compared,"""
+    """Weight of half the square of a pose's robust z-score among all compared poses."""
     most: float = Field(8.0, gt=0)
-    """which counts up to here."""
+    """Maximum robust z-score that counts."""
     nearest: float = Field(150.0, ge=0)
-    """Metres: nearer ridges are trees as much as terrain."""
+    """Minimum range of ridges in metres; nearer ridges are trees as much as terrain."""
     sigma_px: float = Field(1.2, gt=0)
-    """Of an edge at width 640."""
+    """Standard deviation of an edge in pixels at width 640."""
     outliers: float = Field(0.5, gt=0, lt=1)
     correlation_px: float = Field(24.0, gt=0)
-    """Pixels at width 640 along a ridge within which its errors are one and the same,"""
+    """Length along a ridge in pixels at width 640 within which its errors are fully correlated."""
     correlation: float = Field(24.0, gt=0)
-    """and metres, whichever is longer."""
+    """The same in metres; the longer of both counts."""
     most_points: int = Field(700, ge=1)
-    """Of the ridges in a view, by which a pose is refined."""
+    """Maximum number of ridge points in a view by which a pose is refined."""
 
     def odds(self, search: float) -> float:
-        """As `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+        """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
         return (1 - self.outliers) / self.outliers * 0.75 * search
 
 
 class SettlingConfig(StrictModel):
-    """What neighbouring places of ridges have in common (`ridge_settling`)."""
+    """Correlation between neighbouring places of ridges (`ridge_settling`)."""
 
     least_plants: float = Field(0.3, ge=0, le=1)
-    """Share of trees and shrubs in the land from which on poses settle: of bare ground nothing stands over the DEM."""
+    """Minimum share of trees and shrubs in the land for this step; nothing rises above the DEM on bare ground."""
     share: float = Field(0.6, ge=0, le=1)
-    """Of the variance of what grows on a ridge, that which stands of plants have in common,"""
+    """Share of the variance of the cover on a ridge that plants of a stand have in common."""
     stand: float = Field(150.0, gt=0)
-    """over so many metres,"""
+    """Correlation length in metres of the stand part."""
     plant: float = Field(5.0, gt=0)
-    """and over how many the rest goes on, the shape of single plants."""
+    """Correlation length in metres of the remaining variance, the shape of single plants."""
     doubt: float = Field(2.0, gt=0)
-    """By which the variance of a pose is larger than these say: some edges are of something else."""
+    """Factor on the variance of a pose, because some edges belong to something else."""
     most_azimuth_sigma_deg: float = Field(0.3, gt=0)
-    """A pose that is less sure by its ridges stays where skyline and ridges have put it."""
+    """Maximum standard deviation of the azimuth in degrees; less certain poses keep the solution of skyline and ridges.
+    """
     most_points: int = Field(250, ge=1)
-    """Of the ridges in a view: all are compared with each other."""
+    """Maximum number of ridge points in a view; all are compared with each other."""
 
 
 class SearchConfig(StrictModel):
-    """Where poses are sought."""
+    """Extent of the search for poses."""
 
     step_deg: float = Field(0.25, gt=0)
     wide_step_deg: float = Field(0.4, gt=0)
-    """Where no heading is known."""
+    """Step in degrees if no heading is known."""
     reach_sigmas: float = Field(4.0, gt=0)
     least_reach_deg: float = Field(12.0, gt=0)
     most_reach_deg: float = Field(40.0, gt=0)
     hypotheses: int = Field(8, ge=1)
-    """Poses that are refined, the best of those that are"""
+    """Number of best poses that are refined, separated by `apart_deg`."""
     apart_deg: float = Field(1.2, gt=0)
-    """from each other in azimuth,"""
-    teeth: int = Field(6, ge=0)
-    """and so many more that are"""
-    teeth_apart_deg: float = Field(0.5, gt=0)
-    """from those. Far ranges are like saws: a best fit a tooth, and the best of the grid need not be that of the
-    refined."""
+    """Minimum separation of these poses in azimuth in degrees."""
+    extra_hypotheses: int = Field(6, ge=0)
+    """Number of additional poses that are refined, separated by `extra_apart_deg`. Far ridges are periodic, with one
+    local optimum per peak, and the best pose of the grid need not be the best after refinement."""
+    extra_apart_deg: float = Field(0.5, gt=0)
+    """Minimum separation of the additional poses in azimuth in degrees."""
 
 
 class VerdictConfig(StrictModel):
-    """When a pose is accepted."""
+    """Criteria for accepting a pose."""
 
     alternative_deg: float = Field(2.5, gt=0)
-    """An alternative is a pose that differs by more in azimuth."""
+    """Minimum difference in azimuth in degrees between a pose and an alternative."""
     least_gap: float = 4.0
-    """By which its cost must be higher,"""
+    """Minimum additional cost of an alternative; it is increased by `veil_factor`."""
     veil_factor: float = Field(5.0, ge=0)
-    """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
+    """Factor f in `least_gap` x (1 + f s), where s is the share of the skyline at which plants on a near crest may hide
+    the horizon."""
     most_sigma_deg: float = Field(0.65, gt=0)
-    """Of azimuth, pitch and roll,"""
+    """Maximum standard deviation of azimuth, pitch and roll in degrees."""
     close_azimuth_sigma_deg: float = Field(0.4, gt=0)
-    """and of an azimuth by ridges alone, or where nearly all that is seen are plants: their tops are the horizon."""
+    """Maximum standard deviation of the azimuth in degrees if it rests on ridges alone, or if the view shows almost
+    only plants, whose tops form the horizon."""
     mount_azimuth_sigma_deg: float = Field(0.3, gt=0)
-    """Of the azimuth of a mount that many pictures decide together,"""
+    """Maximum standard deviation in degrees of the azimuth of a mount that many images determine jointly."""
     mount_apart_deg: float = Field(0.6, gt=0)
-    """and within which of azimuth and pitch it puts those of them that are accepted by themselves: in open views all,
-    else those whose angles are all as sure as"""
+    """Maximum deviation in azimuth and pitch, in degrees, between the mount's pose and the poses of its images that are
+    accepted individually: all in open views, otherwise those with all sigmas below `mount_sharp_deg`."""
     mount_sharp_deg: float = Field(0.1, gt=0)
-    """this."""
+    """Standard deviation in degrees below which the angles of a single image are sharp."""
     agreement: float = Field(1.0, gt=0)
-    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e, times the
-    variance of the skyline's misfits: small ones tell poses apart by more than is stated, large ones by less."""
+    """Cost difference, in multiples of the variance of the skyline's misfits, by which a pose's weight falls to 1/e:
+    small misfits separate poses better than stated, large ones less."""
     same_deg: float = Field(0.1, ge=0)
-    """Of azimuth, between refined poses that are one."""
+    """Difference in azimuth in degrees below which refined poses are the same."""
     least_support: float = Field(0.68, ge=0, le=1)
-    """Share of the skyline that fits,"""
+    """Minimum share of the skyline that fits."""
     sharp_support: float = Field(0.5, ge=0, le=1)
-    """and that where it makes all angles as sure as"""
+    """Minimum share of the skyline that fits if all sigmas are below `sharp_sigma_deg` or ridges alone agree; trees in
+    front of a camera may hide half of a skyline."""
     sharp_sigma_deg: float = Field(0.35, gt=0)
-    """this, or where ridges alone agree: trees before a camera hide half of a skyline, and the other half may do."""
+    """Standard deviation in degrees below which `sharp_support` applies."""
     clear_support: float = Field(0.35, ge=0, le=1)
-    """The same for one of many pictures of a mount that decide together: from here on it shows a skyline at all."""
+    """Minimum share of the skyline that fits for one of many images of a mount that decide jointly."""
     open_share: float = Field(0.25, ge=0, le=1)
-    """Share of a skyline over which land beyond the DEM may stand: beyond it, what lies on the DEM's horizon may be a
-    range that looks like it. Then ridges alone must agree"""
+    """Share of a skyline above which land beyond the DEM may rise. Beyond this share, a ridge that resembles the DEM's
+    horizon may be another one, and the conditions `open_apart_deg` to `most_variance` apply."""
     open_apart_deg: float = Field(0.3, gt=0)
-    """within so much of azimuth,"""
+    """Maximum deviation in azimuth in degrees of the solution by ridges alone in an open view."""
     open_gap: float = 25.0
-    """or an alternative must cost so much more,"""
+    """Minimum additional cost of an alternative in an open view."""
     open_azimuth_sigma_deg: float = Field(0.32, gt=0)
-    """and the azimuth be as sure as this,"""
+    """Maximum standard deviation of the azimuth in degrees in an open view."""
     most_variance: float = 2.2
-    """and the variance of the misfits no larger: another range's is. So, too, where land beyond the DEM cannot be seen,
-    unless all angles are as sure as `sharp_sigma_deg`."""
+    """Maximum variance of the misfits in an open view; other ridges have larger ones. It also applies if land beyond
+    the DEM cannot be seen, unless all sigmas are below `sharp_sigma_deg`."""
     lone_score: float = 1.0
-    """Where ridges lie on edges less than this, in sigmas of what other poses have,"""
+    """Score of the ridges, in sigmas of other poses, below which a pose rests on a single crest if also
+    `lone_sigma_deg` applies; then ridges alone must agree."""
     lone_sigma_deg: float = Field(0.2, gt=0)
-    """and the azimuth is less sure than this, a crest is all that a pose is by: ridges alone must agree, as where the
-    skyline by itself leaves it open,"""
+    """Standard deviation of the azimuth in degrees above which a pose with weak ridges rests on a single crest."""
     agree_chi_square: float = Field(7.8, gt=0)
-    """to such a chi-square of the three angles they differ by, 95 % of those of one pose,"""
+    """Maximum chi-square of the three angles between the solutions by skyline and by ridges; 95 % of equal poses are
+    below."""
     agree_cost: float = Field(2.5, gt=0)
-    """and what is between them may cost a skyline of the DEM so much more than its own pose: a twelfth as likely."""
+    """Maximum additional cost that the skyline gives to the solution by ridges: one twelfth of the likelihood."""
     ridges_gap: float = 6.0
-    """`least_gap` where ridges alone are known,"""
+    """Minimum additional cost of an alternative if only ridges are known."""
     plants_gap: float = 8.0
-    """and where trees and shrubs are half of the land in the picture or more, whose margins look like ridges;"""
+    """The same if at least half of the land in the image is trees and shrubs, whose margins look like ridges."""
     plants_score: float = 6.0
-    """then ridges must also lie on edges so many times more than chance."""
+    """Minimum score of the ridges, in multiples of chance, in that case."""
     ridges_variance: float = 1.4
-    """Of a skyline's misfits where ridges are taken alone: beyond it what skyline there is speaks against them, most
-    often by terrain where the photo has sky."""
+    """Maximum variance of a skyline's misfits if only ridges are used; above it, the visible skyline contradicts them,
+    mostly by terrain where the photo shows sky."""
     contradiction: float = Field(3.5, gt=0)
-    """Sigmas by which an otherwise good pose may differ from the prior one: fewer than `SearchConfig.reach_sigmas`, for
-    of a pose at the search's edge the alternatives beyond it are not known."""
+    """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below
+    `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
 
     def support_asked(self, sigma_deg: float) -> float:
-        """The share of the skyline that must fit where the least sure of the angles is known to `sigma_deg`."""
+        """Return the minimum share of the skyline that must fit if the worst angle has the sigma `sigma_deg`."""
         return self.sharp_support if sigma_deg <= self.sharp_sigma_deg else self.least_support
 
     def gap_asked(self, veiled: float, variance: float) -> float:
-        """By how much an alternative must cost more, where plants may hide such a share of the skyline. Misfits of a
-        small `variance` tell poses apart by more than is stated; large ones make no pose unlikelier than its cost."""
+        """Return the minimum additional cost of an alternative if plants may hide this share of the skyline. Misfits of
+        a small `variance` separate poses better than stated; large ones do not reduce the cost."""
         return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
 
 
 FLOOR_DEG = (0.01, 0.012, 0.01)
-"""Of azimuth, pitch and roll: what errors of refraction and datum leave, however sharp the skyline,"""
+"""Minimum standard deviation of azimuth, pitch and roll in degrees, from errors of refraction and datum."""
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
-"""and for what holds in all directions: what those of a lens leave, too. Of pitch in one direction, and in several by
-the root of how many less: where in the picture a skyline lies differs between them."""
+"""Minimum standard deviation of a mount in degrees, which includes errors of the lens. The value for pitch is for one
+direction; with n directions it is divided by the root of n, because the skyline's place in the image differs between
+them."""
 
 
 class PicturePoseConfig(StrictModel):
-    """All of it."""
+    """All constants of pose estimation from a photo."""
 
     skyline: SkylineConfig = SkylineConfig()
     contours: ContourConfig = ContourConfig()
@@ -276,4 +284,4 @@ class PicturePoseConfig(StrictModel):
     search: SearchConfig = SearchConfig()
     verdict: VerdictConfig = VerdictConfig()
     working_width: int = Field(1280, gt=63)
-    """Pixels: wider photos are looked at in this width."""
+    """Working width in pixels; wider photos are reduced to it."""

@@ -1,4 +1,4 @@
-"""Sets up the search of a picture's pose from a guess file, and writes what came of it."""
+"""Set up the search of an image's pose from a guess file, and write the result."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 from ltm_core.vision.labels import Label
 
 AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
-"""Of angles that are stated without a sigma: a phone's compass, and a level held by hand."""
+"""Standard deviations in degrees of angles stated without a sigma: a phone's compass, and a level held by hand."""
 UNSTATED_TILT_SIGMA_DEG = 5.0
-"""Of a pitch or roll that is not stated at all."""
+"""Standard deviation in degrees of a pitch or roll that is not stated."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchSetup:
-    """A guess placed on a DEM, ready for `find_pose`."""
+    """Initial guess on a DEM, ready for `find_pose`."""
 
     frame: SiteFrame
     camera: Camera
@@ -41,8 +41,8 @@ class SearchSetup:
 
 @dataclass(frozen=True, eq=False)
 class PoseResult:
-    """What a search hands on: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are
-    those found where the verdict is `accepted`, and those that came in otherwise."""
+    """Result of a search: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are the
+    estimated ones if the verdict is `accepted`, and the given ones otherwise."""
 
     pose: Pose
     camera: Camera
@@ -51,7 +51,7 @@ class PoseResult:
 
 
 def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
-    """Place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and ConfigError."""
+    """Place a guess on `dem`. Raises PoseError for a camera under the ground or outside the DEM, and ConfigError."""
     frame, local = near_frame(guess, dem)
     stated = guess.pose
     position = stated.position(local, frame)
@@ -77,19 +77,19 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
 
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
-    """Class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
+    """Read class ids (H, W) from a single-channel PNG of the camera's size. Raises ImageError."""
     with open_picture(Path(path)) as (source, _):
         labels = np.asarray(source)
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
         raise ImageError(
-            f"{path}: labels must be a PNG of one channel of class ids, {camera.width} x {camera.height} pixels, got "
+            f"{path}: labels must be a single-channel PNG of class ids, {camera.width} x {camera.height} pixels, got "
             f"{labels.shape} {labels.dtype}"
         )
     return labels
 
 
 def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | None:
-    """In words, where the sky of labels (H, W) lies lower than the land, beside what a mask hides (H, W)."""
+    """Return a warning if the sky of labels (H, W) is below the land, outside of masked areas (H, W)."""
     seen = np.ones(labels.shape, np.bool_) if hidden is None else ~hidden
     sky = seen & (labels == np.uint8(Label.SKY))
     land = seen & ~sky
@@ -98,12 +98,11 @@ def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | N
     rows = np.arange(len(sky))
     if rows @ sky.sum(axis=1) / sky.sum() < rows @ land.sum(axis=1) / land.sum():
         return None
-    return "the sky lies below the land: the photo seems to be upside down; turn it, or mend its orientation tag"
+    return "the sky is below the land: the photo seems to be upside down; turn it, or correct its orientation tag"
 
 
 def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseResult:
-    """Never a worse pose than came in without a word: what is not accepted leaves the prior pose. `camera`: the
-    photo's."""
+    """Return the result; a pose that is not accepted is replaced by the prior one. `camera`: the photo's."""
     if search.verdict.word != "accepted":
         return PoseResult(prior.pose, camera, prior.covariance, False)
     found = search.hypotheses[0].refined
@@ -115,15 +114,15 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
 def write_result(
     path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
 ) -> None:
-    """The pose file of a result; whether and why it was found stands at its top."""
-    notes = [f"Pose from the picture: {word} ({reason})."]
+    """Write the pose file of a result, with the verdict at the top."""
+    notes = [f"Pose from the photo: {word} ({reason})."]
     if not result.accepted:
-        notes.append("It was not taken: this is the pose that was given.")
+        notes.append("The result was rejected: this is the given pose.")
     write_pose_file(path, result.camera, result.pose, sigma_keys(result.pose, result.covariance), guess, frame, notes)
 
 
 def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
-    """What was found, for JSON; positions in the frame's CRS."""
+    """Return the JSON-ready results; positions in the frame's CRS."""
     verdict = search.verdict
 
     def place(pose: Pose) -> list[float]:
@@ -166,5 +165,5 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
 
 
 def write_figures_of(path: Path | str, content: Any) -> None:
-    """As JSON."""
+    """Write the results as JSON."""
     Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Hold a pose that a photo may have, and decide whether it is accepted."""
+"""Hold a candidate pose of a photo, and decide whether it is accepted."""
 
 from __future__ import annotations
 
@@ -30,10 +30,9 @@ class Hypothesis:
 
 
 def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """The same, from the best down, the first one's pose the mean of those about it, each with its weight by cost, and
-    as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
-    (`pose_verdict`).
-    """
+    """Return the hypotheses with the first pose replaced by the mean of those around it, weighted by cost, with their
+    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives
+    (`pose_verdict`)."""
     if len(hypotheses) < 2:
         return hypotheses
     best, refined = hypotheses[0], hypotheses[0].refined
@@ -48,9 +47,8 @@ def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> l
 
 
 def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """The same, the first one where it is, and as uncertain as those about it lie away from it: of poses by ridges
-    alone one is on its edges, and a mean on none.
-    """
+    """Return the hypotheses with the uncertainty of the first one widened by the distance of those around it; unlike a
+    mean, a pose by ridges alone lies on its edges."""
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
@@ -60,7 +58,8 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
 
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
-    """The first one, between where skyline and ridges alone put it; None where they contradict each other.
+    """Return the first hypothesis moved between the solutions by skyline and by ridges; None if they contradict each
+    other.
 
     How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
     half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
@@ -94,8 +93,8 @@ def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Fl
 def mean_about_best(
     costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are near that of
-    the first, the best. `variance`: of the skyline's misfits."""
+    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those with azimuths (N,), rad, near
+    the first, best one. `variance`: of the skyline's misfits."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.
@@ -109,13 +108,13 @@ def mean_about_best(
 
 
 def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
-    """(7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
+    """Return (7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
     turn = vector_of_matrix(b.pose.rotation @ a.pose.rotation.T)
     return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 
 def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
-    """Radians of azimuth about the prior one within which poses are sought; pi where none is known."""
+    """Return the range of azimuths about the prior one to search, radians; pi if none is known."""
     s = config.search
     if not prior.heading_known:
         return math.pi
@@ -123,7 +122,7 @@ def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
 
 
 def focal_candidates(focal_sigma: float) -> Float64Array:
-    """Factors of the focal length that are tried."""
+    """Return the factors of the focal length to try."""
     if focal_sigma <= 0:
         return np.ones(1)
     n = math.ceil(2 * focal_sigma / _FOCAL_STEP)
@@ -131,9 +130,9 @@ def focal_candidates(focal_sigma: float) -> Float64Array:
 
 
 MANY_PLANTS = 0.5
-"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's,"""
+"""Share of trees and shrubs in the land above which edges belong to them as well as to the ground."""
 OVERGROWN = 0.85
-"""and from which on hardly anything else is in the picture."""
+"""Share above which the image shows hardly anything else."""
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 
@@ -159,15 +158,14 @@ def judge(
     plants: float,
     gap_by_ridges: float | None = None,
 ) -> PoseVerdict:
-    """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
-    the share of trees and shrubs in the picture's land. `gap_by_ridges`: ridges alone are of the same pose, and
-    alternatives cost so much more by them.
-    """
+    """Judge the first of `hypotheses`, which are in order of cost; `by_ridges`: they were found without a skyline.
+    `plants`: the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone give the same pose with
+    this gap to alternatives."""
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:
         return PoseVerdict(
-            "no_skyline", "neither a skyline nor a ridge of the DEM is in the picture", 0.0, None, nowhere, 0.0
+            "no_skyline", "the photo shows neither a skyline nor a ridge of the DEM", 0.0, None, nowhere, 0.0
         )
     best = hypotheses[0]
     sigma = azimuth, pitch, roll = best.refined.sigma_deg
@@ -189,33 +187,39 @@ def judge(
     if open_view:
         most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
-        known = "what ridges are in the picture" if by_ridges else "the skyline"
+        known = "the ridges in the photo" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
-        return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
+        return verdict(
+            word, f"{known} determines azimuth, pitch, roll only to {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg"
+        )
     veiled, variance = best.refined.skyline.veiled, best.refined.skyline.variance
     least = v.gap_asked(veiled, variance)
     if by_ridges:
         least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
         if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
-            return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
+            return verdict(
+                "ambiguous", f"the edges on ridges are only {best.ridge_score:.1f} times as strong as by chance"
+            )
         if variance > v.ridges_variance:
             return verdict(
-                "ambiguous", f"the photo's skyline speaks against it: its misfits' variance is {variance:.1f}"
+                "ambiguous", f"the photo's skyline contradicts it: the variance of its misfits is {variance:.1f}"
             )
     elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
-        doubt = "may be of land beyond the DEM" if open_view else "leaves an angle unsure"
-        return verdict("ambiguous", f"the skyline {doubt}, and its misfits' variance on the horizon is {variance:.1f}")
+        doubt = "may be land beyond the DEM" if open_view else "leaves an angle uncertain"
+        return verdict(
+            "ambiguous", f"the skyline {doubt}, and the variance of its misfits on the horizon is {variance:.1f}"
+        )
     if gap < least:
         hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
         told = hidden if veiled > 0.03 and not by_ridges else ""
         return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
     asked = v.least_support if open_view else v.support_asked(max(sigma))
     if not by_ridges and support < (asked if gap_by_ridges is None else v.sharp_support):
-        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")
+        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline fits the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
-        return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
+        return verdict("contradicts_prior", f"the photo's {name} is {away_by.max():.1f} sigmas from the stated one")
     return verdict(
         "accepted", f"the next best azimuth costs {gap:.1f} more" if math.isfinite(gap) else "no alternative"
     )

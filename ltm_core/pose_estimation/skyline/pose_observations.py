@@ -1,4 +1,4 @@
-"""Where a photo's skyline and edges lie beside those that terrain predicts from a pose, linearised about it.
+"""Differences between a photo's skyline and edges and those predicted by the terrain from a pose, linearised about it.
 
 Unknowns: shifts along the map's x, y, z (m), rotations about them (rad), the logarithm of the focal length. Weights are
 those of `skyline_search`.
@@ -53,7 +53,7 @@ class RidgeObservations(Observations):
     ground: Float64Array
 
     def only(self, kept: IndexArray) -> RidgeObservations:
-        """Of those places (K,) alone."""
+        """Return those places (K,) only."""
         return RidgeObservations(
             self.error[kept],
             self.slopes[kept],
@@ -67,7 +67,8 @@ class RidgeObservations(Observations):
 def _projected(
     directions: Float64Array, ranges: Float64Array, pose: Pose, camera: Camera, origin: Float64Array
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in front."""
+    """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
+    front."""
     pixels, slopes = np.empty((len(ranges), 2)), np.empty((len(ranges), 2, 7))
     ahead = np.empty(len(ranges), np.bool_)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -120,7 +121,7 @@ def skyline_observations(
     wide: float,
     config: PicturePoseConfig,
 ) -> SkylineObservations | None:
-    """Row of the terrain's skyline minus that of the photo's, column by column; None where there is none."""
+    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline."""
     skyline, noise = evidence.skyline, config.skyline
     if skyline is None or len(skyline.u) < 8:
         return None
@@ -204,7 +205,7 @@ def ridge_observations(
     search: float,
     config: PicturePoseConfig,
 ) -> RidgeObservations | None:
-    """Across ridges, from the edge nearby to where they are predicted, pixels."""
+    """Return the distances across ridges, from the nearest edge to the predicted place, pixels."""
     if len(ridges.range) == 0:
         return None
     noise, edges = config.contours, evidence.edges
@@ -244,7 +245,7 @@ def ridge_observations(
 def _nearest_edges(
     pixels: Float64Array, normal: Float64Array, response: Float32Array, scale: float, search: float, step: float
 ) -> tuple[Float64Array, Float64Array]:
-    """How far along its normal (N, 2) the strongest edge of each pixel's direction lies, and its response."""
+    """Return how far along its normal (N, 2) the strongest edge of each pixel's direction lies, and its response."""
     height, width = response.shape[1], response.shape[2]
     found, strength = np.zeros(len(pixels)), np.zeros(len(pixels))
     for k in range(len(pixels)):

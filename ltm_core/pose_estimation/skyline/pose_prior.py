@@ -1,4 +1,4 @@
-"""What is known of a pose before its picture is looked at."""
+"""Prior knowledge of a pose before its image is used."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, axes_of_angles, matrix_of_vector, pose_covariance
 
 UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
-"""Sigma of an azimuth of which nothing is known."""
+"""Standard deviation of an unknown azimuth in degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """A pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
+    """Prior pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
 
     An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
     Raises PoseError for sigmas that are none.
@@ -40,7 +40,7 @@ class PosePrior:
 
     @classmethod
     def of_covariance(cls, pose: Pose, covariance: Float64Array) -> PosePrior:
-        """From a (6, 6) covariance as in `pose_covariance`; raises PoseError where its angles have none."""
+        """Return the prior of a (6, 6) covariance as in `pose_covariance`. Raises PoseError if its angles have none."""
         slopes = angle_slopes(pose)
         angles = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
         place = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
@@ -53,35 +53,35 @@ class PosePrior:
 
     @property
     def sigmas(self) -> Float64Array:
-        """(6,): x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,) sigmas: x, y, z (m), azimuth, pitch, roll (rad)."""
         angles = np.radians([self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg])
         return np.array([self.position_sigma, self.position_sigma, self.height_sigma, *angles])
 
     @property
     def covariance(self) -> Float64Array:
-        """(6, 6) as in `pose_covariance`."""
+        """Return the covariance (6, 6) as in `pose_covariance`."""
         angles = (self.azimuth_sigma_deg, self.pitch_sigma_deg, self.roll_sigma_deg)
         return pose_covariance(self.pose, self.position_sigma, self.height_sigma, *angles)
 
     def deviation(self, pose: Pose) -> Float64Array:
-        """(6,) of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
+        """Return (6,) the deviation of a pose from this one: x, y, z (m), azimuth, pitch, roll (rad)."""
         return np.concatenate([pose.position - self.pose.position, angles_between(self.pose, pose)])
 
 
 def angles_between(a: Pose, b: Pose) -> Float64Array:
-    """Azimuth, pitch and roll (3,), radians in [-pi, pi), by which `b` differs from `a`."""
+    """Return the azimuth, pitch and roll (3,), radians in [-pi, pi), by which `b` differs from `a`."""
     change = np.radians(np.subtract(b.angles_deg, a.angles_deg))
     return np.asarray((change + math.pi) % (2 * math.pi) - math.pi, np.float64)
 
 
 def angle_slopes(pose: Pose) -> Float64Array:
-    """(3, 3): azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad). Straight up or down, where
-    azimuth and roll turn about one axis, each takes half of a turn about it."""
+    """Return (3, 3) derivatives of azimuth, pitch and roll (rad) by rotations about the map's x, y and z (rad).
+    Straight up or down, where azimuth and roll have one axis, each takes half of a turn about it."""
     return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
 
 
 def rotations_of(angles_deg: Float64Array) -> Float64Array:
-    """(P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
+    """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
     a, p, r = np.radians(angles_deg).T
     zero = np.zeros_like(a)
     forward = np.stack([np.sin(a) * np.cos(p), np.cos(a) * np.cos(p), np.sin(p)], axis=-1)
@@ -92,7 +92,7 @@ def rotations_of(angles_deg: Float64Array) -> Float64Array:
 
 
 def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
-    """A pose turned by a rotation vector (3,) about the map's axes, and shifted."""
+    """Return a pose turned by a rotation vector (3,) about the map's axes, and shifted."""
     matrix = matrix_of_vector(rotation) @ pose.rotation
     u, _, vt = np.linalg.svd(matrix)  # many small turns stay a rotation
     return Pose(pose.position if shift is None else pose.position + shift, u @ vt)

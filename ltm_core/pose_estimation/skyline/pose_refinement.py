@@ -5,7 +5,7 @@ Least squares of a pose over a photo's skyline and the ridges within it, from a 
 Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
 the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
 
-Settles a pose on the ridges in its picture, whose errors neighbouring places share.
+Settles a pose on the ridges in its image, whose errors neighbouring places share.
 
 What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
 (`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
@@ -41,15 +41,15 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 MOST_FOCAL_STEP = 0.05
-"""Of the focal length's logarithm, in one round."""
+"""Maximum step of the focal length's logarithm in one round."""
 FEWEST = 6
-"""Places of a skyline or of ridges that say anything."""
+"""Minimum number of places of a skyline or of ridges."""
 _TELLING = 0.02
-"""Radians: columns of a larger sigma do not support a pose."""
+"""Standard deviation in radians above which a column does not support a pose."""
 _LEAST_TOLD = 1 / 3
-"""Share of a skyline that the DEM's horizon must tell of: of a shorter one what fits is no support."""
+"""Minimum share of a skyline that the DEM's horizon must cover to count as support."""
 _MOST_SQUARE = 9.0
-"""Of a column's error in its sigma, squared: what is further off is another thing."""
+"""Maximum squared error of a column in sigmas; columns further off show something else."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class RefinedPose:
 
     @property
     def sigma_deg(self) -> tuple[float, float, float]:
-        """Of azimuth, pitch and roll."""
+        """Return the sigmas of azimuth, pitch and roll in degrees."""
         azimuth, pitch, roll = pose_sigmas(self.pose, self.covariance[:6, :6])[3:].tolist()
         return azimuth, pitch, roll
 
@@ -89,7 +89,7 @@ PictureSystem = Callable[
     [Pose, Camera, PictureEvidence, TerrainHorizon, ContourDirections, float, float, PicturePoseConfig, bool],
     tuple[Float64Array, Float64Array],
 ]
-"""Gives what `picture_system` does."""
+"""Function with the results of `picture_system`."""
 
 
 def refine(
@@ -131,7 +131,7 @@ def refine(
 def skyline_fit(
     pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
 ) -> SkylineFit:
-    """Of a photo's skyline alone."""
+    """Return the fit of a photo's skyline alone."""
     rows = skyline_observations(pose, camera, evidence, horizon, 1.0, config)
     if rows is None:
         return SkylineFit()
@@ -181,7 +181,7 @@ def picture_system(
     config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Normal matrix (7, 7) and gradient (7,) of the picture's cost."""
+    """Return the normal matrix (7, 7) and gradient (7,) of the image's cost."""
     normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     skyline = skyline_observations(pose, camera, evidence, horizon, wide, config)
     contours = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
@@ -195,19 +195,19 @@ def picture_system(
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
-    """How far each of `rows` (N,) counts as one that fits and not as anything else, whose density `odds` are of, in one
-    sigma of a pixel."""
+    """Return the weight of each of `rows` (N,) as fitting rather than outlying, where `odds` are the density ratio in
+    one sigma of a pixel."""
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     like = odds / rows.sigma / q**2.5
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
-    # of this, would state more than pictures err by.
+    # of this, would state more than images err by.
     return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
 
 
 _ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
-"""As `pose_refinement.ROUNDS`."""
+"""Rounds as in `pose_refinement.ROUNDS`."""
 _LEAST_FITTING = 0.02
-"""Edges that fit less are left out: they would cost time and say nothing."""
+"""Minimum fit of an edge; others cost time and add nothing."""
 
 
 def settled_on_ridges(
@@ -218,7 +218,7 @@ def settled_on_ridges(
     focal_sigma: float,
     config: PicturePoseConfig,
 ) -> RefinedPose:
-    """The same picture's pose by ridges alone, the DEM's own horizon among them; with its skyline's fit as it was."""
+    """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
     unseen = replace(evidence, skyline=None)
@@ -239,7 +239,7 @@ def ridge_system(
     config: PicturePoseConfig,
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """As `picture_system`, of ridges alone, with what neighbouring places share."""
+    """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
     normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     rows = ridge_observations(pose, camera, evidence, ridges, horizon.position, search, config)
     if rows is None:
@@ -256,8 +256,8 @@ def ridge_system(
 
 
 def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
-    """(N, N), px^2, of the errors of `rows`, each of which `fits` (N,) so far: what does not is as unsure as it is
-    unlikely, by itself."""
+    """Return (N, N), px^2, the covariance of the errors of `rows`, each of which `fits` (N,) so far; unlikely ones get
+    a larger variance."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)

@@ -26,15 +26,16 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _KEPT = 18
 _ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
-"""Whatever the labels are, where few of them are of trees and shrubs: rock and ice, which labels know the least."""
+"""Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
 _ALONG = 8.0
-"""Metres and pixels within which a ridge's errors are one and the same: of rock."""
+"""Metres and pixels within which errors of a ridge of rock are fully correlated."""
 _FLOOR_DEG = (0.15, 0.05, 0.15)
-"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing."""
+"""Minimum standard deviation of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something
+else."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
-"""Degrees about each of the coarse grid's best at which finer edges are looked at."""
+"""Degrees around each of the coarse grid's best poses at which finer edges are used."""
 _ROUNDS = (
     (16.0, 1.0),
     (12.0, 1.0),
@@ -47,7 +48,7 @@ _ROUNDS = (
     (4.0, 1.0),
 )
 _SETTLING = ((4.0, 1.0),) * 12
-"""Both as `pose_refinement.ROUNDS`."""
+"""Rounds of both, as in `pose_refinement.ROUNDS`."""
 
 
 def search_ridges(
@@ -57,7 +58,7 @@ def search_ridges(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Hypotheses from the best down; none where too few ridges may be in view."""
+    """Return hypotheses in order of cost; none if too few ridges may be in view."""
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
     config = config.model_copy(
         update={
@@ -133,7 +134,8 @@ def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
 
 
 def _restarts() -> list[Float64Array]:
-    """Degrees. Along a ridge that runs up through the picture azimuth, pitch and roll make up for each other."""
+    """Return the degrees. Along a ridge that runs up through the image azimuth, pitch and roll make up for each
+    other."""
     offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
     return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
 
@@ -170,7 +172,7 @@ def _distance(a: Pose, b: Pose) -> float:
 
 
 _SKYLINE_SETTLING = ((3.0, 1.0),) * 6
-"""As `ROUNDS`: further ones."""
+"""Further rounds, as in `ROUNDS`."""
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 
@@ -181,7 +183,7 @@ def poses_on_skyline(
     config: PicturePoseConfig,
     focal_sigma: float,
 ) -> list[Hypothesis]:
-    """Hypotheses from the best down, of a picture that shows a skyline."""
+    """Return hypotheses in order of cost for an image with a skyline."""
     s, skyline = config.search, evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
     reach = search_reach(prior, config)
@@ -217,7 +219,7 @@ def poses_on_skyline(
         ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
-    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
+    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.extra_hypotheses, s.extra_apart_deg)):
         for _, at, camera in ranked:
             if len(starts) == most:
                 break
@@ -251,7 +253,7 @@ def _best_over_pitch(
     camera: Camera,
     evidence: PictureEvidence,
 ) -> Float64Array:
-    """Ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
+    """Return the ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
     best = np.full(len(rotations), -np.inf)
     for offset in _PITCHES_DEG:
         c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))

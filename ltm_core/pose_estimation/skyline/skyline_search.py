@@ -1,4 +1,4 @@
-"""Compares a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
+"""Compare a photo's skyline with the terrain's horizon at every azimuth of a grid; pitch and roll are fitted robustly.
 
 A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
 The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
@@ -6,7 +6,7 @@ ever so uncertain. Where land beyond the DEM may stand over the horizon, that is
 all skylines between it and the bound of that land are alike likely. Where trees on a nearer crest may hide the horizon,
 either is what is seen. Where pale land stands above the edge of nearer land (`pale_land`), that crest is at the lower
 edge, and the horizon at the upper one, or at the lower where the pale land may lie beyond it, or be none. Neighbouring
-columns are alike: all of a picture count as a few, and in the fit and its covariance those within one correlation
+columns are alike: all of an image count as a few, and in the fit and its covariance those within one correlation
 length of a crest count as one.
 """
 
@@ -26,7 +26,7 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 _ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])
-"""By which sigmas are widened in the rounds of the robust fit."""
+"""Factors by which sigmas are widened in the rounds of the robust fit."""
 
 # Columns of the photo's skyline, one row for each image column.
 AWAY, TANGENT = 0, 1  # azimuth from the optical axis (rad), tangent of the elevation
@@ -44,7 +44,7 @@ COST, PITCH, ROLL = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class SkylineCosts:
-    """Of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to be added to those of the pose that was given."""
+    """Costs of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to add to those of the given pose."""
 
     azimuth: Float64Array
     cost: Float64Array
@@ -63,7 +63,7 @@ def search_azimuths(
     position_sigma: float,
     config: SkylineConfig,
 ) -> SkylineCosts:
-    """Costs of azimuths (Y,), radians, of an undistorted camera.
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera.
 
     `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres.
     """
@@ -117,19 +117,19 @@ def search_azimuths(
 
 
 def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:
-    """Of one column among those of a picture, that count as `independent` altogether."""
+    """Return the weight of one column of an image whose columns count as `independent` altogether."""
     return min(1.0, independent * skyline.spacing / camera.width)
 
 
 def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
-    """Azimuth from the optical axis' and tangent of optical rays (K, 3)."""
+    """Return the azimuth from the optical axis' and tangent of optical rays (K, 3)."""
     x, y, z = (rays @ Pose.from_angles((0.0, 0.0, 0.0), 0.0, pitch_deg, roll_deg).rotation.T).T
     return np.arctan2(x, y), z / np.hypot(x, y)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
-    """Height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
+    """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
     return (1 - far) * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], (1 - far) * column[NEAR_SIGMA] + far * column[
         FAR_SIGMA
     ]
@@ -197,7 +197,7 @@ def _search(
         ordered = np.sort(error[used])
         best = np.inf
         for begin in range(len(_STARTS) + 1):
-            # Pitch brings a skyline up by about as much as it is turned.
+            # A change of pitch moves the skyline by about the same angle.
             a = 0.0 if begin == len(_STARTS) else -ordered[int(_STARTS[begin] * (len(used) - 1))]
             if abs(a) > 4 * pitch_sigma:
                 continue

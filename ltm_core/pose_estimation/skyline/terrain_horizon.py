@@ -21,17 +21,17 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing.holes import PossibleGround
 
 _MOST_RISE = 4.0
-"""Steps of azimuth by which neighbours of a contour may differ in tangent,"""
+"""Maximum difference in tangent between neighbours of a contour, in steps of azimuth."""
 _MOST_CHANGE = 0.12
-"""and the logarithm by which they may differ in range."""
+"""Maximum difference in the logarithm of the range between neighbours of a contour."""
 _SHORTEST = math.radians(0.6)
-"""Contours that span less azimuth are left out: single trees and the DEM's noise."""
+"""Minimum span of a contour in azimuth; shorter ones are single trees and noise of the DEM."""
 
 
 @dataclass(frozen=True, eq=False)
 class OccludingContours:
-    """Points of contours. (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the
-    DEM's `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+    """Points of contours, (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the DEM's
+    `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
 
     azimuth: Float64Array
     tangent: Float64Array
@@ -45,9 +45,8 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind,
-    cell), from one azimuth to the next; what stays shorter than 0.6 degrees is left out.
-    """
+    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind, cell),
+    from one azimuth to the next; contours shorter than 0.6 degrees are dropped."""
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
     rows, cols = np.nonzero(kept)
@@ -96,11 +95,11 @@ def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Ar
 
 
 _NEAREST = 20.0
-"""Metres: what the DEM says of nearer ground is as much its error as the ground's shape."""
+"""Minimum range in metres; nearer, the DEM's error is as large as the shape of the ground."""
 _FARTHEST = 80_000.0
 _NEAREST_FRONT, _TREES = 120.0, 5.0
 _MOST_CONTOURS = 24
-"""Points of occluding contours that are kept along one azimuth."""
+"""Maximum number of points of occluding contours along one azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +127,18 @@ class TerrainHorizon:
 
     @property
     def azimuths(self) -> Float64Array:
-        """(N,) radians, increasing."""
+        """Return (N,) radians, increasing."""
         return np.asarray(self.start + self.step * np.arange(len(self.tangent)), np.float64)
 
     @property
     def whole(self) -> bool:
-        """The azimuths go all round."""
+        """Return whether the azimuths cover the full circle."""
         return len(self.tangent) * self.step > 2 * math.pi - 1.5 * self.step
 
     @property
     def open(self) -> BoolArray:
-        """(N,) where land beyond the DEM may stand over the known horizon, by more than a hundredth of a degree."""
+        """Return (N,) whether land beyond the DEM may rise above the known horizon by more than a hundredth of a
+        degree."""
         return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
 
 
@@ -151,7 +151,7 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Look round from `position` (3,), within `half_width` radians of `azimuth`.
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
 
     `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
     of the DEM lies around the position.
@@ -189,7 +189,7 @@ def terrain_horizon(
         x, y, _ = (float(v) for v in position)
         raise PoseError(
             f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
-            "camera's place and its crs, or give a DEM that surrounds it"
+            "camera's position and its crs, or give a DEM that surrounds it"
         )
     return TerrainHorizon(
         np.array(position, np.float64),
@@ -207,7 +207,7 @@ def terrain_horizon(
 
 
 def _read_only(elevation: Float32Array) -> Float32Array:
-    """Rasters of a stack are of one type for compiled code, whichever of them are shared."""
+    """Check that the rasters of a stack are of one type for compiled code, whichever of them are shared."""
     view = elevation.view()
     view.flags.writeable = False
     return view

@@ -51,11 +51,11 @@ def test_a_section_is_the_same_in_every_file(tmp_path: Path) -> None:
     [
         ({"pose": POSE | {"position": [1, 2]}}, "pose.position: unknown key"),
         ({"calibration": CALIBRATION | {"hfov_deg": 50}}, "either hfov_deg or fx, not both"),
-        ({"calibration": {"width": 64, "height": 40}}, "either hfov_deg or fx, not neither"),
+        ({"calibration": {"width": 64, "height": 40}}, "either hfov_deg or fx"),
         ({"calibration": {"fx": 40}}, "calibration.width: missing"),
         ({"pose": POSE | {"lon": -118, "lat": 34}}, "either x or lon"),
         ({"pose": {k: v for k, v in POSE.items() if k not in "xy"}}, "give x and y, or lon and lat"),
-        ({"pose": {k: v for k, v in POSE.items() if k != "z"}}, "either z or height_above_ground, not neither"),
+        ({"pose": {k: v for k, v in POSE.items() if k != "z"}}, "either z or height_above_ground"),
         ({"pose": POSE | {"azimuth_sigma_deg": 0}}, r"azimuth_sigma_deg: .*\(got 0, line \d+\)"),
         ({"azimuth_deg": 3.0}, "azimuth_deg: unknown key, line"),
     ],

@@ -88,9 +88,9 @@ def test_no_numbers_and_no_metres_become_nan(tmp_path: Path) -> None:
 
 
 def test_what_is_no_depth_network_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"'colors' gives logits of labels, not depth"):
+    with pytest.raises(ModelError, match=r"'colors' outputs logits of labels, not depth"):
         DepthNetwork.open(write_classifier(tmp_path))
-    with pytest.raises(ModelError, match=r"'depth' gives relative_inverse depth, not labels"):
+    with pytest.raises(ModelError, match=r"'depth' outputs relative_inverse depth, not labels"):
         Segmenter.open(write_depth_network(tmp_path))
     labels_as_depth = changed(write_depth_network(tmp_path, two_heads=True), output={"name": "scores"})
     with pytest.raises(ModelError, match=r"expected \[1, h, w\], or with one channel, found \[1, 5, 32, 48\]"):
@@ -104,7 +104,7 @@ def test_a_photo_of_another_size_than_the_camera_is_refused(tmp_path: Path) -> N
 
 
 def test_depth_must_be_an_image_of_a_known_kind() -> None:
-    with pytest.raises(ImageError, match="kind 'disparity'; kinds are relative_inverse"):
+    with pytest.raises(ImageError, match="kind 'disparity'"):
         NetworkDepth(np.ones((3, 4), np.float32), "disparity")  # type: ignore[arg-type]
     with pytest.raises(ImageError, match=r"got shape \(4,\)"):
         NetworkDepth(np.ones(4, np.float32), "metric")

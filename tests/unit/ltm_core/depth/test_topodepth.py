@@ -250,7 +250,7 @@ def test_a_photo_that_is_mostly_unknown_is_not_just_ok() -> None:
     assert 0.5 < share < 1
     assert result.verdict is FusionVerdict.MOSTLY_UNKNOWN
     assert f"{share:.0%}" in result.reason
-    assert "over the DEM's edge" in result.reason
+    assert "beyond the DEM's edge" in result.reason
     assert result.info()["verdict"] == "mostly_unknown"
 
 

@@ -18,10 +18,10 @@ def picture() -> np.ndarray:
 @pytest.mark.parametrize(
     ("part", "name", "reason"),
     [
-        ((slice(60, 120), slice(0, 400)), "beyond", "over the DEM's edge"),
+        ((slice(60, 120), slice(0, 400)), "beyond", "beyond the DEM's edge"),
         ((slice(160, 200), slice(40, 400)), "between", "holes"),
         ((slice(180, 240), slice(0, 400)), "before", "beyond the DEM's edge"),
-        ((slice(0, 240), slice(100, 300)), "no_ground", "past the DEM"),
+        ((slice(0, 240), slice(100, 300)), "no_ground", "misses the DEM"),
     ],
 )
 def test_where_it_lies_tells_the_reason(part: tuple[slice, slice], name: str, reason: str) -> None:

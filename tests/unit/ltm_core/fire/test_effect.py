@@ -48,8 +48,8 @@ def test_where_it_comes_later_earlier_or_only_once() -> None:
     names = [DIFFERENCE.names[int(v)] for v in values[known]]
     assert known.sum() == 8
     assert names == [
-        "the same to 5 min", "the same to 5 min", "later by 1 h and more", "burns only as the map was",
-        "the same to 5 min", "the same to 5 min", "the same to 5 min", "burns only as the map is now",
+        "the same to 5 min", "the same to 5 min", "later by 1 h and more", "burns only with the previous map",
+        "the same to 5 min", "the same to 5 min", "the same to 5 min", "burns only with the updated map",
     ]  # fmt: skip
     turned = FireEffect(AFTER, BEFORE, effect().changed, 100.0, 3.0)
     assert DIFFERENCE.names[int(difference_classes(turned)[0][1, 3])] == "earlier by 1 h and more"

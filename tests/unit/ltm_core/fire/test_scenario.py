@@ -58,7 +58,7 @@ def test_wind() -> None:
 
 @pytest.mark.parametrize("hours", [0.0, -1.0, 100.0, float("nan")])
 def test_hours(hours: float) -> None:
-    with pytest.raises(ConfigError, match="up to 72 hours"):
+    with pytest.raises(ConfigError, match="72 hours"):
         FireScenario(1, 1, Wind(3, 0), Moisture.parse("D2L2"), hours)
 
 
@@ -71,7 +71,7 @@ def test_a_place_in_the_landscapes_crs_or_in_degrees() -> None:
     assert ignition_cell(f"{lon},{lat}", "EPSG:4326", landscape()) == (4, 6)
     with pytest.raises(ConfigError, match=r"outside the landscape.*looks like degrees: add --ignition-crs EPSG:4326"):
         ignition_cell(f"{lon},{lat}", None, landscape())
-    with pytest.raises(ConfigError, match="is no CRS"):
+    with pytest.raises(ConfigError, match="EPSG:0"):
         ignition_cell(f"{lon},{lat}", "EPSG:0", landscape())
 
 

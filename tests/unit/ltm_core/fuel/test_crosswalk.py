@@ -152,5 +152,5 @@ def test_a_climate_that_mixes_fuel_types_is_refused(key: str, code: int, to: obj
 
 
 def test_an_unknown_climate() -> None:
-    with pytest.raises(ConfigError, match="there are dry, humid"):
+    with pytest.raises(ConfigError, match="dry, humid"):
         FuelClimate.named("arctic")

@@ -8,7 +8,7 @@ from scipy.special import log_softmax, softmax
 
 from ltm_core.fuel.cell_appearance_model import SEEN, USUAL, CellAppearanceModel, what_is_seen
 from ltm_core.fuel.evidence_kernel import spread
-from ltm_core.fuel.frame_evidence import log_normalised, normalised, shown_forms, tell_by_look
+from ltm_core.fuel.frame_evidence import form_by_appearance, log_normalised, normalised, shown_forms
 from ltm_core.fuel.life_form import FORMS
 
 pytestmark = pytest.mark.kernel
@@ -37,7 +37,7 @@ def test_cells_are_told_as_the_model_tells_them(share: float) -> None:
     cosine = np.where(rng.random(n) < 0.2, rng.choice([0.1, 0.3, 0.7], n), rng.uniform(0, 1, n))
     least = np.log(0.01)
     own = np.full((n, FORMS), 7.0)
-    tell_by_look(
+    form_by_appearance(
         *(rows, cols, shares, (confidence - USUAL).astype(np.float64), bearing, cosine),
         *(look.incidence, look.by_incidence, look.known, least, own),
     )
@@ -52,7 +52,7 @@ def test_cells_are_told_as_the_model_tells_them(share: float) -> None:
 def test_no_cells() -> None:
     none = np.zeros(0, np.int64)
     own = np.zeros((0, FORMS))
-    tell_by_look(
+    form_by_appearance(
         *(none, none, own, np.zeros(0), np.zeros(0, np.float32), np.zeros(0), np.array([0.1, 0.5])),
         *(np.zeros((2, SEEN, FORMS)), np.ones(FORMS, np.bool_), -4.6, own),
     )

@@ -58,13 +58,13 @@ def test_two_revisions_are_named_and_one_may_be_chosen(tmp_path: Path) -> None:
     chosen = write(tmp_path / "fuels/fbfm40r5.tif")
     write(tmp_path / "fuels/cc.tif", np.full(CODES.shape, 35, np.int16))
     with pytest.raises(
-        RasterError, match=r"fbfm40b.tif, fbfm40r5.tif may all be fbfm40; name the one: `fuel: .*path: fuels"
+        RasterError, match=r"fbfm40b.tif, fbfm40r5.tif could all be fbfm40; name one: `fuel: .*path: fuels"
     ):
         load_prior(PriorConfig(path=tmp_path / "fuels"), GRID)
     prior = load_prior(PriorConfig(path=tmp_path / "fuels", fbfm40=chosen), GRID)
     np.testing.assert_array_equal(prior.codes, CODES)
     assert prior.canopy is not None
-    with pytest.raises(RasterError, match="is no folder"):
+    with pytest.raises(RasterError, match="not a folder"):
         load_prior(PriorConfig(path=chosen, cover=chosen), GRID)
 
 
@@ -80,7 +80,7 @@ def test_unknown_codes_are_refused_or_taken_for_unknown(tmp_path: Path, system: 
     codes = CODES.copy() if system == "fbfm40" else np.where(CODES > 100, CODES % 13 + 1, CODES).astype(np.int16)
     codes[0, 1], codes[2, 0] = 256, 256
     path = write(tmp_path / f"{system}.tif", codes)
-    with pytest.raises(RasterError, match=rf"{system} does not have: 256 \(2 cells\).*unknown_codes: nodata"):
+    with pytest.raises(RasterError, match=rf"{system} does not define: 256 \(2 cells\).*unknown_codes: nodata"):
         load_prior(PriorConfig(path=path), GRID)
     prior = load_prior(PriorConfig(path=path, unknown_codes="nodata"), GRID)
     assert prior.system == system

@@ -80,9 +80,9 @@ def test_shapes_must_agree() -> None:
     ("changes", "message"),
     [
         ({"cols": [0]}, "2 rows"),
-        ({"z": [1.0, 2.0, 3.0]}, "disagree in length"),
-        ({"counts": [[1, 2]]}, "disagree in length"),
-        ({"counts": [1, 2]}, "disagree in length"),
+        ({"z": [1.0, 2.0, 3.0]}, "differ in length"),
+        ({"counts": [[1, 2]]}, "differ in length"),
+        ({"counts": [1, 2]}, "differ in length"),
         ({"cols": [0, 2]}, r"north name cell \(0, 2\), outside a fuel grid of \(1, 2\)"),
         ({"rows": [-1, 0]}, r"cell \(-1, 0\)"),
     ],

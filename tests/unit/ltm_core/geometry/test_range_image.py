@@ -104,5 +104,5 @@ def test_refused() -> None:
         RangeImage.from_depth(RANGES.T, CAMERA, POSE)
     with pytest.raises(ImageError, match=r"depth image of shape \(4, 3\)"):
         DepthImage(RANGES.T, CAMERA, POSE)
-    with pytest.raises(ImageError, match="without a raster"):
+    with pytest.raises(ImageError, match="no raster"):
         RangeImage(RANGES, CAMERA, POSE).cells()

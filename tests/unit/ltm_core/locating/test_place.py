@@ -50,5 +50,5 @@ def test_seen_and_outside() -> None:
 
 def test_a_place_without_a_height_is_told() -> None:
     sight = PointVisibility(hills(), curvature=False)
-    with pytest.raises(RegionError, match="is it on the DEM"):
+    with pytest.raises(RegionError, match="finite coordinates"):
         place_views(sight, [], np.array([0.0, 9000.0, np.nan]))

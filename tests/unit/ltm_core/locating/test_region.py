@@ -61,13 +61,13 @@ def test_masks_leave_places_out() -> None:
 @pytest.mark.parametrize(
     ("region", "said"),
     [
-        ([(700, 20)], "not in the picture"),
-        ([(20, -3)], "not in the picture"),
+        ([(700, 20)], "outside the image"),
+        ([(20, -3)], "outside the image"),
         ([(np.nan, 3)], "finite"),
         ([], "1 to 1000 points"),
         ([(0, 0)] * 1001, "1 to 1000 points"),
-        ([(700, 20), (800, 20), (750, 60)], "not in the picture"),
-        ([(70, 320), (90, 320), (80, 359.5)], "cut off"),
+        ([(700, 20), (800, 20), (750, 60)], "outside the image"),
+        ([(70, 320), (90, 320), (80, 359.5)], "lower edge"),
         ([(70, 320), (90, np.inf), (80, 340)], "finite"),
     ],
 )

@@ -65,7 +65,7 @@ def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> N
     one, other = (confirmed_terrain(small.site, versions, entry.version) for _ in range(2))
     assert one.ground is other.ground
     assert one.top is other.top
-    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff' there"):
+    with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff'"):
         confirmed_terrain(small.site, versions, "f" * 16)
 
 
@@ -75,7 +75,7 @@ def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite,
     entry = versions.add(sunk(small, 4.0), BEGIN, 500)
     versions.file(entry.version).write_bytes(b"cut")
     without = small.site.model_copy(update={"dem": DemConfig(path=tmp_path / "gone.tif")})
-    with pytest.raises(StoreError, match="is not the file that was written"):
+    with pytest.raises(StoreError, match="not the file written"):
         confirmed_terrain(without, versions, entry.version)
 
 

@@ -200,7 +200,7 @@ def test_a_site_names_one_raster_or_a_list(tmp_path: Path) -> None:
     far = GridGeometry(900_000.0, 3_850_000.0, 100.0, 30, 20, UTM)
     Dem(np.zeros((20, 30), np.float32), far).save(tmp_path / "far.tif")
     site = load_site(write_site(tmp_path, [{"path": "fine.tif"}, {"path": "far.tif"}]))
-    with pytest.raises(RasterError, match="it is not around this site"):
+    with pytest.raises(RasterError, match="does not overlap"):
         site.open_dem()
 
 

@@ -45,7 +45,7 @@ def test_a_raster_of_thousands_of_bands_is_not_read(tmp_path: Path) -> None:
         transform=from_origin(480_000.0, 4_150_000.0, 5.0, 5.0), interleave="pixel",
     ):  # fmt: skip
         pass
-    with pytest.raises(RasterError, match=r"dem\.tif: has 101 bands, at most 100; cut out the one that is meant"):
+    with pytest.raises(RasterError, match=r"dem\.tif: has 101 bands, at most 100"):
         Dem.open(tmp_path / "dem.tif")
 
 
@@ -58,7 +58,7 @@ def test_a_grid_of_text_that_ends_early_is_told_by_its_first_missing_row(tmp_pat
     southwest = (480_030.0, 4_150_030.0, 480_200.0, 4_150_150.0)
     assert read_around(file, "EPSG:26911", "EPSG:26911", southwest)[0][-1, 0] == 891.5
     file.write_text(head + "\n".join(rows[:3]) + "\n")
-    with pytest.raises(RasterError, match=r"dem\.asc: row 4 of 14 is missing or holds what is no number"):
+    with pytest.raises(RasterError, match=r"dem\.asc: row 4 of 14 is missing or not numeric"):
         read_around(file, "EPSG:26911", "EPSG:26911", southwest)
     file.write_text(head.replace("ncols 5", "ncols 5000000") + rows[0])
     with pytest.raises(RasterError, match=r"states rows of 5000000 numbers in a file of \d+ bytes"):
@@ -68,7 +68,7 @@ def test_a_grid_of_text_that_ends_early_is_told_by_its_first_missing_row(tmp_pat
 @pytest.mark.parametrize("text", ['<GDAL_WMS><Service name="TMS"/></GDAL_WMS>', ' {"type": "FeatureCollection"}'])
 def test_a_text_that_names_other_hosts_is_no_raster(tmp_path: Path, text: str) -> None:
     (tmp_path / "dem.tif").write_text(text)
-    with pytest.raises(RasterError, match=r"dem\.tif: not a raster but a text that names other places"):
+    with pytest.raises(RasterError, match=r"dem\.tif: not a raster but a text"):
         Dem.open(tmp_path / "dem.tif")
 
 

@@ -67,7 +67,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"name": "9ridge"}, ["'9ridge'"]),
         ({"name": ""}, ["''"]),
         ({"cameras": {"north east": {}}}, ["cameras.north east", "topic names"]),
-        ({"cameras": {"fuel_map": {}}}, ["'fuel_map' is a node of the site"]),
+        ({"cameras": {"fuel_map": {}}}, ["'fuel_map' is the name of a node"]),
         ({"cameras": {}}, ["cameras"]),
         ({"crs": "EPSG:4326"}, ["crs", "projected CRS in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
@@ -160,7 +160,7 @@ def test_an_origin_far_from_the_dem(tmp_path: Path) -> None:
     Dem(np.zeros((7, 9), np.float32), geometry).save(tmp_path / "dem.tif")
     assert load(tmp_path).open_dem().geometry.x_min == 500.0
     with pytest.raises(
-        ConfigError, match=r"origin \[3783000, 346000\] is 4\d+ km away.* swapped, write \[346000, 3783000\]"
+        ConfigError, match=r"origin \[3783000, 346000\] is 4\d+ km from the DEM.* swapped, write \[346000, 3783000\]"
     ):
         load(tmp_path, origin=[3_783_000.0, 346_000.0]).open_dem()
     with pytest.raises(ConfigError, match=r"origin \[0, 0\] .* near the site, such as \[347000, 3784000\]"):

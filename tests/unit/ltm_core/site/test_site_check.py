@@ -175,7 +175,7 @@ def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
     ):
         check = checked(tmp_path, 890.0, label_heads="heads", model="colors.yaml", cameras=cameras)
         ((_, message),) = [found for found in said(check, verdict) if found[0] == "label head mast"]
-        assert message.endswith("teach one for each") is (verdict is SiteVerdict.DOUBTFUL)
+        assert message.endswith("train one for each") is (verdict is SiteVerdict.DOUBTFUL)
 
 
 @pytest.mark.parametrize("line", [880.0, 897.9, 2400.0])

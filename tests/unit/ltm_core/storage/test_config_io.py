@@ -32,7 +32,7 @@ def test_only_what_differs_is_stated(tmp_path: Path) -> None:
         ("- 30", ["expected a mapping", "list"]),
         ("", ["expected a mapping", "NoneType"]),
         ("phase: [15", ["not YAML"]),
-        ("phase: 15\nresolution: 30\nphase: 0", ["'phase' stands twice", "line 3"]),
+        ("phase: 15\nresolution: 30\nphase: 0", ["'phase' is repeated", "line 3"]),
     ],
 )
 def test_wrong_files(tmp_path: Path, text: str, messages: list[str]) -> None:

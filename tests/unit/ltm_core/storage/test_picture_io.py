@@ -38,7 +38,7 @@ def test_whatever_pillow_raises_is_an_image_error(tmp_path: Path, raised: Except
     """EXIF and HEIC that are damaged raised each of these, out of the block that reads them."""
     Image.new("RGB", (4, 3)).save(tmp_path / "a.png")
     with (
-        pytest.raises(ImageError, match=rf"a\.png: cannot be read as a picture \({type(raised).__name__}"),
+        pytest.raises(ImageError, match=rf"a\.png: cannot be read as an image \({type(raised).__name__}"),
         open_picture(tmp_path / "a.png"),
     ):
         raise raised
@@ -48,7 +48,7 @@ def test_programs_are_not_started_for_a_picture(tmp_path: Path) -> None:
     """Pillow hands EPS to Ghostscript."""
     Image.new("RGB", (4, 3)).save(tmp_path / "a.eps")
     (tmp_path / "a.eps").rename(tmp_path / "a.jpg")
-    with pytest.raises(ImageError, match="no photo that can be read"):
+    with pytest.raises(ImageError, match="unsupported format"):
         check_picture(tmp_path / "a.jpg")
 
 
@@ -60,5 +60,5 @@ def test_a_png_chunk_longer_than_the_file_is_refused(tmp_path: Path) -> None:
     at = content.index(b"IDAT") - 4
     content[at : at + 4] = (0x40000110).to_bytes(4, "big")
     (tmp_path / "a.png").write_bytes(content)
-    with pytest.raises(ImageError, match=r"a\.png \(\d+ bytes\) is cut short: its chunks state more bytes than it has"):
+    with pytest.raises(ImageError, match=r"a\.png \(\d+ bytes\) is truncated: its chunks state more bytes than it has"):
         check_picture(tmp_path / "a.png")

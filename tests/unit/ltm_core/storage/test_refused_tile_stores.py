@@ -62,7 +62,7 @@ def test_store_of_another_map_is_refused_and_left_alone(tmp_path: Path, change: 
         (lambda path: path.write_bytes(b""), "not a tile store"),
         (lambda path: path.write_text("dear diary " * 50), "not a tile store"),
         (foreign_database, "another program"),
-        (later_layout, "layout 2, this program has 1"),
+        (later_layout, "layout 2, this release reads 1"),
     ],
 )
 def test_foreign_file_is_refused_and_left_alone(tmp_path: Path, make: Any, complaint: str) -> None:

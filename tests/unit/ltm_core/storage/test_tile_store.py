@@ -61,7 +61,7 @@ def test_a_transaction_is_whole_or_not_at_all(tmp_path: Path) -> None:
     with TileStore.open(tmp_path / "map.ltm", SCHEMA) as store:
         store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
         again = [FrameRecord("b", 2, [(0, 0)]), FrameRecord("a", 1)]
-        with pytest.raises(ValueError, match="frame 1 of a has been counted already"):
+        with pytest.raises(ValueError, match="frame 1 of a"):
             store.commit({(0, 0): tile(2)}, again, [changes("life", 2, [(1, 1, 0, 4)])])
         assert_same(store.read((0, 0)), tile(1))
         assert store.sources() == {"a": 1}
@@ -143,7 +143,7 @@ def test_one_writer_and_readers_beside_it(tmp_path: Path) -> None:
             assert_same(reader.read((0, 0)), tile(2))
             with pytest.raises(StoreError, match="READONLY"):
                 reader.commit({(0, 0): tile(3)})
-    with pytest.raises(ConfigError, match="holds weather, not fuel"):
+    with pytest.raises(ConfigError, match="weather, not fuel"):
         TileStore.open_read_only(path, "fuel")
     TileStore.open(path, SCHEMA).close()
 
@@ -157,7 +157,7 @@ def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(
         store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
         disk.fill(spare_pages=1)
         for _ in range(3):
-            with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*make room"):
+            with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*free space"):
                 store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
         assert store.keys() == [(0, 0)]
         assert not store.counted("a", 2)

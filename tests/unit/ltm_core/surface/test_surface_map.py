@@ -271,11 +271,11 @@ def test_the_memory_for_cells_is_what_the_configuration_says() -> None:
 def test_bad_frames_are_named() -> None:
     surface = surface_map()
     good = frame(BARE)
-    with pytest.raises(ConfigError, match="no camera 'north'; there are west, east"):
+    with pytest.raises(ConfigError, match=r"no camera 'north'; .*west, east"):
         surface.add(replace(good, source="north"))
     with pytest.raises(ImageError, match=r"sigma image of \(7, 5\)"):
         replace(good, sigma=np.ones((7, 5), np.float32))
-    with pytest.raises(PoseError, match="covariance that is none"):
+    with pytest.raises(PoseError, match="invalid covariance"):
         replace(good, covariance=-np.eye(6))
     under = Pose(good.pose.position - np.array([0.0, 0.0, 60.0]), good.pose.rotation)
     with pytest.raises(PoseError, match="under the ground"):

@@ -46,7 +46,7 @@ def test_versions_are_taken_back_one_by_one_and_the_former_return(versions: Surf
     after = versions.take_back()
     assert (after.current, after.held) == (first.version, True)
     assert versions.take_back().current == ""
-    with pytest.raises(StoreError, match="nothing to take back"):
+    with pytest.raises(StoreError, match="nothing to revert"):
         versions.take_back()
     again = versions.add(felled(99.0), 3_000, 9)
     assert (again.version, again.as_of_ns) == (second.version, 3_000)
@@ -70,7 +70,7 @@ def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: Surfa
         manifest, told = versions.manifest_of_writer()
         aside = versions.folder.with_name(f"surfaces.{number}")
         assert manifest.current == ""
-        assert f"put aside as {aside}" in told
+        assert f"moved to {aside}" in told
         assert (aside / versions.file(entry.version).name).is_file()
     assert versions.manifest_of_writer() == (versions.manifest(), "")
     versions.add(felled(101.0), 1_000, 9)
@@ -105,7 +105,7 @@ def test_a_file_that_is_not_what_was_written_is_refused(versions: SurfaceVersion
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    with pytest.raises(StoreError, match="is not the file that was written"):
+    with pytest.raises(StoreError, match="not the file written"):
         versions.load(entry)
     path.unlink()
     with pytest.raises(StoreError, match="cannot be read"):
@@ -167,7 +167,7 @@ def test_an_unknown_key_does_not_excuse_damage(versions: SurfaceVersions) -> Non
     content["stie"] = content.pop("site")  # as bytes that were spoiled
     path.write_text(json.dumps(content))
     _, told = versions.manifest_of_writer()
-    assert "it was put aside" in told
+    assert "it was moved" in told
 
 
 def test_old_versions_make_room_but_not_the_one_that_counts(
@@ -184,7 +184,7 @@ def test_old_versions_make_room_but_not_the_one_that_counts(
     kept = found.at(KEPT)
     assert kept is not None
     assert kept.as_of_ns == KEPT
-    with pytest.raises(StoreError, match=f"is forgotten: {KEPT} are kept, the first of 1970-01-01"):
+    with pytest.raises(StoreError, match=f"not kept: {KEPT} are kept, the first of 1970-01-01"):
         found.at(1)
 
 
@@ -195,13 +195,13 @@ def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     for number in [0, 1, 2, 1, *range(3, KEPT + 1), 0]:
         versions.add(felled(50.0 + number), 1_000 + number, 9)
-    with pytest.raises(StoreError, match="is forgotten"):
+    with pytest.raises(StoreError, match="is not kept"):
         versions.manifest().at(500)
     taken = 0
     while versions.manifest().current:
         taken, _ = taken + 1, versions.take_back()
     assert KEPT - 5 <= taken <= KEPT
-    with pytest.raises(StoreError, match="is forgotten: none is kept"):
+    with pytest.raises(StoreError, match="is not kept: none is kept"):
         versions.manifest().at(500)
     assert versions.manifest().at(None) is None
 

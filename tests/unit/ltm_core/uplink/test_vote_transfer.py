@@ -98,7 +98,7 @@ def test_other_cells_and_other_grids_are_refused() -> None:
     with pytest.raises(MessageError, match="30 m wide, the region's 10 m"):
         transfer(replace(TOWER, resolution=10.0), ORIGIN)
     huge = replace(TOWER, width=4000, height=4000)
-    with pytest.raises(MessageError, match="at most are taken"):
+    with pytest.raises(MessageError, match="the limit is"):
         VoteTransfer(huge, TOWER, in_map(TOWER, ORIGIN))
     with pytest.raises(MessageError, match="not on"):
         transfer(TOWER, ORIGIN).votes(votes(3, replace(in_map(TOWER, ORIGIN), width=91)))
@@ -112,7 +112,7 @@ def test_a_crs_that_has_no_north_where_the_region_is_is_refused() -> None:
     sent = votes(3, far)
     assert sent.visibility is not None
     assert len(taken.votes(replace(sent, visibility=None))) > 0
-    with pytest.raises(MessageError, match="EPSG:2099 is not defined where the region is"):
+    with pytest.raises(MessageError, match="EPSG:2099 is not defined"):
         taken.votes(sent)
-    with pytest.raises(MessageError, match="nothing leads from EPSG:26911 to the tower's ESRI:54101"):
+    with pytest.raises(MessageError, match="no transformation from EPSG:26911 to the tower's ESRI:54101"):
         VoteTransfer(replace(far, crs="ESRI:54101"), TOWER, in_map(TOWER, ORIGIN))

@@ -77,7 +77,7 @@ def test_pictures_that_are_too_large_have_no_mask_made(tmp_path: Path) -> None:
     content = yaml.safe_load(path.read_text())
     content["cameras"]["mast"]["calibration"] |= {"width": 60_000, "height": 50_000}
     path.write_text(yaml.safe_dump(content))
-    with pytest.raises(ConfigError, match=r"cameras\.mast\.calibration: pictures of 60000 x 50000 .* raise the limit"):
+    with pytest.raises(ConfigError, match=r"cameras\.mast\.calibration: images of 60000 x 50000 .* raise the limit"):
         site_scene_filter(load_site(path), "mast")
     content["cameras"]["mast"]["calibration"]["height"] = 10**29
     path.write_text(yaml.safe_dump(content))
@@ -101,11 +101,11 @@ def wrong_files(folder: Path) -> dict[str, object]:
     (folder / "text.png").write_text("no picture")
     return {
         "empty.png": "hides nothing",
-        "full.png": "hides the whole picture.*inverted",
-        "turned.png": "144 x 256 pixels, the camera's pictures have 256 x 144",
+        "full.png": "hides the whole image.*inverted",
+        "turned.png": "144 x 256 pixels, but the camera's images have 256 x 144",
         "colours.png": "has colours or transparency",
-        "soft.jpg": "is a JPEG, whose edges are not sharp",
-        "text.png": "cameras.mast.mask: .*no photo that can be read",
+        "soft.jpg": "is a JPEG",
+        "text.png": "cameras.mast.mask: .*unsupported format",
         "none.png": "cameras.mast.mask: .*cannot be read",
         "": "cameras.mast.mask: .*cannot be read",
     }
@@ -134,15 +134,15 @@ def test_a_path_out_of_the_sites_folder_is_refused(tmp_path: Path, away: str) ->
         with pytest.raises(ConfigError):
             load_site(path)
         return
-    with pytest.raises(ConfigError, match=r"cameras\.mast\.mask: .* leads out of the site's folder"):
+    with pytest.raises(ConfigError, match=r"cameras\.mast\.mask: .* is outside the site's folder"):
         load_site(site_with(tmp_path / "site", away))
 
 
 @pytest.mark.parametrize(
     ("polygons", "said"),
     [
-        ([{"polygon": [[300, 9], [310, 9], [310, 20]]}], r"cameras\.mast\.mask\.0: the polygon lies beside"),
-        ([{"polygon": [[-1, 0], [257, 0], [257, 150], [-1, 150]]}], "hides the whole picture"),
+        ([{"polygon": [[300, 9], [310, 9], [310, 20]]}], r"cameras\.mast\.mask\.0: the polygon is outside"),
+        ([{"polygon": [[-1, 0], [257, 0], [257, 150], [-1, 150]]}], "hides the whole image"),
     ],
 )
 def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: object, said: str) -> None:

@@ -51,7 +51,7 @@ def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path
     (tmp_path / "nets" / "colors.onnx").rename(tmp_path / "elsewhere.onnx")
     url = (tmp_path / "elsewhere.onnx").as_uri()
     changed(path, url=url)
-    with pytest.raises(ModelError, match=r"can be had from file://.*Nothing is downloaded unless asked: add --fetch"):
+    with pytest.raises(ModelError, match=r"file://.* Add --fetch"):
         add_model(path, fetch=False)
     received: list[int] = []
     assert add_model(path, fetch=True, progress=received.append).model_file() == data_folder / "colors.onnx"
@@ -59,7 +59,7 @@ def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path
     (data_folder / "colors.onnx").unlink()
     with (tmp_path / "elsewhere.onnx").open("ab") as file:
         file.write(b"x")
-    with pytest.raises(ModelError, match=r"has sha256 [0-9a-f]{64}, expected [0-9a-f]{64}; it was not kept"):
+    with pytest.raises(ModelError, match=r"has sha256 [0-9a-f]{64}, expected [0-9a-f]{64}"):
         add_model(path, fetch=True)
     assert not (data_folder / "colors.onnx").exists()
     assert not list(data_folder.glob("*.part"))
@@ -79,7 +79,7 @@ def test_the_name_of_a_shipped_model_cannot_be_taken(tmp_path: Path) -> None:
 def test_a_check_leaves_a_picture_of_the_words_looked_for(tmp_path: Path) -> None:
     path = write_classifier(tmp_path)
     text = ltm("check", str(path), "--classes", "meadow, house", "--out", str(tmp_path / "out"))
-    assert "'meadow' is read as grass: colors knows no finer word" in text
+    assert "'meadow' is read as grass: colors has no finer word" in text
     picture = cv2.imread(str(tmp_path / "out" / "trial_scene_colors.jpg"))
     assert picture.shape[1] == 640
     assert picture.std() > 10

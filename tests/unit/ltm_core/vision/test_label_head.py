@@ -131,7 +131,7 @@ def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
         ({"maps": {"mean": [[0.0, 1.0, 2.0]] * 4 + [[0.0, 1.0]]}}, "as many numbers"),
         ({"maps": {"s9": [[0.0]] * 5}}, "reads map s9"),
         ({"bias": [0.0] * 4}, "bias has 4 values"),
-        ({"classes": ["a", "b", "c", "d", "e"]}, "is of classes a, b"),
+        ({"classes": ["a", "b", "c", "d", "e"]}, "has the classes a, b"),
         ({"temperature": 0.0}, "temperature"),
         ({"bias": [0.0, 0.0, 0.0, 0.0, 1e9]}, "bias"),
         ({"name": "landscape"}, "network's own label head"),
@@ -192,7 +192,7 @@ def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> 
     manifest = write_classifier(tmp_path, maps=True)
     shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
     for name, photographs, doubt, wrong in (
-        ("rendered", {"photographs": 0}, ", never scored on photographs", 0.36),
+        ("rendered", {"photographs": 0}, ", not tested on photos", 0.36),
         ("seen", {"photographs": 9}, "", 0.2),
         ("open", {}, "", 0.2),
     ):
@@ -200,7 +200,7 @@ def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> 
         errors = LabelErrors.of_label_head(str(manifest), name, tmp_path)
         assert errors.shares[shrub, tree] == pytest.approx(wrong)
         assert errors.shares[shrub].sum() == pytest.approx(1.0)
-        assert ("never scored on photographs" in errors.source) == bool(doubt)
+        assert ("not tested on photos" in errors.source) == bool(doubt)
         described = Segmenter.open(manifest, head=name, heads=tmp_path).described
         assert described.partition(f"label head {name} ")[2][12:] == doubt
     write_swapping_head(tmp_path / "bare.yaml", manifest)

@@ -41,7 +41,7 @@ def manifest_path(tmp_path: Path) -> Path:
         ({"output": {"inverse": True}}, r"output: .*inverse and canonical_focal_px belong to kind metric"),
         ({"output": {"canonical_focal_px": 700.0}}, r"output: .*belong to kind metric; remove them for logits"),
         ({"output": {"kind": "ids", "offsets": {"red": 1.0}}}, r"output: .*offsets belong to kind logits"),
-        ({"output": {"offsets": {"mauve": 1.0}}}, r"output\.offsets names mauve, none of classes"),
+        ({"output": {"offsets": {"mauve": 1.0}}}, r"output\.offsets names mauve"),
     ],
 )
 def test_a_wrong_manifest_is_refused_by_the_key_at_fault(
@@ -77,7 +77,7 @@ def test_a_network_that_takes_heads_of_another_leaves_cameras_with_a_head_to_it(
 def test_an_absent_network_of_heads_is_told(manifest_path: Path) -> None:
     network = NetworkManifest.load(changed(manifest_path, heads_of="elsewhere"))
     assert network.serving("landscape") is network
-    with pytest.raises(ModelError, match=r"no model is called 'elsewhere'"):
+    with pytest.raises(ModelError, match=r"no model 'elsewhere'"):
         network.serving("near")
 
 
@@ -197,7 +197,5 @@ def test_a_network_that_fails_as_it_runs_is_an_error_of_ours(manifest_path: Path
     content = network.SerializeToString()
     (tmp_path / "colors.onnx").write_bytes(content)
     model = OnnxModel(NetworkManifest.load(changed(manifest_path, sha256=hashlib.sha256(content).hexdigest())))
-    with pytest.raises(
-        ModelError, match=r"(?s)colors\.onnx\): ONNX Runtime .* cannot run it .*; give the network that"
-    ):
+    with pytest.raises(ModelError, match=r"(?s)colors\.onnx\): ONNX Runtime .* cannot run it .*; use the network that"):
         model.run(np.zeros((1, 3, 32, 48), np.float32))

@@ -51,7 +51,7 @@ def test_a_plain_picture_has_nothing_to_hide() -> None:
 def test_pictures_of_two_sizes_are_not_of_one_camera() -> None:
     with pytest.raises(ImageError, match="different sizes"):
         propose_mask([tower_picture(1), tower_picture(2)[:-8]])
-    with pytest.raises(ImageError, match="no pictures"):
+    with pytest.raises(ImageError, match="no images"):
         propose_mask([])
 
 

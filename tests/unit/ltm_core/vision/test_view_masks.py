@@ -86,7 +86,7 @@ def test_a_view_that_has_none_and_another_zoom_hide_nothing(tmp_path: Path) -> N
     for looking in (Looking(0.0, -14.0, 62.0), Looking(0.0, 10.0, 30.0)):
         found = scene.look(picture, looking)
         assert found.hidden is None
-        assert found.masked.startswith("no view of the site file looks to azimuth 0.0")
+        assert found.masked.startswith("no view of the site file has this direction: azimuth 0.0")
     found = scene.look(picture, Looking(0.0, -14.0, 30.5))
     assert found.masked == "view north"
     assert found.hidden is not None
@@ -104,7 +104,7 @@ def test_of_two_views_the_nearer_is_taken(tmp_path: Path) -> None:
         assert found.sum() == count
     (said, _) = (f for f in check_site(path).findings if "mask of view" in f.name)
     assert said.verdict is SiteVerdict.DOUBTFUL
-    assert "b looks there too" in said.said
+    assert "b has that direction too" in said.said
 
 
 def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
@@ -112,11 +112,11 @@ def test_what_cannot_be_is_told_in_words(tmp_path: Path) -> None:
     twice = [view("a", 10.0, good), view("a", 40.0, good)]
     for number, (camera, views, said) in enumerate(
         (
-            ("tower", twice, "a stands there twice"),
-            ("mast", [view("a", 10.0, good)], "one with a pose looks one way"),
+            ("tower", twice, "a is repeated"),
+            ("mast", [view("a", 10.0, good)], "view_masks are for a camera that turns"),
             ("tower", [view("a", 400.0, good)], "azimuth is 0 to 360"),
             ("tower", [view("a", 10.0, good, within=1)], "within"),
-            ("tower", [view("a", 10.0, "../m.png")], r"view_masks\.a: .*leads out of the site's folder"),
+            ("tower", [view("a", 10.0, "../m.png")], r"view_masks\.a: .*is outside the site's folder"),
         )
     ):
         (tmp_path / str(number)).mkdir()
@@ -134,7 +134,7 @@ def test_the_check_tells_a_file_that_is_not_there_and_a_size_that_is_wrong(tmp_p
     path = site_with(tmp_path, [view("a", 10.0, "small.png")], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: view_masks")
     assert found.verdict is SiteVerdict.WRONG
-    assert "30 x 20 pixels, the camera's pictures have 320 x 180" in found.said
+    assert "30 x 20 pixels, but the camera's images have 320 x 180" in found.said
     path = site_with(tmp_path, [view("a", 10.0, [rectangle(0, 0, 90, 320)])], calibration=lens)
     (found,) = (f for f in check_site(path).findings if f.name == "tower: mask of view a")
     assert (found.verdict, "hides 50.0% of 320 x 180 pixels" in found.said) == (SiteVerdict.OK, True)

@@ -94,7 +94,7 @@ def test_only_the_queried_words_compete(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"text": {"file": "words.npz", "dimensions": 5}}, r"shape \(5, 6\); expected \(K, 5\)"),
-        ({"text": {"file": "none.npz", "dimensions": DIMENSIONS}}, r"no file none\.npz; looked at"),
+        ({"text": {"file": "none.npz", "dimensions": DIMENSIONS}}, r"no file none\.npz; searched"),
         ({"text": {"file": "embedder.onnx", "dimensions": DIMENSIONS}}, r"expected an \.npz with names"),
         ({"mapping": {"pine": "tree"}}, r"mapping names pine, not among the words"),
         ({"output": {"kind": "logits"}}, r"text belongs to output kind embeddings"),
@@ -121,7 +121,7 @@ def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -
     manifest = NetworkManifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
     segmenter, readings = open_vocabulary(manifest, parse_queries("dry grass,  Cabin house, cloud, meadow"))
     assert [reading.classes for reading in readings] == [("lime", "olive"), ("red",), ("blue",), ()]
-    assert readings[0].how == "is read as grass by its last word: colors knows no finer word"
+    assert readings[0].how == "is read as grass by its last word: colors has no finer word"
     assert readings[3].how.endswith("so is 'dry grass', and all of it is reported as 'dry grass'")
     photo = np.zeros((20, 30, 3), np.uint8)
     photo[:, :10] = (0, 255, 0)
@@ -133,9 +133,9 @@ def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -
 
 def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
     manifest = NetworkManifest.load(write_classifier(tmp_path))
-    with pytest.raises(ConfigError, match=r"nothing here knows 'medow'; near it: meadow"):
+    with pytest.raises(ConfigError, match=r"unknown word 'medow'; similar words: meadow"):
         read_queries(["medow"], manifest, Vocabulary.load())
-    with pytest.raises(ConfigError, match=r"'chaparral' is shrub, of which colors knows no class"):
+    with pytest.raises(ConfigError, match=r"'chaparral' means shrub"):
         read_queries(["chaparral"], manifest, Vocabulary.load())
     with pytest.raises(ConfigError, match=r"each once"):
         parse_queries("oak, Oak")
@@ -153,5 +153,5 @@ def test_the_shipped_vocabulary_reads_into_labels_and_into_mosaics_classes() -> 
 def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "vocabulary.yaml"
     path.write_text("synonyms: {grass: [oats], shrub: [oats]}\n")
-    with pytest.raises(ConfigError, match=r"'oats' stands for grass and for shrub"):
+    with pytest.raises(ConfigError, match=r"'oats' is mapped to grass and to shrub"):
         Vocabulary.load(path)

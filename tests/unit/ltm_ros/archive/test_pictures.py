@@ -67,7 +67,7 @@ def test_a_dim_picture_is_clear_at_noon_alone(tmp_path: Path) -> None:
         stamp = int(np.datetime64(moment, "ns").astype(np.int64))
         lens = (TOWER.width, TOWER.height, TOWER.fx, TOWER.fy, TOWER.cx, TOWER.cy, *TOWER.distortion)
         said.append(look(ArchiveFrame("tower", stamp, "", "", 1, 5, "", lens, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0), ())))
-    assert said == ["", "dusk: the sun is low and the picture dim"]
+    assert said == ["", "dusk: the sun is low and the image dim"]
 
 
 def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:

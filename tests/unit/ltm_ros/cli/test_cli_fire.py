@@ -47,7 +47,7 @@ def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
         ((now, *USUAL, "--before", moved, "--out", out), r"moved.tif is in .*ltm export --crs"),
         ((now, "--ignition", "1,2", *USUAL[2:], *before), r"--ignition 1,2: is outside .*looks like degrees"),
         ((now, "--ignition", "346020,3783090", *USUAL[2:], *before), r"there is water there; the nearest cell"),
-        ((now, *USUAL[:4], *before), r"needs the moisture of its fuel: give --moisture"),
+        ((now, *USUAL[:4], *before), r"give --moisture"),
         ((now, *USUAL, "--hours", 0, *before), r"--hours 0"),
         ((now, *USUAL, "--since", "2026-01-01", *before), r"--since needs a store"),
         ((now, *USUAL, "--ensemble", 3, *before), r"which a landscape file lacks"),

@@ -110,7 +110,7 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
         ({"pixel": ["1,b"], "camera": ["north"]}, ConfigError, "numbers separated by commas"),
         ({"pixel": ["1,2,3"], "camera": ["north"]}, ConfigError, "a mark is u,v"),
         ({"pixel": ["1,2"], "box": ["1,2,3,4"], "camera": ["north"]}, ConfigError, "marks of one kind"),
-        ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "not in the picture"),
+        ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "outside the image"),
         ({"pixel": ["960,5"], "camera": ["north"]}, RegionError, "shows sky"),
         ({"pixel": ["60,20"], "camera": ["north"]}, RegionError, "is masked"),
         ({}, ConfigError, "give a mark"),

@@ -181,7 +181,7 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
     (tmp_path / "readings.csv").write_text("\n".join(lines))
     files = ("--photo", tmp_path, "--readings", tmp_path / "readings.csv")
     said = run("--site", path, "--camera", "north", *files)
-    assert "4 pictures agree" in said
+    assert "4 images agree" in said
     assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
 
 

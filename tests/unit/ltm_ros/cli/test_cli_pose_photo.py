@@ -84,7 +84,7 @@ def test_what_is_not_accepted_stays_as_given(files: Path, tmp_path: Path) -> Non
     out = run(files, *arguments, "--labels", str(tmp_path / "fog.png"), "-o", str(tmp_path / "kept.yaml"))
     assert "the given pose is kept" in out
     assert load_picture_config(tmp_path / "kept.yaml").pose.azimuth_deg == pytest.approx(65.5)
-    assert "It was not taken" in (tmp_path / "kept.yaml").read_text()
+    assert "The result was rejected" in (tmp_path / "kept.yaml").read_text()
 
 
 def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path)
     assert "accepted" in run(files, *arguments, "--mask", str(tmp_path / "mask.png"))
     assert load_picture_config(tmp_path / "found.yaml").pose.azimuth_deg == pytest.approx(63.0, abs=0.1)
     Image.fromarray(hidden[::2]).save(tmp_path / "small.png")
-    with pytest.raises(LtmError, match=r"--mask: .*small\.png: the mask has .* pixels, the camera's pictures have"):
+    with pytest.raises(LtmError, match=r"--mask: .*small\.png: the mask has .* pixels, but the camera's images have"):
         run(files, *arguments, "--mask", str(tmp_path / "small.png"))
 
 

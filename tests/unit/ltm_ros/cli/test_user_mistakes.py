@@ -212,7 +212,7 @@ MISTAKES = [
     ),
     Mistake("a former result", former_result, TRACE, ("depth.tif: exists already", "--overwrite")),
     *(
-        Mistake(f"no place to write, {command.split()[0]}", nothing, command, ("file", "no folder", "name another"))
+        Mistake(f"no place to write, {command.split()[0]}", nothing, command, ("file", "not a folder", "name another"))
         for command in (
             "trace --dem dem.tif --pose pose.yaml --out file/out",
             "replay recording --site site.yaml --out file/out --offline",

@@ -151,7 +151,7 @@ def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
     for hours in (6, 8):
         chain.look(truth, hours)
     assert chain.versions[-2:] == ["", ""]
-    with pytest.raises(StoreError, match="nothing to take back"):
+    with pytest.raises(StoreError, match="nothing to revert"):
         services["terrain/take_back"]()
     chain.restart()
     chain.look(truth, 10)
@@ -235,7 +235,7 @@ def test_a_broken_list_of_surfaces_is_told_and_put_aside_and_the_terrain_lives(c
         (chain.folder / MANIFEST).write_text("{")
     for hours in (4, 6, 8):
         chain.look(truth, hours)
-    assert "it was put aside as" in chain.health.last_error
+    assert "it was moved to" in chain.health.last_error
     assert (chain.folder.with_name(f"{FOLDER}.1") / MANIFEST).read_text() == "{"
     assert chain.versions[-1] != ""
     assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == chain.versions[-1]

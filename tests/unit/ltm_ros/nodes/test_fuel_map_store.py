@@ -237,5 +237,5 @@ def test_folder_is_made_but_not_the_way_to_it(site: Path, tmp_path: Path) -> Non
     assert (tmp_path / "beside" / STORE_FILE).is_file()
     with pytest.raises(ConfigError, match=r"missing.* does not exist"):
         Node(site, folder="missing/kept")
-    with pytest.raises(ConfigError, match="no folder"):
+    with pytest.raises(ConfigError, match="folder"):
         Node(site, folder="site.yaml")

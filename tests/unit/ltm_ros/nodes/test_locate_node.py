@@ -158,7 +158,7 @@ def test_the_pose_is_that_of_the_regions_stamp(tmp_path: Path) -> None:
     [
         ({"frame": "map"}, MessageError, "expected 'north_optical'"),
         ({"stamp": STAMP - 3600 * SECOND}, MessageError, "no pose at this time"),
-        ({"size": 200.0}, RegionError, "is not in the picture"),
+        ({"size": 200.0}, RegionError, "is outside the image"),
     ],
 )
 def test_bad_regions_change_nothing(tmp_path: Path, change: dict[str, Any], error: type[LtmError], said: str) -> None:
@@ -348,7 +348,7 @@ def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
     path = write_site(tmp_path, locating={})
     graph = describe(load_site(path), path)
     assert graph.node("locate").namespace == "/hollow"
-    with pytest.raises(ConfigError, match="no camera can have this name"):
+    with pytest.raises(ConfigError, match="is the name of a node"):
         load_site(write_site(tmp_path, cameras={"locate": {}}))
 
 

@@ -162,7 +162,7 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     (folder / "mount_mast.json").write_text('{"layout": 1, "rotation": [0.1]}')
     _, kept, health = started(calibration=calibration)
     assert not kept.on(POSE_CORRECTION)
-    assert "does not hold what is known of a mount" in health.summary()["last_error"]
+    assert "not a valid mount state" in health.summary()["last_error"]
 
 
 def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

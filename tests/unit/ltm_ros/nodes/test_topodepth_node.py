@@ -168,7 +168,7 @@ def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
     [
         (lambda: np.full((9, 16), 0.4, np.float32), "same depth everywhere (0.4)"),
         (lambda: np.full((9, 16), np.nan, np.float32), "no depth for 100% of its pixels"),
-        (lambda: -depth_scene().network().values, "runs against the terrain"),
+        (lambda: -depth_scene().network().values, "is opposite to the terrain"),
         (lambda: np.random.default_rng(0).random((90, 160), np.float32), "explains only"),
     ],
 )
@@ -200,5 +200,5 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
 
 def test_a_site_without_a_depth_network_cannot_run_the_node(tmp_path: Path) -> None:
     path = site_file(tmp_path, depth_model="")
-    with pytest.raises(ConfigError, match="no depth network; give `depth_model`"):
+    with pytest.raises(ConfigError, match="no depth network; set `depth_model`"):
         TopoDepthHandler(TopoDepthConfig(site=str(path), camera="mast"), Kept(), Health())

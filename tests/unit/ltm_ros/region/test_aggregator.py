@@ -133,10 +133,10 @@ def test_what_cannot_be_believed_is_counted_and_not_answered(scene: RegionScene,
         "not from an authority": stranger.sealed(header, scene.votes(1)),
         "altered": altered(good, good.index(b"stamp_ns") + 15),
         "was modified after": altered(good, len(good) - 300),
-        "no envelope": b"GET / HTTP/1.1" + bytes(200),
+        "not an envelope": b"GET / HTTP/1.1" + bytes(200),
         "in kern are of alta in another": scene.sealed("alta", 1, region="another"),
         "this has": bytes(LARGEST + 1),
-        "cannot be taken": scene.identity("alta").sealed(b"{}", scene.votes(1)),
+        "invalid ": scene.identity("alta").sealed(b"{}", scene.votes(1)),
     }
     with living(scene) as region:
         for number, (words, content) in enumerate(cases.items(), start=1):

@@ -241,8 +241,8 @@ def test_a_header_without_end_is_not_taken(start: Start) -> None:
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"address": "0.0.0.0"}, "not this machine alone: give certificate, key and token"),
-        ({"address": "192.0.2.1", "token": "t"}, "not this machine alone"),
+        ({"address": "0.0.0.0"}, "reachable from other hosts: give certificate, key and token"),
+        ({"address": "192.0.2.1", "token": "t"}, "reachable from other hosts"),
         ({"address": "tower.example"}, "give an IP address"),
         ({"certificate": "a.pem"}, "certificate and key together"),
         ({"port": 70000}, "less than or equal to 65535"),

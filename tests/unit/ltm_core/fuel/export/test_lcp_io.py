@@ -84,9 +84,9 @@ def test_south_of_the_equator() -> None:
 
 
 def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be written there"):
+    with pytest.raises(ConfigError, match=r"cannot write|cannot be written"):
         write_lcp(tmp_path / "none/a.lcp", landscape())
-    with pytest.raises(RasterError, match="bare map frame"):
+    with pytest.raises(RasterError, match="needs a CRS"):
         Landscape(landscape().bands, GRID.translated(0, 0))
     with pytest.raises(RasterError, match="8 int16 bands"):
         Landscape(landscape().bands[:5], GRID)

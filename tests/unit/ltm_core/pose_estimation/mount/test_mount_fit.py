@@ -175,5 +175,5 @@ def test_a_mount_of_which_ridges_alone_tell_is_asked_more(grown: Label, asked: s
 
 
 def test_a_mount_without_pictures_is_refused() -> None:
-    with pytest.raises(PoseError, match="one each"):
+    with pytest.raises(PoseError, match="0 stated poses"):
         fit_mount([], [])

@@ -139,7 +139,7 @@ def test_an_uncalibrated_mount_is_as_unsure_as_a_compass_and_a_level() -> None:
     ("section", "told"),
     [
         ({"covariance_deg2": [[1.0, 0.0], [0.0, 1.0]]}, "4 by 4"),
-        ({"covariance_deg2": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}, "no covariance"),
+        ({"covariance_deg2": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}, "not a covariance"),
         ({"pan_sign": 0}, "pan_sign"),
         ({"yaw_deg": 3.0}, "yaw_deg: unknown key"),
     ],

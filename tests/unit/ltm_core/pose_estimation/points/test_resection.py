@@ -297,7 +297,7 @@ def test_points_outside_the_image_are_named() -> None:
 
 def test_crowded_points_are_refused() -> None:
     pixels = np.array([[800.0, 500.0], [806.0, 503.0], [803.0, 509.0], [799.0, 506.0]])
-    with pytest.raises(PoseError, match="p0, p1, p2, p3 crowd in one place"):
+    with pytest.raises(PoseError, match="p0, p1, p2, p3 are too close together"):
         resect(marked(pixels, np.array([500.0, 900.0, 700.0, 800.0])), START, POSE.position)
 
 
@@ -305,13 +305,13 @@ def test_points_in_one_direction_are_refused() -> None:
     # Marks that stand apart, of places that all lie on one ray: no angle follows.
     places = POSE.position + np.outer([300.0, 500.0, 900.0, 1500.0], POSE.rotation[:, 2])
     pixels = np.array([[100.0, 200.0], [1400.0, 300.0], [800.0, 900.0], [300.0, 800.0]])
-    with pytest.raises(PoseError, match="p, q, r, s crowd in one place"):
+    with pytest.raises(PoseError, match="p, q, r, s are too close together"):
         resect(ControlPoints(tuple("pqrs"), places, pixels), START, POSE.position)
 
 
 def test_many_wrong_points_are_named() -> None:
     points = moved(scattered(noise=1.0), {1: (-250.0, 90.0), 4: (150.0, 60.0), 6: (30.0, 200.0), 9: (190.0, -90.0)})
-    with pytest.raises(PoseError, match="4 of 12 control points fit no common pose") as caught:
+    with pytest.raises(PoseError, match="4 of 12 control points do not fit a common pose") as caught:
         resect(points, START, POSE.position, bend=BEND)
     assert all(name in str(caught.value) for name in ("p1 (off by", "p4 (off by", "p6 (off by", "p9 (off by"))
 
@@ -380,7 +380,7 @@ def test_reads_longitude_and_latitude(tmp_path: Path) -> None:
         ("id,x,y,z,u\na,1,2,3,4\n", "no column 'v'"),
         ("id,x,y,z,u,v\na,1,2,3,4,5\nb,1,2,high,4,5\n", "line 3: z is 'high', not a number .point b"),
         ("id,x,y,z,u,v\na,1,2,3,4\n", "line 2: v is None"),
-        ("id,x,y,z,u,v\n", "holds no control point"),
+        ("id,x,y,z,u,v\n", "no control point"),
         ("", "no column 'x'"),
     ],
 )

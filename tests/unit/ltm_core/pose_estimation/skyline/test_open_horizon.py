@@ -111,7 +111,7 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     assert found.verdict.word == "accepted"
     asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
     doubted = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
-    assert (doubted.verdict.word, "ridges alone" in doubted.verdict.reason) == ("ambiguous", True)
+    assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
 def test_where_neither_is_sure_their_mean_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +201,7 @@ def test_a_mount_is_found_where_two_pictures_alone_say_the_same() -> None:
 
     doubted = [replace(search, verdict=replace(search.verdict, word="ambiguous")) for search in searches[1:]]
     alone = fit_mount(stated, [searches[0], *doubted], CONFIG, tilt_zero_sigma_deg=0.0)
-    assert (alone.word, "no two pictures alone" in alone.reason) == ("ambiguous", True)
+    assert (alone.word, "no two images" in alone.reason) == ("ambiguous", True)
 
 
 def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
@@ -220,5 +220,5 @@ def test_misfits_are_judged_where_land_beyond_may_be_what_is_seen(monkeypatch: p
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     strict = CONFIG.model_copy(update={"verdict": CONFIG.verdict.model_copy(update={"most_variance": 0.01})})
     verdict = find_pose(clear(), OPEN, PRIOR, strict).verdict
-    assert (verdict.word, "misfits' variance" in verdict.reason) == ("ambiguous", True)
+    assert (verdict.word, "variance" in verdict.reason) == ("ambiguous", True)
     assert find_pose(clear(), terrain(), PRIOR, strict).verdict.word == "accepted"

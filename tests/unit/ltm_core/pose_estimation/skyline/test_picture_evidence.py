@@ -73,5 +73,5 @@ def test_the_crest_is_an_edge_and_a_cloud_is_none() -> None:
 
 def test_labels_of_another_size_are_told() -> None:
     photo, labels = view(TRUE)
-    with pytest.raises(ImageError, match="must be of one size"):
+    with pytest.raises(ImageError, match="same size"):
         picture_evidence(photo, labels[:-1], CAMERA)
