@@ -1,17 +1,13 @@
-"""Provide small tools that compiled kernels share: one parallel launch at a time, and memory prefetch."""
+"""Prefetch memory into the cache in compiled kernels; do nothing if compilation is off."""
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 from llvmlite import ir
 from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
-
-ONE_LAUNCH = threading.Lock()
-"""Lock held around every call of a kernel that was compiled with `parallel=True`."""
 
 
 def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:

@@ -21,6 +21,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,3 +125,7 @@ def _age(folder: Path) -> float:
         return folder.stat().st_mtime
     except FileNotFoundError:
         return 0.0
+
+
+ONE_LAUNCH = threading.Lock()
+"""Lock held around every call of a kernel that was compiled with `parallel=True`."""

@@ -29,7 +29,6 @@ from ltm_core.fuel.cell_state import (
     label_cover,
     woody_looks,
 )
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
@@ -37,6 +36,7 @@ from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet

@@ -17,10 +17,10 @@ import numpy as np
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float64Array, Int64Array, UInt8Array
 from ltm_core.fuel.cell_appearance_model import USUAL
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.evidence_kernel import spread, with_neighbours
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import FORMS, form_counts
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
-from ltm_core.fuel.change_regions import FRAME_CAP
 from ltm_core.fuel.life_form import GroundLimits
+from ltm_core.fuel.rules import FRAME_CAP
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from pathlib import Path
+from typing import Final, Protocol
 
 import numpy as np
 
 from ltm_core.base.errors import ModelError
-from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, balanced, fit_exponent, fit_head
 from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
 from ltm_core.label_heads.labelled_frames import Frame
+from ltm_core.pictures.legend import label_legend, to_png, with_legend
+from ltm_core.pictures.photo_overlays import overlay_labels
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.label_head import LabelHead, LabelHeadFile
 from ltm_core.vision.label_rules import Calibration, LabelAgreement
-from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import Withdrawal
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
@@ -225,3 +228,30 @@ def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], withdraw
 
 def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:
     return Segmenter(segmenter.manifest, labels=segmenter.labels, head=head)
+
+
+class LabelledPhoto(Protocol):
+    """A photo (H, W, 3) uint8 RGB and the true class of each pixel (H, W) uint8, 255 unknown."""
+
+    @property
+    def image(self) -> UInt8Array: ...
+    @property
+    def labels(self) -> UInt8Array: ...
+
+
+class StoredPhoto(LabelledPhoto, Protocol):
+    """A labelled photo with the path of its file."""
+
+    @property
+    def path(self) -> Path: ...
+
+
+def write_overlay(folder: Path, network: str, labels: LabelSet, frame: StoredPhoto, found: Segmentation) -> None:
+    """Write `<folder>/<set>_<frame>_<network>.png`: true labels on the left, the network's on the right."""
+    drawn = [overlay_labels(frame.image, each, labels) for each in (frame.labels, found.labels)]
+    sheet = np.concatenate(drawn, axis=1)
+    sheet = with_legend(sheet, label_legend(sheet.shape[1], labels))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = frame.path
+    name = f"{path.parent.resolve().name}_{path.stem}_{network.replace(' ', '_')}.png"
+    (folder / name).write_bytes(to_png(sheet))

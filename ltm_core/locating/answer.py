@@ -19,7 +19,8 @@ from ltm_core.locating.locator import CameraAgreement, Location
 from ltm_core.locating.posterior import Ellipse
 from ltm_core.locating.sight_fan import sight_fan
 from ltm_core.locating.wrong_camera import TurnVerdict
-from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility, line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0

@@ -39,11 +39,12 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.locating.region import ImageMark, LocatingConfig
+from ltm_core.locating.region import ImageMark
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
 from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 STEEPEST_DEG = 80.0
 """Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""

@@ -35,7 +35,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.locating.directions import OTHER_SLOPE
 from ltm_core.locating.fusion import Fused, fused_closely, mixture
 from ltm_core.locating.posterior import Posterior
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
 from ltm_core.locating.turn_evidence import TurnEvidence, turn_evidence
 from ltm_core.locating.wrong_camera import TurnVerdict, judged

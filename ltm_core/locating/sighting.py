@@ -22,7 +22,8 @@ from ltm_core.locating.directions import (
     sight_likelihood,
     turned_table,
 )
-from ltm_core.locating.region import ImageMark, LocatingConfig
+from ltm_core.locating.region import ImageMark
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 

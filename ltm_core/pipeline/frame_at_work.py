@@ -8,15 +8,8 @@ from functools import cached_property
 from ltm_core.base.named_columns import Columns
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.fuel.vote_columns import no_columns, votes_to_columns
-from ltm_core.pipeline.frame_steps import (
-    LabellingConfig,
-    LabellingStep,
-    PosedImage,
-    TracingConfig,
-    TracingStep,
-    VotingStep,
-    seen,
-)
+from ltm_core.pipeline.frame import PosedImage
+from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking

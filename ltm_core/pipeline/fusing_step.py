@@ -20,7 +20,7 @@ from ltm_core.depth.topodepth import FusedDepth, fuse, measure
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import DepthImage, RangeImage
-from ltm_core.pipeline.frame_steps import PosedImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site

@@ -21,94 +21,10 @@ so none slips through.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
 
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
-    i = min(max(math.floor(row), 0), nodes.shape[0] - 2)
-    j = min(max(math.floor(col), 0), nodes.shape[1] - 2)
-    v, u = row - i, col - j
-    north = (1.0 - u) * nodes[i, j] + u * nodes[i, j + 1]
-    south = (1.0 - u) * nodes[i + 1, j] + u * nodes[i + 1, j + 1]
-    height: float = (1.0 - v) * north + v * south
-    return height
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array) -> None:
-    """Return the row after row from the north; of each column the two ends of the hole that it is in are kept."""
-    height, width = fine.shape
-    above, below = np.full(width, -1, np.int64), np.full(width, 0, np.int64)
-    from_above, from_below = np.zeros(width), np.zeros(width)
-    for i in range(height):
-        j = 0
-        while j < width:
-            if fine[i, j] == fine[i, j]:
-                j += 1
-                continue
-            end = j
-            while end < width and fine[i, end] != fine[i, end]:
-                end += 1
-            west = _difference(fine, coarse, rows, cols, i, j - 1)
-            east = _difference(fine, coarse, rows, cols, i, end)
-            for k in range(j, end):
-                if below[k] <= i:  # a hole begins in this column
-                    above[k], below[k] = i - 1, i + 1
-                    while below[k] < height and fine[below[k], k] != fine[below[k], k]:
-                        below[k] += 1
-                    from_above[k] = _difference(fine, coarse, rows, cols, above[k], k)
-                    from_below[k] = _difference(fine, coarse, rows, cols, below[k], k)
-                total, weight = 0.0, 0.0
-                for difference, distance in (
-                    (west, k - j + 1),
-                    (east, end - k),
-                    (from_above[k], i - above[k]),
-                    (from_below[k], below[k] - i),
-                ):
-                    if difference == difference:
-                        total += difference / distance
-                        weight += 1.0 / distance
-                if weight > 0.0:
-                    fine[i, k] = _bilinear(coarse, rows[i], cols[k]) + total / weight
-            j = end
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _difference(
-    fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, i: int, j: int
-) -> float:
-    """Fine less coarse at a node; 0 outside the raster, NaN where the coarser level is not known."""
-    if not (0 <= i < fine.shape[0] and 0 <= j < fine.shape[1]):
-        return 0.0
-    difference: float = fine[i, j] - _bilinear(coarse, rows[i], cols[j])
-    return difference
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, band: float) -> None:
-    height, width = fine.shape
-    deep = math.ceil(band)
-    for i in range(height):
-        to_row_edge = min(i, height - 1 - i)
-        j = 0
-        while j < width:
-            if to_row_edge >= band and j == deep:
-                j = max(j, width - deep)
-            distance = min(to_row_edge, j, width - 1 - j)
-            if distance < band:
-                there = _bilinear(coarse, rows[i], cols[j])
-                if there == there:
-                    here = float(fine[i, j])
-                    fine[i, j] = there if distance == 0 else here + (1.0 - distance / band) * (there - here)
-            j += 1
-
 
 BAND = 3.0
 """Width in coarse cells over which fine heights blend into coarse ones; at most a quarter of the raster."""
@@ -118,6 +34,7 @@ def fill_holes(
     fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
 ) -> None:
     """Fill the holes of `fine` (H, W) from `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import fill  # here, because most processes of a graph need no numba
 
     fill(fine, coarse, *_places(fine_geometry, coarse_geometry))
 
@@ -126,6 +43,7 @@ def lead_over(
     fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
 ) -> None:
     """Lead the border of `fine` (H, W) over to `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import blend  # here, as above
 
     band = BAND * coarse_geometry.resolution / fine_geometry.resolution
     blend(fine, coarse, *_places(fine_geometry, coarse_geometry), min(band, (min(fine.shape) - 1) / 4))

@@ -11,13 +11,13 @@ from pydantic import Field, model_validator
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.cameras.sensor_pose import SensorsConfig
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.life_form import GrowthLimits
 from ltm_core.fuel.prior import PriorConfig
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.pose_estimation.mount.mount_config import MountConfig
 from ltm_core.site.source_config import NetworkSettings, PtzConfig, SnapshotConfig, SourceConfig
 from ltm_core.vision.manifest import SHIPPED_LABEL_HEAD
-from ltm_core.vision.masks import MOST_VIEW_MASKS, MaskConfig, ViewMask
+from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
 
 class DemConfig(StrictModel):

@@ -12,7 +12,7 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import open_terrain, shared, with_surface
@@ -25,7 +25,7 @@ from ltm_core.site.sections import (
     WatchdogConfig,
 )
 from ltm_core.surface.config import PoseErrorConfig, TerrainConfig
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.vision.manifest import DEFAULT_MODEL
 

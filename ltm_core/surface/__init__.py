@@ -3,9 +3,3 @@
 `observation` turns a depth image into observations of cells, `cell_update` keeps a robust recursive estimate of each,
 `change` decides by consensus, and `surface_map` is the class in front of them, which the node `terrain` uses.
 """
-
-from ltm_core.surface.observation import DepthFrame, LabelImage
-from ltm_core.surface.reference_surface import Reference
-from ltm_core.surface.surface_map import SurfaceMap
-
-__all__ = ["DepthFrame", "LabelImage", "Reference", "SurfaceMap"]

@@ -8,8 +8,10 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.surface import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.surface.config import TerrainConfig
+from ltm_core.surface.observation import DepthFrame, LabelImage
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 
 

@@ -16,10 +16,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from ltm_core.base.errors import RasterError, StoreError
@@ -30,8 +28,6 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_seams import BAND
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.raster.prepared_heights_io import own_copy
-from ltm_core.surface.change import ChangeKind
-from ltm_core.surface.surface_map import SurfaceMap
 
 _ROWS = 256
 """Number of rows of a raster that are processed at a time."""
@@ -132,38 +128,6 @@ def _clear_of_seams(dem: Dem, x: Float64Array, y: Float64Array) -> BoolArray:
         outer = np.maximum(np.maximum(g.x_min - x, x - g.x_max), np.maximum(g.y_min - y, y - g.y_max))
         clear &= (inner > near) | (outer > near)
     return clear
-
-
-_STRIP = 256
-"""Number of rows processed at a time; the layers of a whole site may exceed the memory."""
-
-
-def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
-    """Return the changed cells, and the number of cells that independent views have judged.
-
-    Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
-    half is left. Bare earth itself follows where the ground is lower.
-    """
-    geometry = surface.reference.geometry
-    found: list[tuple[NDArray[Any], ...]] = []
-    seen = 0
-    top, left, height, width = surface.seen_window() or (0, 0, 0, 0)
-    for row in range(top, top + height, _STRIP):
-        layers = surface.layers((row, left, min(_STRIP, top + height - row), width))
-        seen += int((layers.observed | (layers.change > 0)).sum())
-        changed = (layers.change > 0) & np.isfinite(layers.height)
-        rows, cols = np.nonzero(changed)
-        kind, now, bare = layers.change[changed], layers.height[changed], layers.bare[changed]
-        ground = np.where(kind == ChangeKind.LOWERED, now, np.float32(np.nan))
-        gone = (kind == ChangeKind.REMOVED) & (now - bare < (layers.reference[changed] - bare) / 2)
-        visible = np.where(kind == ChangeKind.LOWERED, now, np.where(gone, bare, np.fmax(now, bare)))
-        found.append((rows + row, cols + left, visible, ground))
-    if not found:
-        nothing = np.empty(0, np.float32)
-        return ConfirmedSurface(geometry, np.empty(0, np.int32), np.empty(0, np.int32), nothing, nothing), 0
-    rows, cols, visible, ground = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    cells = rows.astype(np.int32), cols.astype(np.int32)
-    return ConfirmedSurface(geometry, *cells, visible.astype(np.float32), ground.astype(np.float32)), seen
 
 
 AS_GIVEN = ""

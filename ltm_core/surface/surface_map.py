@@ -24,7 +24,7 @@ from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.registration import Registration, register
 from ltm_core.surface.tile_pool import TilePool, schema_of
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 
 CAMERAS = 32
 """Maximum number of cameras of a site: one bit each in every cell."""

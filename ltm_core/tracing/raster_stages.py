@@ -17,7 +17,8 @@ from numba import njit
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import PossibleGround, filled_at, find_holes, in_outer_hole
+from ltm_core.tracing.holes import filled_at, find_holes, in_outer_hole
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid import build_pyramid
 from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, RasterStage, TerrainRaster
 

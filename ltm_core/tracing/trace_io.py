@@ -25,7 +25,7 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 
 
 class PoseFile(StrictModel):

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import PoseError
-from ltm_core.base.kernels import ONE_LAUNCH
+from ltm_core.base.numba_cache import ONE_LAUNCH
 from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import ray_bend
@@ -50,8 +50,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.column_sweep import sweep_image
-from ltm_core.tracing.holes import PossibleGround
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
 from ltm_core.tracing.raster_stages import filled_corners, grounds, highest_possible, stages
 

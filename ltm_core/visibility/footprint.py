@@ -1,16 +1,16 @@
-"""Footprint of a pixel: the size of the ground patch that it covers."""
+"""Compute the rays that meet map points, and the ground patch that a pixel covers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.point_visibility import line_of_sight_vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +88,33 @@ def ground_footprints(
     for values in (along, across, area):
         values[away & ~np.isnan(values)] = np.inf
     return Footprints(along, across, area)
+
+
+def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:
+    """Return the directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
+
+    A ray of slope s stands at z0 + s r + bend r^2 over horizontal range r (`geodesy.ray_bend`), so a point seems lower
+    than it is by bend r^2. The vector's horizontal part is the point's true offset; its length is the ray's slant
+    range.
+
+    Args:
+        origin: (3,) the camera's position.
+        points: (..., 3) map coordinates.
+        bend: curvature coefficient, 1/m.
+    """
+    vectors = np.array(points, np.float64) - np.asarray(origin, np.float64)
+    vectors[..., 2] -= bend * (vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
+    return vectors
+
+
+def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
+    """Return the unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
+
+    NaN where the distortion cannot be inverted, as in `Camera.rays`.
+    """
+    rays = np.empty((len(np.asarray(pixels)), 3))
+    for ray, (u, v) in zip(rays, np.asarray(pixels, np.float64), strict=True):
+        # A camera of one pixel, shifted so that this pixel is the place asked for, shares the one inversion there is.
+        one = Camera(1, 1, camera.fx, camera.fy, camera.cx - u, camera.cy - v, camera.distortion)
+        ray[:] = one.rays()[0, 0]
+    return rays

@@ -24,7 +24,8 @@ from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.text_io import read_text
 from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.masks import MOST_POINTS, Point, fill
+from ltm_core.vision.mask_config import MOST_POINTS, Point
+from ltm_core.vision.masks import fill
 
 POLYGONS_FILE: Final = "polygons.json"
 MASKED: Final = "masked"

@@ -13,7 +13,8 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.masks import CameraMask, Looking, MakeMask, MaskConfig, ViewMasks, packed, read_mask
+from ltm_core.vision.mask_config import MaskConfig
+from ltm_core.vision.masks import CameraMask, Looking, MakeMask, ViewMasks, packed, read_mask
 from ltm_core.vision.usable import Unusable, Usability, judge
 
 

@@ -24,7 +24,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_lab.bench.colour_network import NETWORK, write_colour_network
 from ltm_lab.evaluation.fuel.trial_country import SUBCELLS, World, majority_of, make_world
 from ltm_msgs_py.bag.writer import BagWriter

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 
 TOUCH = 1e-9
 """Crossings of grid lines closer than this, in cells, are one: the ray goes through a node."""

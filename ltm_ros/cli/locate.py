@@ -11,7 +11,7 @@ from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
     from ltm_core.locating.answer import LocateResult
-    from ltm_core.locating.region import LocatingConfig
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
 

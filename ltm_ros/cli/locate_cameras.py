@@ -16,7 +16,8 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.posterior import read_mask
-from ltm_core.locating.region import LocatingConfig, marked_box, marked_pixel, marked_polygon
+from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem
 from ltm_core.site.networks import site_scene_filter

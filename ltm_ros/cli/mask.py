@@ -11,8 +11,8 @@ from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
     from ltm_core.vision.areas import NamedArea
+    from ltm_core.vision.mask_config import ViewMask
     from ltm_core.vision.mask_proposals import Proposal
-    from ltm_core.vision.masks import ViewMask
 
 
 def label(
@@ -152,7 +152,7 @@ def _view(name: str, looking: str) -> ViewMask | None:
     from pydantic import ValidationError
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.vision.masks import ViewMask
+    from ltm_core.vision.mask_config import ViewMask
 
     if bool(name) != bool(looking):
         raise ConfigError("give --view and --looking together: the name and the viewing direction of a view")

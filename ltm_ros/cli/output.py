@@ -16,10 +16,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.runtime.health import NodeRow
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from ltm_ros.runtime.health import NodeRow
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> Table:

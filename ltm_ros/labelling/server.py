@@ -35,7 +35,7 @@ from ltm_core.vision.areas import (
     write_areas,
 )
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.masks import MOST_POINTS, Point
+from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.recordings.camera_pictures import pictures_in
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer

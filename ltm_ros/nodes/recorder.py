@@ -17,7 +17,7 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits, RecordingThread
-from ltm_ros.runtime.delivery_checks import TRAFFIC, LossCounter, loss_report, with_info, writers_of
+from ltm_ros.runtime.delivery_checks import LossCounter, loss_report, with_info, writers_of
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
@@ -25,6 +25,7 @@ from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
+from ltm_ros.runtime.traffic import TRAFFIC
 
 
 class RecorderConfig(NodeConfig):

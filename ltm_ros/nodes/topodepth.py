@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.depth.topodepth import FusedDepth, FusionVerdict
-from ltm_core.pipeline.frame_steps import PosedImage
+from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.fusing_step import FusingConfig, FusingStep
 from ltm_core.pipeline.site_surface import confirmed_terrain, surface_versions
 from ltm_core.site.site_io import load_site

@@ -14,7 +14,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
 from ltm_core.storage.text_io import read_rgb
 from ltm_core.visibility.viewshed import PosedCamera
-from ltm_core.vision.masks import Looking, ViewMask
+from ltm_core.vision.mask_config import ViewMask
+from ltm_core.vision.masks import Looking
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream
 from ltm_ros.runtime.topics import POSE

@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from ltm_ros.runtime.delivery_checks import TRAFFIC, Traffic
+from ltm_ros.runtime.traffic import TRAFFIC, Traffic
 
 PERIOD_S = 1.0
 

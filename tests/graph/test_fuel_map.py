@@ -16,16 +16,18 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 from scenes.waiting import wait_for
 
-from ltm_core.fuel.change_regions import FusionRules, reach_of
+from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_msgs_py.grid import changed_to_msg, classes_to_msg, msg_to_classes
+from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
+from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

@@ -31,7 +31,7 @@ from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_core.vision.labels import Label, LabelSet

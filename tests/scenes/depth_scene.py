@@ -16,7 +16,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 
 CAMERA = Camera.from_fov(640, 360, 50.0)
 SKY, GRASS, TREE = 0, 1, 3

@@ -14,7 +14,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.vision.labels import Label
 
 BEND = ray_bend(True, 0.13)

@@ -13,7 +13,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg

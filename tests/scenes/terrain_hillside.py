@@ -12,10 +12,12 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.surface import DepthFrame, Reference, SurfaceMap
 from ltm_core.surface.config import TerrainConfig
+from ltm_core.surface.observation import DepthFrame
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 
 GEOMETRY = GridGeometry(0.0, 230.0, 1.0, 300, 230)
 CAMERA = Camera.from_fov(320, 180, 55.0)

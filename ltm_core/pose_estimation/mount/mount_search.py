@@ -16,7 +16,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles, ptz_rotation
 from ltm_core.pose_estimation.points.control_points import PtzPoints
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 STEEPEST_LEAN = math.radians(20.0)
 """Maximum lean of a mount from its stated orientation."""

@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.pose_estimation.points.resection import Resection
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 HIDDEN_BY = 5.0
 """Distance in metres from a surveyed point above which its ray met other ground: the DEM hides the point, or cuts off

@@ -19,7 +19,7 @@ from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.points.control_points import ControlPoints
-from ltm_core.visibility.point_visibility import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
 """Factors of the stated focal length that are tried if it is free, in steps of 5 %."""

@@ -33,7 +33,7 @@ from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon, terrain_horizon
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 
 _LEAST_SUPPORT = 0.3
 """Minimum share of the photo's skyline that must lie on the DEM's horizon, unless ridges alone agree. Above trees, and

@@ -18,7 +18,7 @@ from numba import njit
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 
 _MOST_RISE = 4.0
 """Maximum difference in tangent between neighbours of a contour, in steps of azimuth."""

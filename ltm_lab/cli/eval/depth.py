@@ -75,7 +75,7 @@ def depth(
     from ltm_core.pictures import to_png
     from ltm_core.raster.dem import Dem
     from ltm_core.raster.dem_stack import with_surface
-    from ltm_core.tracing.holes import NOTHING_BEYOND
+    from ltm_core.tracing.possible_ground import NOTHING_BEYOND
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import DEFAULT_MODEL
     from ltm_core.vision.segmenter import Segmenter

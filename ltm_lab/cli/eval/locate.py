@@ -133,7 +133,7 @@ def _located(
 ) -> tuple[list[LocatedPoint], float]:
     """Return the located points and the sigma of the terrain's heights."""
     from ltm_core.geometry.geodesy import ray_bend
-    from ltm_core.locating.region import LocatingConfig
+    from ltm_core.locating.settings import LocatingConfig
     from ltm_core.pose_estimation.points.resection_io import read_control_points, set_up_resection
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml

@@ -35,7 +35,7 @@ def fusion(
     from ltm_core.raster.dem import Dem
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.tracing import TerrainTracer
-    from ltm_core.tracing.holes import NOTHING_BEYOND
+    from ltm_core.tracing.possible_ground import NOTHING_BEYOND
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.manifest import NetworkManifest
     from ltm_core.vision.segmenter import Segmenter

@@ -19,7 +19,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.depth import DepthScore, DepthTally, at_pixels_of
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_lab.frames.truth_frames_io import TruthFrame
 
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it

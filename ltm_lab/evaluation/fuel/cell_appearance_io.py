@@ -11,9 +11,9 @@ import yaml
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.cell_appearance_model import CellAppearanceModel
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.label_errors import LabelCorrelation
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.cell_appearance_fit import fit_cell_appearance, seen_cells
 from ltm_lab.evaluation.fuel.label_correlation import look_correlation, looks

@@ -11,7 +11,7 @@ from ltm_core.fuel.class_map import read_fuel_map
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.site.sections import FuelConfig
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.frames.truth_frames_io import is_curved, open_dem, read_truth_frames, scenario_name, site_frame

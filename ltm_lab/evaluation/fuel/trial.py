@@ -22,7 +22,7 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial_clumping import Clumping, clumping_of, correlation_of
 from ltm_lab.evaluation.fuel.trial_country import CAMERA, REACH, SUBCELLS, View, World, tower_views

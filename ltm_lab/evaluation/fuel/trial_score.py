@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.base.types import BoolArray
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.class_map import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.fuel import score_map

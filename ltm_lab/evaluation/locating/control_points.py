@@ -12,13 +12,14 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.posterior import Posterior
-from ltm_core.locating.region import LocatingConfig, marked_pixel
+from ltm_core.locating.region import marked_pixel
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import resect
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import pixel_rays
+from ltm_core.visibility.footprint import pixel_rays
 
 
 @dataclass(frozen=True)

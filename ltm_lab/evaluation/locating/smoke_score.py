@@ -15,7 +15,7 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointVisibility

@@ -13,7 +13,8 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
-from ltm_core.locating.region import LocatingConfig, marked_box, marked_pixel
+from ltm_core.locating.region import marked_box, marked_pixel
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 

@@ -20,7 +20,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE,
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack, with_surface
-from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.depth.fused_depth import upsampled_labels
 from ltm_lab.frames.truth_frames_io import (

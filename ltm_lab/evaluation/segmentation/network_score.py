@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.pictures.photo_overlays import LabelledPhoto
+from ltm_core.label_heads.head_trial import LabelledPhoto
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmentation, Segmenter

@@ -23,7 +23,7 @@ from ltm_core.surface.observation import DepthFrame
 from ltm_core.surface.reference_surface import Reference
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.metrics.change import ChangeScore, score_change
 from ltm_lab.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface

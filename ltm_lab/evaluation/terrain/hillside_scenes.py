@@ -20,7 +20,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_lab.evaluation.terrain.hillside_ground import (
     CENTRE,
     GEOMETRY,

@@ -16,7 +16,7 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_lab.evaluation.terrain.canyon_io import read_canyon
 
 FRAME = SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0)

@@ -12,10 +12,10 @@ from scenes.any_votes import ASSUMED, BEGIN, CELLS, GRID, LABELS, counted, frame
 from scenes.examples import examples
 
 from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, UNIT
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, NODATA, forms_of
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 
 pytestmark = pytest.mark.kernel

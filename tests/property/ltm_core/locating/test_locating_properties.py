@@ -15,7 +15,7 @@ from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import direction_table, marked_directions, sight_likelihood
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import sight_fan
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointVisibility

@@ -15,7 +15,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_lab.tracers.reference import trace_reference, with_ceilings
 
 ROWS, COLS = 19, 26

@@ -12,7 +12,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_lab.tracers.reference import trace_reference
 
 RAYS_A_POSE = 500

@@ -25,11 +25,11 @@ from scenes.evidence_scene import (
 
 from ltm_core.base.errors import ImageError, RasterError
 from ltm_core.fuel.cell_state import EPOCH_S, EVIDENCE_FIELDS, TILE
-from ltm_core.fuel.change_regions import FRAME_CAP, FusionRules
 from ltm_core.fuel.evidence import EvidenceMap, camera_hash
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FRAME_CAP, FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet

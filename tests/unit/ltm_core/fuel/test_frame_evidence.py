@@ -17,11 +17,11 @@ from scenes.evidence_scene import (
     votes,
 )
 
-from ltm_core.fuel.change_regions import FRAME_CAP, FusionRules
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm, label_forms
+from ltm_core.fuel.rules import FRAME_CAP, FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import Label
 

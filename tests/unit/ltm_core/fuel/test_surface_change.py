@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltm_core.fuel.change_regions import FusionRules
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.surface_change import UNSEEN, LivingFuelMap, SurfaceNews, form_after, news_of, record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry

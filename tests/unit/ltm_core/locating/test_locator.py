@@ -14,7 +14,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.locating.answer import agreement_data
 from ltm_core.locating.locator import Locator
-from ltm_core.locating.region import LocatingConfig, marked_box, marked_pixel
+from ltm_core.locating.region import marked_box, marked_pixel
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
 from ltm_core.raster.dem import Dem
 

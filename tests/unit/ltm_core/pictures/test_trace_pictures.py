@@ -10,7 +10,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.tracing.trace_io import cell_counts
 
 CAMERA = Camera.from_fov(330, 210, 60.0)

@@ -18,7 +18,8 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.site_fuel import site_canopy, site_evidence_map
 from ltm_core.pipeline.site_surface import TERRAIN_STORE, given_terrain, open_stored_surface
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.surface import Reference, SurfaceMap
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.tile_pool import TILE, schema_of
 from ltm_core.vision.labels import LabelSet
 

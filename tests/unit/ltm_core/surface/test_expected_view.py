@@ -10,10 +10,12 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.surface import DepthFrame, Reference, SurfaceMap
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.config import TerrainConfig
 from ltm_core.surface.expected_view import EXPECTED_PIXEL, ExpectedViews
+from ltm_core.surface.observation import DepthFrame
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 
 

@@ -30,9 +30,10 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
-from ltm_core.surface import Reference, SurfaceMap
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.config import TerrainConfig
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.tile_pool import TilePool, schema_of
 
 

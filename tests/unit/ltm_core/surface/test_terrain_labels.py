@@ -11,8 +11,10 @@ from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Int64Array, UInt8Array
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.surface import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.observation import DepthFrame, LabelImage
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import Label
 

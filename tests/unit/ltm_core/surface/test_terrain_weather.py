@@ -19,8 +19,10 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-from ltm_core.surface import DepthFrame, Reference, SurfaceMap
 from ltm_core.surface.config import TerrainConfig
+from ltm_core.surface.observation import DepthFrame
+from ltm_core.surface.reference_surface import Reference
+from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import DEFAULT_MODEL

@@ -7,8 +7,8 @@ import pytest
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import PossibleGround
 from ltm_core.tracing.horizon_profile import extended, no_wedges
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.raster_stages import grounds, stages
 
 HEIGHT, WIDTH = 70, 90

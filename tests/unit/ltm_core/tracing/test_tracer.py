@@ -17,7 +17,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 
 pytestmark = pytest.mark.kernel
 

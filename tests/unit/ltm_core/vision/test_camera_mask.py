@@ -14,7 +14,8 @@ from ltm_core.base.errors import ConfigError, SiteVerdict
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.masks import CameraMask, MaskPolygon, read_mask, write_mask
+from ltm_core.vision.mask_config import MaskPolygon
+from ltm_core.vision.masks import CameraMask, read_mask, write_mask
 
 
 def corner(height: int = MAST.height, width: int = MAST.width) -> np.ndarray:

@@ -10,8 +10,8 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray
 from ltm_core.vision.areas import NamedArea, polygons_of
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.mask_config import MaskPolygon
 from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
-from ltm_core.vision.masks import MaskPolygon
 
 
 @pytest.fixture(scope="module")

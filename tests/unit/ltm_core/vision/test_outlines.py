@@ -8,7 +8,8 @@ import pytest
 
 from ltm_core.base.types import BoolArray
 from ltm_core.vision.areas import MOST_HOLES, polygons_of
-from ltm_core.vision.masks import MOST_POINTS, fill
+from ltm_core.vision.mask_config import MOST_POINTS
+from ltm_core.vision.masks import fill
 
 
 def enclosed(region: BoolArray, tolerance: float, filled: bool = False) -> BoolArray:

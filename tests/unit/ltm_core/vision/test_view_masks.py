@@ -15,7 +15,8 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.masks import Looking, MaskPolygon, ViewMask, write_mask
+from ltm_core.vision.mask_config import MaskPolygon, ViewMask
+from ltm_core.vision.masks import Looking, write_mask
 
 WIDE = TOWER.hfov_deg
 POLYGON = MaskPolygon(polygon=((0, 0), (9, 0), (9, 4)))

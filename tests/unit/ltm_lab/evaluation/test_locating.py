@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes.located import hills
 
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.visibility.point_visibility import PointVisibility, project
 from ltm_lab.evaluation.locating.control_points import PlaceScore
 from ltm_lab.evaluation.locating.smoke_score import Case, SmokeSummary, SmokeTrial, smoke_trials

@@ -11,7 +11,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.holes import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_lab.evaluation.pose.mount_trial import run_mount_trial
 from ltm_lab.evaluation.pose.pose_trial import PoseScore, PoseTrial, Sensor, Spread, disturbed, run_trial
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, prepared

@@ -15,8 +15,9 @@ from scenes.outlets import Kept
 from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
-from ltm_core.fuel.change_regions import FusionRules, reach_of
+from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.raster.raster_io import write_geotiff
@@ -24,9 +25,10 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.reference_surface import Reference
-from ltm_msgs_py.grid import changed_to_msg, classes_to_msg, msg_to_classes
-from ltm_msgs_py.pointcloud import msg_to_fuel_cells
+from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
+from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
+from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry

@@ -9,7 +9,7 @@ import pytest
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
-from ltm_core.locating.region import LocatingConfig
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_lab.evaluation.locating.control_points import located_points

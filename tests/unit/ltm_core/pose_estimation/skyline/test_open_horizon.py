@@ -18,7 +18,7 @@ from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, p
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)

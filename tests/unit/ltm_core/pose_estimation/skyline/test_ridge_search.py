@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConf
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)

@@ -26,7 +26,7 @@ from ltm_core.pose_estimation.skyline.pose_refinement import (
     shared_covariance,
 )
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
-from ltm_core.tracing.holes import PossibleGround
+from ltm_core.tracing.possible_ground import PossibleGround
 
 CONFIG = PicturePoseConfig()
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)

@@ -10,7 +10,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.skyline.terrain_horizon import terrain_horizon
 from ltm_core.raster.dem import Dem
-from ltm_core.tracing.holes import NOTHING_BEYOND, PossibleGround
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 
 
 def walls(near: float = 30.0, far: float = 90.0) -> Dem:
