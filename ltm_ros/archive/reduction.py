@@ -27,7 +27,7 @@ from ltm_core.fuel.cell_state import TILE
 from ltm_core.fuel.evidence_merge import merged_parts
 from ltm_core.fuel.overlays_io import Burn
 from ltm_core.fuel.surface_change import SOURCE, LivingFuelMap
-from ltm_core.pipeline.frame_at_work import MeasuredFrame
+from ltm_core.pipeline.fusing_step import MeasuredFrame
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import UNCOMMITTED, SiteTerrain, terrain_grid
 from ltm_core.pipeline.stored_fuel import SurfaceMoves, fuel_schema, take_news

@@ -73,7 +73,7 @@ def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """Add the recorded views of cameras that have no pose in the site file."""
     from ltm_core.base.errors import LtmError, SiteFinding
     from ltm_core.site.camera_check import check_views
-    from ltm_ros.recordings.camera_pictures import recorded_views
+    from ltm_ros.recordings.recorded_run import recorded_views
 
     assert found.site is not None  # nosec B101 # tells the type checker what holds
     assert found.dem is not None  # nosec B101 # tells the type checker what holds

@@ -12,7 +12,7 @@ from ltm_ros.cli.output import print_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_ros.demo.walk import Walk
+    from ltm_ros.demo.outcome import Walk
 
 
 def demo(

@@ -96,7 +96,7 @@ def mask(
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
     from ltm_core.vision.masks import write_mask
-    from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
+    from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: the site file and the camera of the mask")

@@ -142,7 +142,7 @@ def _as_one_mount(found: list[FoundPhoto], config: Any, options: PhotoOptions) -
 def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, report: Path | None, folder: bool) -> None:
     """Write pose files, images before and after, and the figures as JSON. `folder`: `out` and `picture` are folders."""
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.pose_fit import pose_fit_picture
+    from ltm_core.pictures.trace import pose_fit_picture
     from ltm_core.pose_estimation.skyline.picture_pose_io import figures, write_figures_of, write_result
 
     content = {}

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_core.geometry.camera import Camera
-    from ltm_core.pose_estimation.points.resection import Resection
-    from ltm_core.pose_estimation.points.resection_check import TracedErrors
+    from ltm_core.pose_estimation.points.resection import Resection, TracedErrors
     from ltm_core.pose_estimation.points.resection_io import ResectionSetup
 
 
@@ -117,7 +116,7 @@ def _print_points(
     columns = ["point", ">u", ">v", ">du px", ">dv px", ">residual px"]
     traced = None
     if setup.dem is not None:
-        from ltm_core.pose_estimation.points.resection_check import traced_errors
+        from ltm_core.pose_estimation.points.resection import traced_errors
         from ltm_core.tracing import TerrainTracer
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)

@@ -56,7 +56,7 @@ def reprocess(
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
     from ltm_ros.cli.output import counting_bar
-    from ltm_ros.fuel_map.pictures import when
+    from ltm_ros.fuel_map.layers import when
 
     console = Console()
     engine = _engine(workers, cluster, tls_ca, tls_cert, tls_key)

@@ -50,7 +50,7 @@ def view(
         if not rrd.is_file():
             raise RecordingError(f"{rrd}: no such recording; write one with `ltm run --view` or `ltm view --save`")
         if screenshot is not None:
-            from ltm_ros.viewer.screenshot import screenshot as draw
+            from ltm_ros.viewer.server import screenshot as draw
 
             draw(rrd, screenshot, tab=tab)
             typer.echo(f"wrote {screenshot}")

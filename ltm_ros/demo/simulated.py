@@ -17,18 +17,20 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import (
+    Walk,
     camera_pictures,
     conditions,
     fuel_sheets,
     headings,
     map_picture,
     range_scale,
+    run_walk,
+    walk_sheet,
     write_pictures,
 )
 from ltm_ros.demo.report import ReportData, depth_table, fuel_maps_table, write_report
 from ltm_ros.demo.score import DepthRow, RunScore, score_run
-from ltm_ros.demo.walk import Walk, run_walk, walk_sheet
-from ltm_ros.fuel_map.pictures import coverage_of
+from ltm_ros.fuel_map.layers import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
 from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live

@@ -19,9 +19,11 @@ from ltm_core.fire.effect import (
     changed_fuel,
     drawn_codes,
     hectares,
+    read_landscape,
+    require_same_grid,
     with_codes,
+    write_fire,
 )
-from ltm_core.fire.fire_io import read_landscape, require_same_grid, write_fire
 from ltm_core.fire.pyretechnics import Pyretechnics
 from ltm_core.fire.scenario import FireScenario
 from ltm_core.fuel.export.export_grid import make_landscape, with_fuel

@@ -17,7 +17,7 @@ from ltm_core.pictures import to_png
 from ltm_core.pictures.fuel_maps import change_sheet, coverage_sheet, fuel_sheet, overlay_picture, seen_sheet
 from ltm_core.pictures.legend import label_legend
 from ltm_core.pipeline.site_fuel import spare_heights
-from ltm_ros.fuel_map.pictures import canvas_of, places_of, seen_window
+from ltm_ros.fuel_map.layers import canvas_of, places_of, seen_window
 from ltm_ros.fuel_map.source import FuelSource
 
 LANDSCAPES = ("lcp", "landscape", "elmfire")

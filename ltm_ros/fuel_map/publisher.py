@@ -6,7 +6,7 @@ import numpy as np
 
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
+from ltm_msgs_py.cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_ros.fuel_map.persistence import CountedFrame, FuelMapPersistence
 from ltm_ros.runtime.handler import Outlet

@@ -85,7 +85,7 @@ class FuelSource:
             return self.layers
         if self.store is None:
             raise ConfigError(f"the map as of {moment} needs a store (.ltm), which keeps its history")
-        from ltm_ros.fuel_map.pictures import layers_as_of, when
+        from ltm_ros.fuel_map.layers import layers_as_of, when
 
         return layers_as_of(self.store, self.empty, when(moment))
 
@@ -93,7 +93,7 @@ class FuelSource:
         """Return the terrain: the surface in use at that time, if the site uses the confirmed one and keeps it beside
         the store. Raises ConfigError as `at`, StoreError.
         """
-        from ltm_ros.fuel_map.pictures import when
+        from ltm_ros.fuel_map.layers import when
 
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
 
@@ -122,7 +122,7 @@ class FuelSource:
         """Return the provenance of an export; `layers`: as `at` returns them; `surface`: version of the heights, if
         any.
         """
-        from ltm_ros.fuel_map.pictures import when
+        from ltm_ros.fuel_map.layers import when
 
         as_of = None if moment is None else when(moment)
         system = system or system_of(self.prior)
@@ -139,7 +139,7 @@ class FuelSource:
         """Return how often and how finely the cameras of a bag have seen each cell; None for other sources."""
         if self.bag is None:
             return None
-        from ltm_ros.fuel_map.pictures import coverage_of
+        from ltm_ros.fuel_map.layers import coverage_of
         from ltm_ros.recordings.recorded_run import Recorded, recorded_votes
 
         grid = self.site.in_map(self.geometry)

@@ -16,9 +16,9 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.stored_fuel import SURFACE_LAYER, SurfaceMoves, take_news
 from ltm_core.storage.tile_store_schema import CellChanges
 from ltm_core.surface.change import ChangeKind
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes, tile_window
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.fuel_map.persistence import FuelMapPersistence
 from ltm_ros.runtime.health import Health
 

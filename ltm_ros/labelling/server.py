@@ -37,7 +37,7 @@ from ltm_core.vision.areas import (
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.recordings.camera_pictures import pictures_in
+from ltm_ros.recordings.recorded_run import pictures_in
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 
 MOST_SHAPES = 5000

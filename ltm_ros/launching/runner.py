@@ -18,9 +18,8 @@ from typing import TextIO
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.cleanup_process import CleanupProcess
+from ltm_ros.launching.cleanup_process import CleanupProcess, process_command
 from ltm_ros.launching.graph import Graph, ProcessSpec
-from ltm_ros.launching.process_command import process_command
 from ltm_ros.launching.service_manager import ServiceManager, all_watched, in_words
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy

@@ -20,9 +20,9 @@ from ltm_ros.runtime.clocks import kernel_clock
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
-from ltm_ros.runtime.traffic import TRAFFIC
 from ltm_ros.runtime.web_server import Route, WebResponse
 from ltm_ros.tower import machine
 from ltm_ros.tower.last_pictures import LastPictures

@@ -21,11 +21,11 @@ from ltm_ros.runtime.delivery_checks import LossCounter, loss_report, with_info,
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
-from ltm_ros.runtime.traffic import TRAFFIC
 
 
 class RecorderConfig(NodeConfig):

@@ -18,13 +18,12 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
+from ltm_msgs_py.cells import msg_to_changed, msg_to_fuel_cells
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node

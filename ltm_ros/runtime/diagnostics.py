@@ -9,8 +9,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.process_memory import memory_in_use
-from ltm_ros.runtime.traffic import TRAFFIC
 
 
 class DiagnosticsPublisher:

@@ -1,4 +1,6 @@
-"""Report the activities of this process once a second to the runner's watchdog.
+"""Report once a second that this process is alive, with what it has sent and received.
+
+Report the activities of this process once a second to the runner's watchdog.
 
 A separate thread writes into a pipe, so it needs no DDS and works while a node loads and compiles. The thread itself
 shows that the process is scheduled and the interpreter's lock is free; the activities show that work progresses; the
@@ -14,9 +16,72 @@ import os
 import select
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypedDict
 
-from ltm_ros.runtime.traffic import TRAFFIC, Traffic
+
+class TrafficCounts(TypedDict):
+    """Messages since the start of the process, by absolute topic."""
+
+    said: dict[str, int]
+    heard: dict[str, int]
+
+
+class TopicCount:
+    """Count of one publisher or subscription; written by one thread at a time."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.messages = 0
+
+
+class Traffic:
+    """Counts of one process; thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._said: list[TopicCount] = []
+        self._heard: list[TopicCount] = []
+
+    def speaker(self, topic: str) -> TopicCount:
+        """Return the count of a publisher. Latched topics are not counted, because later subscribers get their last
+        message, too.
+        """
+        return self._add(self._said, topic)
+
+    def listener(self, topic: str) -> TopicCount:
+        """Return the count of a subscription."""
+        return self._add(self._heard, topic)
+
+    def forget(self, counts: Iterable[TopicCount]) -> None:
+        """Remove these publishers and subscriptions."""
+        gone = set(counts)
+        with self._lock:
+            self._said[:] = [count for count in self._said if count not in gone]
+            self._heard[:] = [count for count in self._heard if count not in gone]
+
+    def counts(self) -> TrafficCounts | None:
+        """Return the counts; None if the process has no counted publishers or subscriptions."""
+        with self._lock:
+            said, heard = list(self._said), list(self._heard)
+        return {"said": _by_topic(said), "heard": _by_topic(heard)} if said or heard else None
+
+    def _add(self, counts: list[TopicCount], topic: str) -> TopicCount:
+        with self._lock:
+            counts.append(made := TopicCount(topic))
+        return made
+
+
+def _by_topic(counts: list[TopicCount]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for count in counts:
+        found[count.topic] = found.get(count.topic, 0) + count.messages
+    return found
+
+
+TRAFFIC = Traffic()
+"""Traffic of this process."""
+
 
 PERIOD_S = 1.0
 

@@ -22,8 +22,8 @@ from ltm_ros.runtime.clocks import ClockWatch
 from ltm_ros.runtime.delivery_checks import LISTENERS, LossCounter, loss_report, unheard, with_info, writers_of
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.heartbeat import TRAFFIC, TopicCount
 from ltm_ros.runtime.ros_environment import wait_for_quiet
-from ltm_ros.runtime.traffic import TRAFFIC, TopicCount
 
 WIRING_S = 5.0
 """Seconds between two checks for published topics that do not reach a node."""

@@ -11,11 +11,11 @@ from ltm_core.base.errors import StoreError
 from ltm_core.pipeline.site_surface import surface_versions
 from ltm_core.site.site import Site
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_core.surface.confirmation import confirmed_surface
 from ltm_core.surface.confirmed_surface import ConfirmedSurface, SurfaceManifest
+from ltm_core.surface.surface_io import confirmed_surface
 from ltm_core.surface.surface_map import SurfaceMap
+from ltm_msgs_py.cells import change_to_msg, changed_to_msg
 from ltm_msgs_py.json_topics import manifest_to_msg
-from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import Backoff

@@ -22,7 +22,7 @@ from ltm_core.pictures.legend import PAPER, UNLABELLED, ClassPalette, error_colo
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
-from ltm_ros.fuel_map.pictures import seen_window
+from ltm_ros.fuel_map.layers import seen_window
 from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960

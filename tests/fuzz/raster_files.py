@@ -11,7 +11,7 @@ from scenes.geopackages import add_layer, area, line, several
 from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
-from ltm_core.fire.fire_io import read_landscape
+from ltm_core.fire.effect import read_landscape
 from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.overlays_io import barrier_codes

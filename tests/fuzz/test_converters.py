@@ -21,7 +21,7 @@ from ltm_core.base.errors import LtmError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.schemas import message_class
-from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
+from ltm_msgs_py.cells import msg_to_changed, msg_to_fuel_cells
 from ltm_msgs_py.grid import msg_to_classes, tile_window
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.json_topics import msg_to_model
@@ -29,7 +29,6 @@ from ltm_msgs_py.pointcloud import msg_to_columns, msg_to_votes
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.fuel_map.services import region_of
 
 FRESH = bool(os.environ.get("LTM_FUZZ"))

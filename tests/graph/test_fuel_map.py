@@ -25,9 +25,9 @@ from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
+from ltm_msgs_py.cells import changed_to_msg
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

@@ -28,9 +28,9 @@ from scenes.waiting import wait_for
 
 from ltm_core.pipeline.site_surface import STORE_FILE
 from ltm_core.storage.tile_store import TileStore
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy

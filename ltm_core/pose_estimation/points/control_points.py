@@ -1,13 +1,27 @@
-"""Ground control points: surveyed map positions with their marked pixels in an image, or in those of a head."""
+"""Hold surveyed control points, and find initial poses from a few of them.
+
+Initial poses of a resection, from few control points at a time.
+
+With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964). Where it is
+free, three points and a focal length give up to four poses, wherever the camera stands (P3P: Ding et al., CVPR 2023, as
+OpenCV has it), so that the stated position does not decide what is found. Pairs, triples and a range of focal lengths
+are tried and scored by how many points they bring near their marks, so that a start is found without angles and in
+spite of gross errors, after the idea of RANSAC (Fischler and Bolles 1981).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
+import cv2
 import numpy as np
 
 from ltm_core.base.errors import PoseError
-from ltm_core.base.types import Float64Array
+from ltm_core.base.types import Float64Array, Int64Array
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,3 +82,156 @@ class PtzPoints:
                 raise PoseError(f"landmarks without finite {what}: {', '.join(bad)}")
             values.flags.writeable = False
             object.__setattr__(self, what, values)
+
+
+FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
+"""Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
+MAX_PAIRS = 400
+MIN_SEPARATION = 0.03
+"""Minimum separation of points as a share of the image's diagonal; closer points give no rotation."""
+STARTS = 4
+MAX_TRIPLES = 150
+MIN_TRIANGLE = 0.002
+"""Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
+FREE_STARTS = 6
+APART = 0.05
+"""Distance between starts of a free position, as a share of the points' median distance."""
+
+
+def coarse_poses(
+    points: ControlPoints,
+    camera: Camera,
+    position: Float64Array,
+    angles_deg: tuple[float, float, float] | None,
+    focal_free: bool,
+    position_free: bool,
+    bend: float,
+) -> list[tuple[Camera, Pose]]:
+    """Return the best few starts (camera, pose). Raises PoseError if all points are too close together."""
+    diagonal = float(np.hypot(camera.width, camera.height))
+    sights = line_of_sight_vectors(position, points.places, bend)
+    sights /= np.linalg.norm(sights, axis=1, keepdims=True)
+    first, second = _pairs(points, sights, diagonal)
+    limit = diagonal * (0.1 if position_free else 0.05)
+
+    candidates: list[tuple[float, Camera, Pose]] = []
+    for factor in FOCAL_FACTORS if focal_free else (1.0,):
+        scaled = camera.zoomed(float(factor))
+        rays = pixel_rays(scaled, points.pixels)
+        rotations = _bases(sights[first], sights[second]) @ np.swapaxes(_bases(rays[first], rays[second]), 1, 2)
+        costs = _costs(scaled, rotations, sights, points.pixels, limit)
+        for k in np.argsort(costs, kind="stable")[:STARTS]:
+            if np.isfinite(rotations[k]).all():
+                candidates.append((float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))))
+    candidates.sort(key=lambda candidate: candidate[0])
+    starts = [(camera, pose) for _, camera, pose in candidates[:STARTS]]
+    if position_free:
+        starts += _poses_from_triples(points, camera, focal_free, bend, limit)
+    if angles_deg is not None:
+        starts.append((camera, Pose.from_angles(position, *angles_deg)))
+    if not starts:
+        raise PoseError(
+            f"the pixels of the control points {', '.join(points.names)} have no rays with the distortion "
+            f"{camera.distortion}: check it"
+        )
+    return starts
+
+
+def _poses_from_triples(
+    points: ControlPoints, camera: Camera, focal_free: bool, bend: float, limit: float
+) -> list[tuple[Camera, Pose]]:
+    """Return the best few (camera, pose) at any position, apart from each other."""
+    triples = _triples(points, float(np.hypot(camera.width, camera.height)))
+    candidates: list[tuple[float, float, Camera, Pose]] = []
+    for factor in FOCAL_FACTORS[::2] if focal_free else (1.0,):
+        scaled = camera.zoomed(float(factor))
+        rays = pixel_rays(scaled, points.pixels)
+        poses = [pose for triple in triples for pose in _three_point_poses(points.places[triple], rays[triple])]
+        if not poses:
+            continue
+        positions, rotations = (np.array(part) for part in zip(*poses, strict=True))
+        sights = points.places - positions[:, None]
+        sights[..., 2] -= bend * (sights[..., 0] ** 2 + sights[..., 1] ** 2)
+        costs = _costs(scaled, rotations, sights, points.pixels, limit)
+        for k in np.argsort(costs, kind="stable")[:FREE_STARTS]:
+            distance = float(np.median(np.linalg.norm(sights[k], axis=1)))
+            candidates.append((float(costs[k]), distance, scaled, Pose(positions[k], _orthonormal(rotations[k]))))
+    candidates.sort(key=lambda candidate: candidate[0])
+    starts: list[tuple[Camera, Pose]] = []
+    for _, distance, scaled, pose in candidates:
+        near = (np.linalg.norm(pose.position - other.position) < APART * distance for _, other in starts)
+        if len(starts) < FREE_STARTS and not any(near):
+            starts.append((scaled, pose))
+    return starts
+
+
+def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
+    """Return the triples of points whose marks span a triangle, at most MAX_TRIPLES of them: (T, 3)."""
+    triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
+    a, b, c = (points.pixels[triples[:, k]] for k in range(3))
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    triples = triples[area > MIN_TRIANGLE * diagonal**2]
+    if len(triples) > MAX_TRIPLES:
+        triples = triples[np.random.default_rng(0).choice(len(triples), MAX_TRIPLES, replace=False)]
+    return np.asarray(triples, np.int64)
+
+
+def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
+    """Return (position, rotation from optical to map) of the cameras that see three places along three rays."""
+    if not np.isfinite(rays).all():
+        return []
+    # Near zero, so that the solver's polynomials keep their digits.
+    middle = places.mean(axis=0)
+    _, turns, shifts = cv2.solveP3P(
+        places - middle, rays[:, :2] / rays[:, 2:], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P
+    )
+    found = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        rotation = cv2.Rodrigues(turn)[0].T
+        position = middle - rotation @ shift[:, 0]
+        if np.isfinite(rotation).all() and np.isfinite(position).all():
+            found.append((position, rotation))
+    return found
+
+
+def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tuple[Int64Array, Int64Array]:
+    """Return the pairs of points that stand apart in the image and on the map, at most MAX_PAIRS of them."""
+    pairs = np.array(list(combinations(range(len(points.names)), 2)))
+    apart = np.linalg.norm(points.pixels[pairs[:, 0]] - points.pixels[pairs[:, 1]], axis=1)
+    turn = np.linalg.norm(np.cross(sights[pairs[:, 0]], sights[pairs[:, 1]]), axis=1)
+    far = (apart > MIN_SEPARATION * diagonal) & (turn > 1e-3)
+    if not far.any():
+        raise PoseError(
+            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} "
+            "px of the "
+            f"image (at least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees "
+            "as seen from the camera; mark points further apart"
+        )
+    pairs = pairs[far]
+    if len(pairs) > MAX_PAIRS:
+        pairs = pairs[np.random.default_rng(0).choice(len(pairs), MAX_PAIRS, replace=False)]
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _bases(a: Float64Array, b: Float64Array) -> Float64Array:
+    """Return the orthonormal bases (N, 3, 3), as columns, of the planes through unit vectors a and b (N, 3)."""
+    middle = a + b
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    normal = np.cross(a, b)
+    with np.errstate(invalid="ignore"):
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.stack([middle, normal, np.cross(middle, normal)], axis=-1)
+
+
+def _costs(
+    camera: Camera, rotations: Float64Array, sights: Float64Array, pixels: Float64Array, limit: float
+) -> Float64Array:
+    """Return the sum over the points of their distances to their marks, each at most `limit` pixels: (K,)."""
+    errors = camera.project(sights @ rotations) - pixels
+    lengths = np.nan_to_num(np.hypot(errors[..., 0], errors[..., 1]), nan=limit)
+    return np.asarray(np.minimum(lengths, limit).sum(axis=1), np.float64)
+
+
+def _orthonormal(rotation: Float64Array) -> Float64Array:
+    u, _, vt = np.linalg.svd(rotation)
+    return np.asarray(u @ vt, np.float64)

@@ -15,8 +15,7 @@ from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pose_estimation.points.resection import Resection, resect
-from ltm_core.pose_estimation.points.resection_check import traced_errors
+from ltm_core.pose_estimation.points.resection import Resection, resect, traced_errors
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.text_io import read_rgb
 from ltm_core.tracing import TerrainTracer

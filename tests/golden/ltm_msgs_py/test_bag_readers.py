@@ -28,7 +28,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
+from ltm_msgs_py.cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pointcloud import votes_to_msg

@@ -12,7 +12,7 @@ from ltm_core.base.errors import MessageError
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.geometry.grid import GridGeometry
-from ltm_msgs_py.fuel_cells import fuel_cells_to_msg, msg_to_fuel_cells
+from ltm_msgs_py.cells import fuel_cells_to_msg, msg_to_fuel_cells
 from ltm_msgs_py.stamp import stamp_of
 
 GRID = GridGeometry(-60.0, 300.0, 30.0, 7, 5)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from ltm_core.fire.effect import FireEffect, burn_probability, changed_fuel
-from ltm_core.fire.fire_io import BANDS, write_fire
+from ltm_core.fire.effect import BANDS, FireEffect, burn_probability, changed_fuel, write_fire
 from ltm_core.fire.pyretechnics import FireRun
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.geometry.grid import GridGeometry

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 
 from ltm_core.base.errors import ConfigError, RasterError
-from ltm_core.fire.fire_io import read_landscape, require_same_grid
+from ltm_core.fire.effect import read_landscape, require_same_grid
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp, write_raster

@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ltm_core.base.errors import PoseError
-from ltm_core.pipeline.frame_at_work import MeasuredFrame
+from ltm_core.pipeline.fusing_step import MeasuredFrame
 from ltm_ros.archive.frame_files import LostFrame, MeasuredFile
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task

@@ -25,10 +25,9 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.reference_surface import Reference
-from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
+from ltm_msgs_py.cells import changed_to_msg, msg_to_fuel_cells
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.fuel_map.config import FuelMapConfig
 from ltm_ros.nodes.fuel_map import FuelMapHandler
 from ltm_ros.runtime import retry

@@ -20,9 +20,9 @@ from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.surface.change import ChangeKind
 from ltm_core.vision.labels import Label
+from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
-from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.terrain import TerrainHandler, TerrainNodeConfig
 from ltm_ros.runtime.health import Health

@@ -20,10 +20,9 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.surface.change import Changed, ChangeKind
-from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
+from ltm_msgs_py.cells import changed_to_msg, fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
-from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,

@@ -11,7 +11,7 @@ from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
-from ltm_ros.recordings.camera_pictures import recorded_views
+from ltm_ros.recordings.recorded_run import recorded_views
 from ltm_ros.runtime.topics import CAMERA_INFO, POSE, camera_topic
 
 

@@ -11,8 +11,7 @@ import threading
 
 from scenes.waiting import wait_for
 
-from ltm_ros.runtime.heartbeat import Heartbeat
-from ltm_ros.runtime.traffic import Traffic
+from ltm_ros.runtime.heartbeat import Heartbeat, Traffic
 
 
 def test_a_turn_grows_old_and_waiting_for_work_does_not() -> None:

@@ -12,7 +12,7 @@ from ltm_core.base.errors import ConfigError, RecordingError
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer.screenshot import screenshot
+from ltm_ros.viewer.server import screenshot
 
 
 def test_screenshot_refuses_what_it_cannot_draw(tmp_path: Path, recording: Path) -> None:

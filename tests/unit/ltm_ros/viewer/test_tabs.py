@@ -8,7 +8,7 @@ from ltm_core.base.errors import ConfigError
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
-from ltm_ros.viewer.screenshot import with_tab
+from ltm_ros.viewer.server import with_tab
 
 
 def test_a_tab_is_chosen_by_its_name() -> None:

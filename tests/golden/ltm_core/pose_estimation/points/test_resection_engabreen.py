@@ -12,9 +12,8 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.pose_estimation.points.control_points import ControlPoints
-from ltm_core.pose_estimation.points.resection import Resection, resect
+from ltm_core.pose_estimation.points.resection import Resection, resect, traced_errors
 from ltm_core.pose_estimation.points.resection_adjustment import Parameter
-from ltm_core.pose_estimation.points.resection_check import traced_errors
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer

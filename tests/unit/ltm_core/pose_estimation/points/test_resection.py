@@ -19,8 +19,7 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.points.control_points import ControlPoints
-from ltm_core.pose_estimation.points.resection import resect
-from ltm_core.pose_estimation.points.resection_check import traced_errors
+from ltm_core.pose_estimation.points.resection import resect, traced_errors
 from ltm_core.pose_estimation.points.resection_io import held_notes, read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
