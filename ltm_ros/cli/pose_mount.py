@@ -98,8 +98,9 @@ def calibrate_from_photos(
     from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount.mount_io import read_readings
     from ltm_core.pose_estimation.skyline.find_pose import find_pose
-    from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, picture_evidence
+    from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
+    from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
 

@@ -113,10 +113,9 @@ def head(
     from rich.console import Console
 
     from ltm_core.base.errors import ModelError
-    from ltm_core.base.evenly import evenly
     from ltm_core.label_heads.head_fit import HeadFitConfig
     from ltm_core.label_heads.head_trial import score_photos, teach_head, write_overlay
-    from ltm_core.label_heads.labelled_frames import read_frames, without_classes
+    from ltm_core.label_heads.labelled_frames import evenly, read_frames, without_classes
     from ltm_core.vision.label_head import (
         label_heads_folder,
         read_label_head,

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import LtmError, RecordingError
-from ltm_core.base.evenly import evenly
 from ltm_core.base.resources import config_path, project_path
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
+from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.text_io import read_rgb

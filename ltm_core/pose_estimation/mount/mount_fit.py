@@ -20,9 +20,9 @@ from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_
 from ltm_core.pose_estimation.mount.mount_verdict import MountPicture, alike, judge_mount, skylines_at
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior
 from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Word, mean_about_best
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
 
 TILT_ZERO_SIGMA_DEG = 0.3

@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.pose_estimation.mount.mount_search import STEEPEST_LEAN, closed_forms
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
-from ltm_core.pose_estimation.skyline.picture_evidence import turned
+from ltm_core.pose_estimation.skyline.pose_prior import turned
 from ltm_core.visibility.footprint import line_of_sight_vectors
 
 LEAST_LANDMARKS = 4

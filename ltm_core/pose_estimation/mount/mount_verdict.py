@@ -19,9 +19,9 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
 
 

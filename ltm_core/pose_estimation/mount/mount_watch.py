@@ -26,9 +26,10 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, PosePrior, angle_slopes, angles_between
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import search_reach
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, skyline_fit
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltm_core.geometry.camera import Camera
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
@@ -28,6 +28,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     search_reach,
     widened_by_others,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon, terrain_horizon

@@ -17,7 +17,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose, pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import UNKNOWN_DEG, PosePrior
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.text_io import open_picture
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file

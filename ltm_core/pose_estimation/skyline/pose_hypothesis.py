@@ -11,8 +11,8 @@ import numpy as np
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, vector_of_matrix
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose
 
 _FOCAL_STEP = 0.02

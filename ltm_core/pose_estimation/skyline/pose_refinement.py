@@ -26,7 +26,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, PosePrior, angle_slopes, turned
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
@@ -34,6 +34,7 @@ from ltm_core.pose_estimation.skyline.pose_observations import (
     ridge_observations,
     skyline_observations,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 

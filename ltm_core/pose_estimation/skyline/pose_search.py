@@ -16,9 +16,10 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
     ridge_strength,
     usual_score,
 )
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, PosePrior, angles_between, rotations_of
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon

@@ -61,9 +61,8 @@ def segmentation(
     from rich.console import Console
 
     from ltm_core.base.errors import RecordingError
-    from ltm_core.base.evenly import evenly
     from ltm_core.label_heads.head_trial import write_overlay
-    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames, without_classes
+    from ltm_core.label_heads.labelled_frames import LABELS_SUFFIX, evenly, holds_frames, read_frames, without_classes
     from ltm_core.vision.areas import POLYGONS_FILE
     from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD
     from ltm_core.vision.segmenter import Segmenter

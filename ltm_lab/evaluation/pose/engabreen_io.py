@@ -19,8 +19,9 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.text_io import read_text
 from ltm_core.tracing import TerrainTracer

@@ -15,8 +15,8 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import TILT_ZERO_SIGMA_DEG, fit_mount, widened
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import Angles, PoseJob, PoseTrial, run_pose_trials, sigmas_deg, three
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, RenderedSite, by_camera
 

@@ -13,8 +13,8 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, RenderedSite

@@ -15,8 +15,9 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, PosePrior, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack, with_surface
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround

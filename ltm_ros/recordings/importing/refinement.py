@@ -17,13 +17,14 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_io import (
     UNSTATED_TILT_SIGMA_DEG,
     PoseResult,
     doubt_of_sky,
     result_of,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking

@@ -8,8 +8,8 @@ from scenes.mountain_view import eye, mountains, terrain, view
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.picture_evidence import angles_between
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import angles_between
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_lab.evaluation.pose.mount_trial import run_mount_trial

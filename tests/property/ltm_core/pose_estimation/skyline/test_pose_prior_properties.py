@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, rotations_of, turned
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of, turned
 
 azimuth = st.floats(0, 360)
 tilt = st.floats(-60, 60)

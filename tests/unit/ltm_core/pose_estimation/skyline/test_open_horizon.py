@@ -14,14 +14,9 @@ from ltm_core.geometry.pose import Pose, pose_sigmas
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import (
-    PictureEvidence,
-    PosePrior,
-    angles_between,
-    picture_evidence,
-    turned,
-)
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, settled_on_ridges, skyline_fit
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label

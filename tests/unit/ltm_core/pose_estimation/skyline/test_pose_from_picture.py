@@ -15,16 +15,11 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline import pose_search as skyline_poses
 from ltm_core.pose_estimation.skyline.find_pose import find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import (
-    UNKNOWN_DEG,
-    PosePrior,
-    angles_between,
-    picture_evidence,
-    turned,
-)
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label

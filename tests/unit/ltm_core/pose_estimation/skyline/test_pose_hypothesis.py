@@ -10,7 +10,6 @@ import pytest
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
-from ltm_core.pose_estimation.skyline.picture_evidence import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
@@ -19,6 +18,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     merged_with_others,
     widened_by_others,
 )
+from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
 CONFIG = VerdictConfig(

@@ -7,9 +7,10 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, picture_evidence, turned
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import ridge_observations, skyline_observations
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, turned
 
 CONFIG = PicturePoseConfig()
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)

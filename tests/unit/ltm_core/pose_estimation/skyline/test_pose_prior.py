@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.picture_evidence import angle_slopes, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, angles_between, turned
 
 
 @given(st.floats(0.0, 359.0), st.floats(-80.0, 80.0), st.floats(-170.0, 170.0), st.tuples(*[st.floats(-1.0, 1.0)] * 3))

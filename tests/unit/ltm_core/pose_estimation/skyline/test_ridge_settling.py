@@ -13,15 +13,10 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import pose_refinement as ridge_settling
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_evidence import (
-    PictureEvidence,
-    PosePrior,
-    angles_between,
-    picture_evidence,
-    turned,
-)
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SettlingConfig
 from ltm_core.pose_estimation.skyline.pose_observations import RidgeObservations
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import (
     FEWEST,
     RefinedPose,

@@ -12,15 +12,10 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_evidence import (
-    PictureEvidence,
-    PosePrior,
-    angles_between,
-    picture_evidence,
-    turned,
-)
+from ltm_core.pose_estimation.skyline.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 
 TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)

@@ -8,8 +8,9 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_watch import clearer_turn
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between, picture_evidence
+from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 
 KNOWN = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 CONFIG = PicturePoseConfig()

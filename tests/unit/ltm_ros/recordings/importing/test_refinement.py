@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.picture_evidence import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
