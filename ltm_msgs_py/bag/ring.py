@@ -71,7 +71,7 @@ class RecordingRing:
 
     def repair(self) -> list[Path]:
         """Repair bags of a killed recorder; return them. What cannot be repaired now is left for the next start."""
-        mended = []
+        repaired = []
         for _, folder in self._numbered():
             files = [file.path for file in self._files_in(folder)]
             if not files or (folder / FILE_NAME).exists():
@@ -81,8 +81,8 @@ class RecordingRing:
                     for leftover in folder.glob(".*.mcap.reserve"):
                         leftover.unlink(missing_ok=True)
                     repair_bag(folder, files)
-                    mended.append(folder)
-        return mended
+                    repaired.append(folder)
+        return repaired
 
     def make_room(self, wanted: int) -> list[Path]:
         """Remove the oldest files until `wanted` more bytes fit the limit; return them."""

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ltm_core.base.resources import project_path
 
-ROOTS = ("ltm_core",)
-SUFFIXES = (".py", ".md", ".yaml")
+ROOTS = ("ltm_core", "ltm_msgs_py", "ltm_ros", "docs", "README.md", "CONTRIBUTING.md", "config", "examples")
+SUFFIXES = (".py", ".md", ".yaml", ".html")
 PHRASES = (
     "it is worth",
     "(?:is|are|was|were|be) told",
