@@ -114,7 +114,7 @@ def unheard(node: Node) -> dict[str, str]:
         known, matched = node.count_publishers(topic), subscription.get_publisher_count()
         if matched < known:
             found[topic] = (
-                f"{known} nodes publish {topic}, but this node receives only {matched}; use matching QoS "
+                f"{topic}: this node is matched with {matched} of {known} publishers; use matching QoS "
                 "(reliable, and transient local for latched topics), or restart it"
             )
     return found

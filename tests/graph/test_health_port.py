@@ -58,7 +58,7 @@ def test_a_tower_starts_without_its_port_and_answers_once_it_is_free(
                     "the node's word of it",
                     lambda: bystander.summaries[f"/{NAME}/health"],
                 )
-            assert f"doubtful: machine, health: {said.removeprefix('port: ')}" in console.read_text()
+            assert f"machine, health: {said.removeprefix('port: ')}" in console.read_text()
             taken.close()
             wait_for(lambda: healthz(port) == 200, "an answer", console.read_text)
             graph.send_signal(signal.SIGTERM)

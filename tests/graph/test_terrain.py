@@ -79,10 +79,9 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
         bystander.listen(UPDATE, TERRAIN_UPDATE.type)
         bystander.open(images, IMAGE_RAW.type)
         bystander.wait_for_wiring(len(labels))
-        assert bystander.call(f"{NODE}/save") == (
-            False,
-            "there is nothing to write",
-        )
+        saved, answer = bystander.call(f"{NODE}/save")
+        assert not saved
+        assert "nothing to write" in answer
         for look in range(3):
             bystander.send(images, image_to_msg(photo, "rgb8", BEGIN_NS + look * 2 * HOUR, "mast_optical"))
             wait_for(

@@ -53,7 +53,7 @@ class Heard:
 def test_a_publisher_that_is_known_and_not_matched_is_not_heard() -> None:
     node: Any = Graph({"/pose": 2, "/image": 1, "/clock": 0}, pose=1, image=1, clock=0)
     assert list(unheard(node)) == ["/pose"]
-    assert unheard(node)["/pose"].startswith("2 nodes publish /pose, but this node receives only 1; ")
+    assert "1 of 2 publishers" in unheard(node)["/pose"]
 
 
 def test_one_that_the_graph_has_forgotten_first_is_no_trouble() -> None:
