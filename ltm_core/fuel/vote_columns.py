@@ -66,7 +66,7 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
     names = checked_names(class_names)
     if votes.counts.shape[1] != len(names):
         raise MessageError(
-            f"votes of {votes.source} count {votes.counts.shape[1]}classes, but {len(names)} are named: "
+            f"votes of {votes.source} count {votes.counts.shape[1]} classes, but {len(names)} are named: "
             f"{', '.join(names)}"
         )
     centres = votes.centres()

@@ -157,7 +157,7 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
             own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
             doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
             if doubt is not None:
-                verdict = SiteVerdict.WRONG if "its heights are in feet" in doubt else SiteVerdict.DOUBTFUL
+                verdict = SiteVerdict.WRONG if "its heights are feet" in doubt else SiteVerdict.DOUBTFUL
                 yield SiteFinding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
 
 

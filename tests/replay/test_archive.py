@@ -245,7 +245,7 @@ def test_a_cut_recording_gives_what_it_has(options: ArchiveOptions, small_site: 
     assert 2 <= summary.merged < 2 * FRAMES
     assert summary.digest == replayed(cut, small_site.path, tmp_path / "state")
     record = json.loads((Path(options.out) / "run.json").read_text())
-    assert "cut.mcap is cut short" in record["damage"][0] or "without a footer" in record["damage"][0]
+    assert "cut.mcap is truncated" in record["damage"][0] or "without a footer" in record["damage"][0]
 
 
 def test_clocks_that_stand_still_jump_or_were_never_set(own_site: SmallSite, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
 def test_codes_that_no_system_has(shared_data: Path) -> None:
     folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
     _, grid = raster(folder / "fbfm40b.tif")
-    with pytest.raises(RasterError, match="codes that fbfm40 does not have"):
+    with pytest.raises(RasterError, match="256 \\(114001 cells\\)"):
         load_prior(PriorConfig(path=folder / "fbfm40b.tif"), grid)
     known = load_prior(PriorConfig(path=folder / "fbfm40b.tif", unknown_codes="nodata"), grid).codes != NODATA
     assert (~known).sum() == 114_001 + (raster(folder / "fbfm40b.tif")[0] == NODATA).sum()
@@ -87,7 +87,7 @@ def test_an_elmfire_folder(shared_data: Path) -> None:
     """Its codes come in two revisions, of which one is named; the rest is known by its names."""
     folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
     codes, grid = raster(folder / "fbfm40r5.tif")
-    with pytest.raises(RasterError, match=r"fbfm40b.tif, fbfm40r5.tif may all be fbfm40"):
+    with pytest.raises(RasterError, match=r"fbfm40b.tif, fbfm40r5.tif"):
         load_prior(PriorConfig(path=folder), grid)
     config = PriorConfig(path=folder, fbfm40=folder / "fbfm40r5.tif")
     prior, heights = load_prior(config, grid), prior_heights(config, grid)

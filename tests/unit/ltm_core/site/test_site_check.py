@@ -48,7 +48,7 @@ def test_a_site_as_it_should_be(tmp_path: Path) -> None:
     assert not said(check, SiteVerdict.WRONG)
     assert not said(check, SiteVerdict.DOUBTFUL)
     assert {f.area for f in check.findings} == {"site", "terrain", "cameras", "fuel", "networks"}
-    assert ("north", "calibration and pose come as topics") in said(check, SiteVerdict.OK)
+    assert ("north", "calibration and pose are read from topics") in said(check, SiteVerdict.OK)
 
 
 def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> 
 def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890 / 0.3048), SiteVerdict.WRONG)
     assert name == "dem"
-    assert "fine.tif: stands 3.2" in message
+    assert "fine.tif: is 3.2" in message
     assert "its heights are feet" in message
     ((_, message),) = said(checked(tmp_path, 1_080.0), SiteVerdict.DOUBTFUL)
     assert "coarse.tif in the median: check place, unit and datum" in message
@@ -81,7 +81,7 @@ def test_a_mast_as_high_as_none_is(tmp_path: Path) -> None:
     pose = {"x": 346_700.0, "y": 3_783_900.0, "height_above_ground": 400.0, "azimuth_deg": 40.0}
     ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"pose": pose}}), SiteVerdict.DOUBTFUL)
     assert name == "north"
-    assert "400 m is more than masts have" in message
+    assert "400 m is higher than masts" in message
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ HEAD = {"x": 347_000.0, "y": 3_783_500.0, "height_above_ground": 20.0, "azimuth_
 def test_a_head_is_doubted_until_it_is_calibrated(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": HEAD}}), SiteVerdict.DOUBTFUL)
     assert name == "north"
-    assert "not calibrated: directions are open by 1." in message
+    assert "not calibrated: directions are uncertain by 1." in message
     known = HEAD | {"covariance_deg2": (np.eye(4) * 0.02**2).tolist()}
     check = checked(tmp_path, 890.0, cameras={"north": {"mount": known}})
     assert not said(check, SiteVerdict.DOUBTFUL)

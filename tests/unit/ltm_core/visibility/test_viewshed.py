@@ -177,7 +177,7 @@ def test_the_command_maps_one_pose_as_in_its_site(folder: Path) -> None:
 
 
 def test_the_command_says_what_is_missing(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="either --site"):
+    with pytest.raises(ConfigError, match="--site"):
         command(out=folder / "x.tif")
     with pytest.raises(ConfigError, match="--dem"):
         command(out=folder / "x.tif", pose=folder / "pose.yaml")

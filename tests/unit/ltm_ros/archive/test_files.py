@@ -154,7 +154,7 @@ def test_a_file_that_is_another_one_each_time_is_given_up(
         fetch(self, path, place)
 
     monkeypatch.setattr(kind, "get_file", growing)
-    with pytest.raises(ArchiveError, match="one was another one"):
+    with pytest.raises(ArchiveError, match="files/one"):
         at_hand.at_hand(store("one", b"1")).__enter__()
     assert cached(tmp_path) == []
 
@@ -190,7 +190,7 @@ def test_the_cache_is_bounded_and_spares_what_is_held(store: Store, at_hand: Arc
         assert cached(tmp_path) == [b"a" * 40, b"c" * 40]
     assert (tmp_path / "cache/others.txt").exists()
     with (
-        pytest.raises(ArchiveError, match=r"has 101 bytes, more than the 100 .* raise --cache-gb"),
+        pytest.raises(ArchiveError, match=r"101 bytes.*100 .*--cache-gb"),
         at_hand.at_hand(store("d", b"d" * 101)),
     ):
         pass

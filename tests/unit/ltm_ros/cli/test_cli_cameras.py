@@ -286,7 +286,7 @@ def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
 
 @pytest.mark.parametrize("interface", ["north", "10.255.255.254", "::1"])
 def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
-    with pytest.raises(ConfigError, match="of this computer"):
+    with pytest.raises(ConfigError, match="this computer"):
         run("discover", "--interface", interface, "--seconds", 0.2)
 
 

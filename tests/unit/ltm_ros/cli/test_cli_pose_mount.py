@@ -126,7 +126,7 @@ def test_an_axis_that_runs_the_other_way_is_told_and_written(tmp_path: Path) -> 
     said = run(
         "--site", path, "--camera", "north", "--gcps", landmarks(tmp_path / "p.csv", (10.0, 100.0, 190.0, 280.0))
     )
-    assert "pan runs opposite to what was stated" in said
+    assert "pan has the opposite sign" in said
     mount = load_site(path).camera("north").mount
     assert mount is not None
     assert mount.pan_sign == 1

@@ -68,7 +68,7 @@ def test_a_photo_gives_pose_picture_and_figures(files: Path, tmp_path: Path) -> 
     assert pose.pitch_deg == pytest.approx(2.5, abs=0.1)
     assert pose.azimuth_sigma_deg is not None
     assert 0.01 < pose.azimuth_sigma_deg < 0.5
-    assert out.read_text().startswith("# Pose from the picture: accepted")
+    assert out.read_text().startswith("# Pose from the photo: accepted")
     figures = json.loads(report.read_text())
     assert figures["verdict"] == "accepted"
     assert np.array(figures["result"]["covariance"]).shape == (6, 6)

@@ -91,4 +91,4 @@ def test_a_picture_that_is_mostly_unknown_says_so(
     path.write_text(path.read_text().replace("400060.5", "400200.5").replace("-12", "-30"))
     trace(dem=[dem_file], pose=path, out=tmp_path / "out")
     said = " ".join(capsys.readouterr().out.split())
-    assert "of the picture is unknown ground: the camera looks" in said
+    assert "unknown ground" in said

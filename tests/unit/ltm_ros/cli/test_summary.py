@@ -21,7 +21,7 @@ def test_verdicts_and_cells_are_counted() -> None:
     assert said == [
         ("north/topodepth: states", "network_unusable 1 (25%), ok 3 (75%)"),
         ("north/topodepth: the last that was not ok", "network_unusable: explains 3 % of the terrain"),
-        ("north/topodepth: noted", "unlabelled 1"),
+        ("north/topodepth: events", "unlabelled 1"),
         ("terrain: cells", "seen 12,345, removed 80"),
     ]
 

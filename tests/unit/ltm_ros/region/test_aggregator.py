@@ -131,10 +131,10 @@ def test_what_cannot_be_believed_is_counted_and_not_answered(scene: RegionScene,
         "is signed by 'bear'": scene.identity("bear").sealed(header, scene.votes(1)),
         "are from bear": scene.identity("alta").sealed(scene.header("bear", 1).model_dump_json().encode(), b"x"),
         "not from an authority": stranger.sealed(header, scene.votes(1)),
-        "altered": altered(good, good.index(b"stamp_ns") + 15),
+        "modified": altered(good, good.index(b"stamp_ns") + 15),
         "was modified after": altered(good, len(good) - 300),
         "not an envelope": b"GET / HTTP/1.1" + bytes(200),
-        "in kern are of alta in another": scene.sealed("alta", 1, region="another"),
+        "alta in another": scene.sealed("alta", 1, region="another"),
         "this has": bytes(LARGEST + 1),
         "invalid ": scene.identity("alta").sealed(b"{}", scene.votes(1)),
     }
@@ -167,7 +167,7 @@ def test_what_cannot_be_taken_is_answered_in_words(scene: RegionScene) -> None:
             bytes(serialize_message(message(1, scene.geometry, late))),
         ),
         "60 bytes do not decode as votes": (whole, votes[:60]),
-        "64000 at most": (whole, bytes(64_001)),
+        "64000": (whole, bytes(64_001)),
     }
     with living(scene) as region:
         for words, (header, body) in cases.items():

@@ -76,7 +76,7 @@ def test_a_picture_that_is_sure_of_another_pitch_contradicts_the_mount(sigma_deg
     searches[1] = replace(searches[1], hypotheses=(other, *others), verdict=verdict)
     fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
     assert fit.word == word, fit.reason
-    assert ("sure of itself lies 1.5 deg" in fit.reason) == (word == "ambiguous")
+    assert ("accepted by itself is 1.5 deg" in fit.reason) == (word == "ambiguous")
 
 
 def test_presets_of_one_head_share_its_focal_length_where_it_is_free() -> None:

@@ -239,7 +239,7 @@ def test_what_is_held_is_told_with_what_it_would_have_been() -> None:
     result = resect(in_line(), CAMERA, start, free=("position",), bend=BEND)
     (note,) = held_notes(result, start, FRAME)
     x, y, z = (result.rejected["position"].values[axis] for axis in "xyz")
-    assert note.startswith("position is held: its sigma would be ")
+    assert note.startswith("position is fixed: its sigma would be ")
     assert f"Fitted, it would be x {x + FRAME.x_origin:.2f} +- " in note
     assert f"y {y + FRAME.y_origin:.2f} +- " in note
     assert f"({np.linalg.norm(np.array([x, y, z]) - start):.1f} m from the given place)" in note
@@ -477,10 +477,10 @@ def test_the_command_tells_of_what_is_held_before_its_tables(
     files = {"gcps": tmp_path / "points.csv", "pose_guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
     pose_command(**files, free="position", report=tmp_path / "report.json")
     said = capsys.readouterr().out
-    assert said.index("position is held") < said.index("parameter")
+    assert said.index("position is fixed") < said.index("parameter")
     assert "--force position" in said
     rejected = json.loads((tmp_path / "report.json").read_text())["rejected"]["position"]
     assert rejected["values"]["x"] == pytest.approx(x, abs=500)
     pose_command(**files, free="none", force="position", overwrite=True)
-    assert "position is held" not in capsys.readouterr().out
+    assert "position is fixed" not in capsys.readouterr().out
     assert ", x " in (tmp_path / "pose.yaml").read_text()  # a sigma of its own
