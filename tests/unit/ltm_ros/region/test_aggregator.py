@@ -144,7 +144,7 @@ def test_what_cannot_be_believed_is_counted_and_not_answered(scene: RegionScene,
             assert words in region.health.last_error
             assert region.health.dropped == {"message": number}
         region.aggregator.take("crow", good)
-        assert "no tower of kern" in region.health.last_error
+        assert "not a tower of kern" in region.health.last_error
         assert region.answers() == {}
         assert region.frames == 0
 
