@@ -42,7 +42,7 @@ def test_pixels_of_a_sampled_truth() -> None:
     np.testing.assert_array_equal(at_pixels_of(twice, (10, 18), (3, 5)), depth[::4, ::4])
     half = depth[::2, ::2]  # (5, 9): its pixel covers two of the image's
     np.testing.assert_array_equal(at_pixels_of(half, (10, 18), (3, 5)), depth[::4, ::4])
-    with pytest.raises(ImageError, match=r"\(4, 5\) is no sampling of an image of \(10, 18\)"):
+    with pytest.raises(ImageError, match=r"\(4, 5\)"):
         at_pixels_of(depth, (10, 18), (4, 5))
 
 
