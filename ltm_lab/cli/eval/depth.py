@@ -53,8 +53,8 @@ def depth(
         Path | None, typer.Option(help="Raster of what once stood there: traced and scored too, and given to fusion.")
     ] = None,
     date: Annotated[str, typer.Option(help="Only frames of this date of a simulated folder.")] = "",
-    pose_error: Annotated[str, typer.Option(help="Also with poses wrong by so many degrees, with commas.")] = "",
-    limit: Annotated[int | None, typer.Option(help="Score at most so many frames.", min=1)] = None,
+    pose_error: Annotated[str, typer.Option(help="Pose errors to add, in degrees, separated by commas.")] = "",
+    limit: Annotated[int | None, typer.Option(help="Maximum number of frames to score.", min=1)] = None,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for a sheet of pictures of every frame.", callback=writable_folder)
     ] = None,

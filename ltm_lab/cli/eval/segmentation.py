@@ -28,7 +28,7 @@ def segmentation(
     json_path: JsonFile = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
-    limit: Annotated[int | None, typer.Option(min=1, help="At most so many frames of a folder, evenly chosen.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Maximum number of frames of a folder.")] = None,
     macro: Annotated[
         str, typer.Option(help="Classes of the macro F1, with commas.", metavar="CLASSES")
     ] = "sky,grass,shrub,tree,bare",
