@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
 
-import cv2
 import numpy as np
 
 from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.types import UInt8Array
-from ltm_core.storage.text_io import check_picture
+from ltm_core.storage.image_io import read_rgb, read_values
 from ltm_core.vision.areas import ERASED, MASKED, POLYGONS_FILE, NamedArea, labels_of, read_areas
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 
@@ -110,21 +109,15 @@ def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
 
 def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: int, source: Path) -> Frame:
     """Return a photo whose labels are the areas that were named in it."""
-    check_picture(photo)
-    image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ImageError(f"{photo}: cannot be read as an image, but {source} labels areas in it")
+    image = read_rgb(photo)
     labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
     if ((labels >= classes) & (labels != UNLABELLED)).any():
         raise ImageError(f"{source}: a class of {photo.name} is not among the first {classes}")
-    return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), labels, photo)
+    return Frame(image, labels, photo)
 
 
 def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
-    image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
-    labels = cv2.imread(str(truth), cv2.IMREAD_UNCHANGED)
-    if image is None or labels is None:
-        raise ImageError(f"{photo if image is None else truth}: cannot be read as an image; render the frame again")
+    image, labels = read_rgb(photo), read_values(truth)
     if sampled:
         labels = _spread(labels, image.shape[0], image.shape[1])
     if labels.shape != image.shape[:2] or labels.dtype != np.uint8:
@@ -133,7 +126,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool) -> Frame:
     wrong = ids[(ids >= classes) & (ids < LAND)]
     if wrong.size:
         raise ImageError(f"{truth}: contains label {wrong[0]}; expected ids below {classes} or {UNLABELLED}")
-    return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), np.asarray(labels, np.uint8), photo)
+    return Frame(image, np.asarray(labels, np.uint8), photo)
 
 
 def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:

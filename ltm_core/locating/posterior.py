@@ -182,10 +182,9 @@ def read_mask(path: Path, camera: Camera) -> BoolArray:
 
     Raises ImageError for a file that is no image, RegionError for one of another size.
     """
-    from ltm_core.storage.text_io import open_picture
+    from ltm_core.storage.image_io import read_rgb
 
-    with open_picture(path) as (source, _):
-        mask = np.asarray(source.convert("L")) > 0
+    mask = read_rgb(path).any(axis=2)
     if mask.shape != (camera.height, camera.width):
         raise RegionError(
             f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, but the camera's images have "

@@ -97,12 +97,11 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """Return a photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's
     size."""
-    from ltm_core.storage.text_io import open_picture, read_rgb
+    from ltm_core.storage.image_io import read_picture, read_rgb, stated_size
 
     photo = read_rgb(Path(path))
     if photo.shape[:2] != (camera.height, camera.width):
-        with open_picture(Path(path)) as (source, _):
-            width, height = source.size
+        width, height = stated_size(read_picture(Path(path)), str(path))
         turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(
             f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned} but the pose file's camera has "

@@ -23,7 +23,7 @@ from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.storage.text_io import open_picture
+from ltm_core.storage.image_io import read_values
 from ltm_core.vision.mask_config import MaskPolygon, ViewMask
 
 
@@ -91,17 +91,15 @@ def read_mask(path: Path, place: str) -> CameraMask:
     Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked.
     """
     try:
-        with open_picture(path) as (source, _):
-            if source.format != "PNG":
-                raise ConfigError(f"{place}: {path} is a {source.format}, which blurs edges; save it as PNG")
-            if source.mode not in ("1", "L", "P", "I", "I;16"):
-                raise ConfigError(
-                    f"{place}: {path} has colours or transparency ({source.mode}); a mask is a single-channel PNG, "
-                    "0 where the landscape is seen"
-                )
-            hidden = np.asarray(source) != 0
+        values = read_values(path)
     except ImageError as error:
         raise ConfigError(f"{place}: {error}") from error
+    if values.ndim != 2:
+        raise ConfigError(
+            f"{place}: {path} has colours or transparency ({values.shape[2]} channels); a mask is a single-channel "
+            "PNG, 0 where the landscape is seen"
+        )
+    hidden = values != 0
     return CameraMask(hidden, f"{place}: {path}")
 
 

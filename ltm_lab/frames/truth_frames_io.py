@@ -8,7 +8,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import TypeVar
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,7 +18,8 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.text_io import check_picture, load_arrays, read_text
+from ltm_core.storage.image_io import read_rgb
+from ltm_core.storage.text_io import load_arrays, read_text
 
 LARGEST_INDEX = 64 << 20
 """Bytes of `frames.json`: a frame takes one thousand."""
@@ -246,11 +246,7 @@ def _frame(folder: Path, index: SimulationIndex, entry: _FrameEntry, change: Pat
 def _photo(path: Path) -> UInt8Array:
     if not path.is_file():
         raise RecordingError(f"{path}: the frame's picture is missing; render it again")
-    check_picture(path)
-    photo = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if photo is None:
-        raise RecordingError(f"{path}: the frame's picture is broken; render it again")
-    return np.ascontiguousarray(photo[..., ::-1], np.uint8)
+    return read_rgb(path)
 
 
 def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> BoolArray:

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from ltm_core.base.errors import ArchiveError, ConfigError, ImageError, LtmError
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.site.site import Site
-from ltm_core.storage.text_io import LARGEST_FILE
+from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import pose_to_msg
@@ -22,8 +22,7 @@ from ltm_ros.archive.files import ArchiveFiles, StoredFile
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import place
 from ltm_ros.recordings.importing.photo import photo_of
-from ltm_ros.recordings.importing.photo_folder import POSES
-from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
+from ltm_ros.recordings.importing.pose_file import POSES, PhotoPose, read_pose_file
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 PHOTOS = (".jpg", ".jpeg", ".png")

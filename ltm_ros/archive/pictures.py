@@ -8,7 +8,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from ltm_core.base.errors import ArchiveError, ImageError, LtmError, RecordingError
+from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
@@ -21,7 +21,7 @@ from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.photo_folder import PHOTOS, photo_picture
 
-_REDUCED = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
+_REDUCED = (8, 4, 2)
 """A JPEG is decoded to an eighth of its size in a fraction of the time."""
 _HELD = 4
 """Maximum number of open recordings: recordings of one time overlap little."""
@@ -120,9 +120,4 @@ def _small(picture: CompressedPicture | RawPicture) -> UInt8Array:
     """(h, w, 3) RGB, no narrower than it is judged at, where it is larger. Raises ImageError."""
     width, _ = picture.size
     scale = next((scale for scale in _REDUCED if width >= scale * WORKING_WIDTH), 1)
-    if isinstance(picture, RawPicture) or scale == 1:
-        return picture.rgb()
-    found = cv2.imdecode(np.frombuffer(picture.data, np.uint8), _REDUCED[scale] | cv2.IMREAD_IGNORE_ORIENTATION)
-    if found is None:
-        raise ImageError(f"image of {len(picture.data)} bytes is corrupt: OpenCV cannot decode it")
-    return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)
+    return picture.rgb() if isinstance(picture, RawPicture) else picture.rgb(scale)

@@ -26,7 +26,7 @@ from ltm_ros.archive.content_digest import digest, importer_digest, picture_dige
 from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.recordings.importing.photo_folder import POSES
+from ltm_ros.recordings.importing.pose_file import POSES
 from ltm_ros.runtime.topics import CAMERA_INPUTS, IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
 
 SCANS = "scans"

@@ -30,9 +30,10 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.storage.image_io import decode_rgb
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import GuessConfig, cell_counts, write_pose_file
-from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import CameraSource, Frame
 from ltm_ros.cameras.opening import calibration_of, direction_of, open_reader
 from ltm_ros.cameras.protocols.credentials import SourceError

@@ -15,7 +15,7 @@ def import_(
         list[Path],
         typer.Option(
             "--images",
-            help="Photo (JPEG, PNG, HEIC), video (MP4, MOV), folder, or Sensor Logger, Stray Scanner or Record3D "
+            help="Photo (JPEG, PNG, HEIC, WebP, TIFF, AVIF), video, folder, or Sensor Logger, Stray Scanner or Record3D "
             "recording. Repeatable.",
         ),
     ],
@@ -85,6 +85,7 @@ def import_(
 ) -> None:
     """Make a bag from photos and phone recordings: image_raw/compressed, camera_info, pose with covariance."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     from ltm_core.base.errors import ConfigError
@@ -137,8 +138,6 @@ def import_(
     for note, names in by_note.items():
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""
         console.print(f"[yellow]{names[0]}{others}: {note}", highlight=False)
-    for file, why in report.skipped:
-        console.print(f"[red]skipped {file.name}: {why}", highlight=False)
     if report.refined:
         rows = []
         for name, found in report.refined:
@@ -150,10 +149,17 @@ def import_(
         if "as_others" in verdicts:
             said += f"; {verdicts.count('as_others')} corrected by the compass error on which these agree"
         console.print(said, highlight=False)
-    topics = (
-        (f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))
-        for name, count in report.cameras.items()
-    )
-    print_table(console, str(report.bag), ("topics", ">photos"), topics)
     if site is None:
         console.print(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")
+    files = [
+        ("imported", str(count), f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}")
+        for name, count in report.cameras.items()
+    ]
+    files += [("[red]rejected", "1", escape(why)) for _, why in report.rejected]
+    by_reason: dict[str, list[str]] = {}
+    for skipped in report.skipped:
+        by_reason.setdefault(skipped.why, []).append(skipped.path.name)
+    for why, names in by_reason.items():
+        others = ", ..." if len(names) > 3 else ""
+        files.append(("[yellow]skipped", str(len(names)), escape(f"{why} ({', '.join(names[:3])}{others})")))
+    print_table(console, str(report.bag), ("result", ">files", "topics or reason"), files)

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import UInt8Array
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.geometry.camera import Camera
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
-from ltm_core.storage.text_io import check_picture, photos_in
+from ltm_core.storage.image_io import photos_in, read_rgb
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
@@ -49,14 +48,14 @@ def check(
     if images is None:
         _overlay(console, segmenter, trial_scene(), Path("trial_scene"), out, zoom)
     for path in photos_in(images) if images is not None else []:
-        _overlay(console, segmenter, _read(path), path, out, zoom)
+        _overlay(console, segmenter, read_rgb(path), path, out, zoom)
 
 
 def check_depth(console: Console, manifest: NetworkManifest, threads: int, images: Path | None, out: Path) -> None:
     """Print the input, output and running time of a depth model; write images (red near, blue far)."""
     network = DepthNetwork(manifest, threads)
     _describe(console, manifest, manifest.model_file())
-    pictures = [(path, _read(path)) for path in photos_in(images)] if images is not None else []
+    pictures = [(path, read_rgb(path)) for path in photos_in(images)] if images is not None else []
     for path, photo in pictures or [(Path("trial_scene"), trial_scene())]:
         camera = Camera.from_fov(photo.shape[1], photo.shape[0], 50.0)
         network.predict(photo, camera)
@@ -120,11 +119,3 @@ def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Pa
     target.write_bytes(to_jpeg(with_legend(overlay_labels(photo, labels, segmenter.labels), legend)))
     text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
     console.print(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text} -> {target}")
-
-
-def _read(path: Path) -> UInt8Array:
-    check_picture(path)
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ImageError(f"{path}: cannot be read as an image")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)

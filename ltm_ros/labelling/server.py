@@ -21,7 +21,7 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.pictures import to_jpeg
 from ltm_core.storage.config_io import checked
-from ltm_core.storage.text_io import open_picture, read_rgb
+from ltm_core.storage.image_io import orientation, read_picture, read_rgb, stated_size
 from ltm_core.vision.areas import (
     ERASED,
     MASKED,
@@ -157,9 +157,9 @@ def _shapes(areas: Sequence[NamedArea]) -> list[dict[str, Any]]:
 
 def _size(path: Path) -> tuple[int, int]:
     """Return width and height of a photo, upright by its EXIF."""
-    with open_picture(path) as (source, _):
-        turned = source.getexif().get(0x0112) in (5, 6, 7, 8)
-        return (source.height, source.width) if turned else source.size
+    data = read_picture(path)
+    width, height = stated_size(data, str(path))
+    return (height, width) if orientation(data, path) in (5, 6, 7, 8) else (width, height)
 
 
 MOST_BYTES = 8 << 20

@@ -10,7 +10,8 @@ from std_msgs.msg import String
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image_to_msg
+from ltm_core.storage.image_io import image_format
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.cameras.camera_source import CameraSource, Frame

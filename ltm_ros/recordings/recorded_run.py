@@ -18,7 +18,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
-from ltm_core.storage.text_io import read_rgb
+from ltm_core.storage.image_io import read_rgb
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import ViewMask

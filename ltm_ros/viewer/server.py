@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-import cv2
-
 from ltm_core.base.errors import ConfigError, RecordingError
+from ltm_core.storage.image_io import read_rgb
 
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
@@ -222,8 +221,7 @@ def screenshot(
         _retry(lambda: client.save_screenshot(str(picture.resolve())), viewer, deadline, recording)
     finally:
         viewer.stop()
-    if cv2.imread(str(picture)) is None:
-        raise RecordingError(f"{picture}: the viewer wrote no image")
+    read_rgb(picture)  # raises ImageError if the viewer wrote no image
 
 
 def _shown(client: object) -> None:

@@ -19,7 +19,7 @@ from ltm_core.geometry.pose import Pose, pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.text_io import open_picture
+from ltm_core.storage.image_io import read_values
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 from ltm_core.vision.labels import Label
 
@@ -78,8 +78,7 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
     """Read class ids (H, W) from a single-channel PNG of the camera's size. Raises ImageError."""
-    with open_picture(Path(path)) as (source, _):
-        labels = np.asarray(source)
+    labels = read_values(Path(path))
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
         raise ImageError(
             f"{path}: labels must be a single-channel PNG of class ids, {camera.width} x {camera.height} pixels, got "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_core.base.types import Float32Array, UInt8Array
+from ltm_core.storage.image_io import read_rgb
 from ltm_ros.cli.output import writable_folder
 
 if TYPE_CHECKING:
@@ -49,11 +50,11 @@ def photos(
     camera = Camera.from_fov(width, height, 50.0)  # a relative depth does not look at it
     for name, tag in track(sets.photos.items(), "labelling photos"):
         path = next((p for p in (images / f"{name}{end}" for end in (".jpg", ".jpeg", ".png")) if p.is_file()), None)
-        picture = None if path is None else cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise ImageError(f"{images}: no readable photo {name}.jpg or .png, which {config} names")
-        photo = np.ascontiguousarray(cv2.resize(picture, sets.size, interpolation=cv2.INTER_AREA)[..., ::-1])
-        opinions = _opinions(sky, scene, np.ascontiguousarray(picture[..., ::-1]), sets.size)
+        if path is None:
+            raise ImageError(f"{images}: no photo {name}.jpg or .png, which {config} names")
+        picture = read_rgb(path)
+        photo = np.asarray(cv2.resize(picture, sets.size, interpolation=cv2.INTER_AREA), np.uint8)
+        opinions = _opinions(sky, scene, picture, sets.size)
         labels, by_hand = teach(photo, opinions, tag), sets.by_hand(name)
         labels = np.where(by_hand == UNLABELLED, labels, by_hand)
         order = cv2.resize(depth.predict(photo, camera).values, sets.size, interpolation=cv2.INTER_LINEAR)

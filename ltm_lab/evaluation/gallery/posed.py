@@ -17,7 +17,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pose_estimation.points.resection import Resection, resect, traced_errors
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.text_io import read_rgb
+from ltm_core.storage.image_io import read_rgb
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter

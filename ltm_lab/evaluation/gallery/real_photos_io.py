@@ -15,7 +15,7 @@ from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import load_yaml
-from ltm_core.storage.text_io import open_picture, read_rgb
+from ltm_core.storage.image_io import read_rgb, read_values
 from ltm_lab.evaluation.gallery.parts import Part
 from ltm_lab.evaluation.terrain.canyon_io import PHOTOS, SURVEYS
 from ltm_lab.resources import lab_config
@@ -122,16 +122,14 @@ def _tower_photos(data: Path) -> list[Path]:
 
 
 def _read_ids(path: Path, shape: tuple[int, ...]) -> UInt8Array:
-    with open_picture(path) as (image, _):
-        ids = np.asarray(image)
+    ids = read_values(path)
     if ids.shape != shape or ids.dtype != np.uint8:
         raise ImageError(f"{path}: ids of {ids.shape} {ids.dtype} do not fit their photo of {shape}: one uint8 a pixel")
     return np.ascontiguousarray(ids)
 
 
 def _read_mask(path: Path, shape: tuple[int, ...]) -> BoolArray:
-    with open_picture(path) as (image, _):
-        grey = np.asarray(image.convert("L"))
+    grey = read_rgb(path)[..., 0]
     if grey.shape != shape:
         raise ImageError(f"{path}: a mask of {grey.shape} does not fit its photo of {shape}")
     return np.asarray(grey >= 128)

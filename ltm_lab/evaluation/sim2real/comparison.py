@@ -11,7 +11,7 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
-from ltm_core.storage.text_io import read_rgb
+from ltm_core.storage.image_io import read_rgb
 from ltm_lab.evaluation.sim2real.distribution import (
     FEATURES,
     Estimate,

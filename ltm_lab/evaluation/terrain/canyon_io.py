@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float32Array, UInt8Array
@@ -21,6 +20,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.raster.dem import Dem
+from ltm_core.storage.image_io import read_rgb
 
 FRAME = SiteFrame("EPSG:26949", 227_000.0, 622_000.0)
 SURVEYS = ("111006", "121004", "130922", "140925", "150924")
@@ -49,8 +49,7 @@ class Canyon:
 
     def photo(self, date: str, step: int) -> UInt8Array:
         """Every step-th pixel of a date's photo."""
-        with Image.open(self.folder / PHOTOS[date]) as image:
-            return np.ascontiguousarray(np.asarray(image.convert("RGB"))[::step, ::step])
+        return np.ascontiguousarray(read_rgb(self.folder / PHOTOS[date])[::step, ::step])
 
 
 def read_canyon(folder: Path | str) -> Canyon:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections import deque
 from dataclasses import dataclass
 from datetime import UTC, tzinfo
 
-import PIL.Image
-
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.text_io import BROKEN
+from ltm_core.storage.image_io import opened_picture
 from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 from ltm_ros.recordings.importing.exif import exif_facts
 
@@ -218,9 +215,9 @@ def exif_time(data: bytes, zone: tzinfo = UTC) -> CameraTime | None:
     if b"Exif\0\0" not in data[:_HEAD]:
         return None
     try:
-        with PIL.Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as picture:
-            taken = exif_facts(picture.getexif(), "picture").taken
-    except (ImageError, *BROKEN):
+        with opened_picture(data, "image") as image:
+            taken = exif_facts(image.getexif(), "image").taken
+    except ImageError:
         return None
     if taken is None:
         return None

@@ -10,7 +10,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from ltm_core.base.errors import ImageError
 from ltm_core.base.types import UInt8Array
+from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.protocols.credentials import PictureError
 from ltm_ros.cameras.protocols.direction import PtzReading, difference_deg
 
@@ -104,12 +106,9 @@ def thumbnail_of_bytes(data: bytes) -> UInt8Array:
     PictureError.
     """
     try:
-        small = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_8 | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error as error:
-        raise PictureError(f"image of {len(data)} bytes cannot be decoded: {error.err}") from None
-    if small is None:
-        raise PictureError(f"image of {len(data)} bytes is corrupt: it cannot be decoded")
-    return np.asarray(small, np.uint8)
+        return np.ascontiguousarray(decode_rgb(data, "image", 8)[..., ::-1])
+    except ImageError as error:
+        raise PictureError(str(error)) from None
 
 
 def thumbnail_of_rgb(rgb: UInt8Array) -> UInt8Array:

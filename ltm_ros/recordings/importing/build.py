@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
 
 from ltm_core.base.errors import ConfigError, ImageError, LtmError, RecordingError
+from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.cameras.camera_config import PartialPose
 from ltm_core.cameras.plausibility import doubt_of_radians
 from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.writer import BagWriter
@@ -20,28 +27,32 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.photo_folder import PhotoFolder
-from ltm_ros.recordings.importing.picture import ImportedImage
-from ltm_ros.recordings.importing.pictures import find_pictures
-from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
+from ltm_ros.recordings.importing.photo import ImportedImage, Photo
+from ltm_ros.recordings.importing.pictures import SkippedFile, find_pictures
+from ltm_ros.recordings.importing.pose_file import POSES, PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
 """Interval in ns by which photos of one camera with equal stamps (bursts) are moved apart."""
+_ANGLES = ("azimuth", "pitch", "roll")
+_UNKNOWN = (UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, UNKNOWN_AZIMUTH_SIGMA_DEG)
+"""Standard deviations of unknown angles."""
+_SUFFIXES = {"jpeg": ".jpg", "png": ".png"}
 
 
 @dataclass
 class ImportReport:
-    """Result of an import. `skipped`: (photo, why). `cameras`: number of photos per camera."""
+    """Result of an import. `rejected`: (photo, why). `skipped`: other files of the folders. `cameras`: number of photos
+    per camera."""
 
     bag: Path
     site: str
     crs: str
     origin: tuple[float, float]
     cameras: dict[str, int] = field(default_factory=dict)
-    skipped: list[tuple[Path, str]] = field(default_factory=list)
+    rejected: list[tuple[Path, str]] = field(default_factory=list)
+    skipped: list[SkippedFile] = field(default_factory=list)
     notes: list[tuple[str, str]] = field(default_factory=list)
     refined: list[tuple[str, Refinement]] = field(default_factory=list)
     """Results for photos whose pose was searched in the image."""
@@ -73,19 +84,18 @@ def import_photos(
     """
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
-    files = find_pictures(images, assumed)
+    files, skipped = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
-        given = len(files)
-        files = _named_in(files, rows, poses)
+        listed = _named_in(files, rows, poses)
+        skipped += [SkippedFile(file.path, f"not listed in {poses}") for file in files if file not in listed]
+        files = listed
     frame = site.frame if site is not None else _frame_of(files, rows)
     around = Surroundings(frame)
     if site is not None:
         around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
-
-    if rows is not None and len(files) < given:
-        report.notes.append((str(poses), f"does not list {given - len(files)} of the {given} photos: skipped"))
+    report.skipped = skipped
 
     placed: list[tuple[str, ImportedImage, PhotoPose, int]] = []
     for done, file in enumerate(files):
@@ -99,7 +109,7 @@ def import_photos(
         except LtmError as error:
             if not skip_bad:
                 raise
-            report.skipped.append((file.path, str(error)))
+            report.rejected.append((file.path, str(error)))
         else:
             if refinement is not None:
                 refinement.look(name, file.name, item)
@@ -108,7 +118,7 @@ def import_photos(
             report.notes += [(file.name, note) for note in item.notes]
         progress(done + 1, 2 * len(files))
     if not placed:
-        raise RecordingError(f"none of {len(files)} photos could be imported; the first: {report.skipped[0][1]}")
+        raise RecordingError(f"none of {len(files)} photos could be imported; the first: {report.rejected[0][1]}")
     placed = _apart(placed, report)
     doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
     if doubt is not None:
@@ -154,7 +164,11 @@ def _named_in(files: list[ImportedImage], rows: dict[str, PhotoPose], poses: Pat
 
 def _names_of(file: ImportedImage) -> tuple[str, str, str]:
     """Return the names that a pose file may use: the photo's, that without the suffix, and its capture's."""
-    return file.name, Path(file.name).stem, file.capture
+    return file.name, _without_suffix(file), file.capture
+
+
+def _without_suffix(file: ImportedImage) -> str:
+    return Path(file.name).with_suffix("").as_posix()
 
 
 def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose:
@@ -167,7 +181,7 @@ def _row_of(file: ImportedImage, rows: dict[str, PhotoPose] | None) -> PhotoPose
 def _read(file: ImportedImage, row: PhotoPose) -> Photo:
     """Read a photo; a frame with its own row is placed by that, not by the capture's first frame."""
     photo = file.read()
-    own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
+    own = row.name in (file.name, _without_suffix(file)) and row.pose != PartialPose()
     return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
 
 
@@ -207,19 +221,26 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
+    unreadable: ImageError | None = None
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
             raise ConfigError(f"{file.name} has x, y in the pose file: give their site with --site")
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
-            sensed = file.read().sensed
+            try:
+                sensed = file.read().sensed
+            except ImageError as error:  # it is reported when it is placed
+                unreadable = unreadable or error
+                continue
             lon, lat = sensed.lon, sensed.lat
         if lon is not None and lat is not None:
             zone = min(math.floor((lon + 180) / 6) + 1, 60)
             crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
             x, y = SiteFrame(crs).from_lonlat(lon, lat)
             return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
+    if unreadable is not None:
+        raise unreadable
     raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
 
 
@@ -237,3 +258,50 @@ def _apart(
         last[name] = stamp_ns
         result.append((name, file, row, stamp_ns))
     return sorted(result, key=lambda item: item[3])
+
+
+class PhotoFolder:
+    """A new or empty folder for the upright photos and `poses.csv`. Raises RecordingError otherwise."""
+
+    def __init__(self, path: Path, frame: SiteFrame) -> None:
+        self._path, self._frame = path, frame
+        self._rows: list[dict[str, str]] = []
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise RecordingError(f"{path} exists already and is not an empty folder: remove it, or give another folder")
+
+    def __enter__(self) -> Self:
+        self._path.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        columns = list(dict.fromkeys(key for row in self._rows for key in row))
+        with (self._path / POSES).open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+    def add(self, name: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
+        """Add a photo, with its pose in the bag, and its stated standard deviations."""
+        photo, pose, lens = item.photo, item.pose, item.camera
+        stem = Path(name).with_suffix("").as_posix().replace("/", "_")
+        file, used = f"{stem}{_SUFFIXES[photo.image_format]}", {row["name"] for row in self._rows}
+        if file in used:  # of the same photo in another format
+            file = f"{stem}_{len(used)}{_SUFFIXES[photo.image_format]}"
+        (self._path / file).write_bytes(photo.data)
+        taken = moment_of_stamp(stamp_ns)
+        x, y, z = pose.position
+        row = {"name": file, "camera": camera, "stamp": taken.isoformat(), "crs": self._frame.crs}
+        row |= {"x": f"{x + self._frame.x_origin:.3f}", "y": f"{y + self._frame.y_origin:.3f}", "z": f"{z:.3f}"}
+        sigmas = np.zeros(6) if item.covariance is None else pose_sigmas(pose, item.covariance)
+        for key, value, sigma, unknown in zip(_ANGLES, pose.angles_deg, sigmas[3:], _UNKNOWN, strict=True):
+            if sigma < 0.99 * unknown:  # unknown values stay empty
+                row |= {f"{key}_deg": f"{value:.4f}"} | ({f"{key}_sigma_deg": f"{sigma:.4g}"} if sigma > 0 else {})
+        if item.covariance is not None:
+            row |= {"position_sigma": f"{sigmas[0]:.4g}", "height_sigma": f"{sigmas[2]:.4g}"}
+        row |= {"width": str(lens.width), "height": str(lens.height)}
+        row |= {key: f"{getattr(lens, key):.4f}" for key in ("fx", "fy", "cx", "cy")}
+        names = ("k1", "k2", "p1", "p2", "k3")
+        row |= {key: f"{value!r}" for key, value in zip(names, lens.distortion, strict=True) if value}
+        self._rows.append(row)

@@ -37,8 +37,10 @@ class CaptureFiles:
         self.names: tuple[str, ...] = tuple(self._below() if self._archive is None else self._members(self._archive))
 
     def find(self, name: str) -> str | None:
-        """Return the member of this name, in any case and at any depth; of several the one nearest to the top."""
-        found = [n for n in self.names if PurePosixPath(n).name.lower() == name.lower()]
+        """Return the member of this name, in any case: in a zip the one nearest to the top, in a folder directly in it,
+        because subfolders are searched for captures of their own."""
+        names = self.names if self._archive is not None else (n for n in self.names if "/" not in n)
+        found = [n for n in names if PurePosixPath(n).name.lower() == name.lower()]
         return min(found, key=lambda n: (n.count("/"), n)) if found else None
 
     def matching(self, folder: str, suffixes: tuple[str, ...]) -> list[str]:

@@ -1,22 +1,28 @@
-"""Find photo files, and read them upright as JPEG or PNG bytes, with their sensor data."""
+"""Read photos upright as JPEG or PNG bytes, with their sensor data."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from PIL import ImageOps
-
 from ltm_core.base.errors import ImageError
-from ltm_core.storage.text_io import opened_picture, read_picture
-from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_core.storage.image_io import (
+    decode_rgb,
+    image_format,
+    opened_picture,
+    orientation,
+    read_picture,
+    upright,
+    without_tail,
+)
+from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
 from ltm_ros.recordings.importing.sensor_track import Sensed
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
-_FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}
+SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".tif", ".tiff", ".avif", ".mpo")
+_FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
 _REENCODED_QUALITY = 95
 _TURNS = {
     2: "mirrors it",
@@ -35,7 +41,7 @@ class Photo:
     """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
     known position and direction.
 
-    `reencoded`: whether `data` differs from the file, because it is HEIC or was turned upright.
+    `reencoded`: whether `data` was compressed again, because of the format or because it was turned upright.
     """
 
     path: Path
@@ -51,22 +57,29 @@ class Photo:
     def turned(self) -> str:
         """Return what EXIF does to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
         # libheif has rotated a HEIC image by its own format, so its EXIF tag has no effect.
-        known = self.path.suffix.lower() not in (".heic", ".heif") and self.exif.orientation in _TURNS
+        known = self.path.suffix.lower() not in (".heic", ".heif", ".hif") and self.exif.orientation in _TURNS
         return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
 
 
-def photos_in(folder: Path) -> list[Path]:
-    """Return the photos in a folder (not below it), by name."""
-    return sorted(
-        p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
-    )
+@dataclass(frozen=True)
+class ImportedImage:
+    """`name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
+    each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
+    capture, if its row gives the start; empty: none.
+    """
+
+    name: str
+    path: Path
+    read: Callable[[], Photo]
+    capture: str = ""
 
 
 def read_photo(path: Path) -> Photo:
-    """Read a JPEG, PNG or HEIC photo, detected by its content.
+    """Read a JPEG, PNG, HEIC, WebP, TIFF or AVIF photo, detected by its content.
 
-    JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for HEIC, the upright image is
-    compressed again (JPEG quality 95). Raises ImageError for other files, and for corrupt ones.
+    JPEG and PNG bytes are unchanged unless EXIF requires a rotation; then, and for other formats, the upright image is
+    compressed again (JPEG quality 95). What follows a JPEG's image, such as a motion photo's video, is cut off. Raises
+    ImageError for other files, and for corrupt or incomplete ones.
     """
     return photo_of(read_picture(path), path)
 
@@ -74,24 +87,17 @@ def read_photo(path: Path) -> Photo:
 def photo_of(data: bytes, path: Path) -> Photo:
     """Return the photo of a file's bytes; `path`: its name in errors. Raises as `read_photo`."""
     with opened_picture(data, path) as image:
-        found = image.format or "unknown"
-        if found not in _FORMATS and found != "HEIF":
-            raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
-        facts = exif_facts(image.getexif(), str(path))
-        # libheif has already rotated a HEIC image, whatever its EXIF says.
-        if found in _FORMATS and facts.orientation == 1:
-            pixels = decode_rgb(data, str(path))
-            height, width = pixels.shape[:2]
-            sensed = sensed_by_xmp(image.info.get("xmp"), sensed_by_exif(facts), width, height)
-            return Photo(path, data, _FORMATS[found], width, height, facts, sensed, reencoded=False)
-        xmp = image.info.get("xmp")
-        upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
-        pixels = np.asarray(upright.convert("RGB"), np.uint8)
-    image_format = "png" if found == "PNG" else "jpeg"
+        if image.format not in _FORMATS:
+            raise ImageError(f"{path} is {image.format}; photos must be JPEG, PNG, HEIC, WebP, TIFF or AVIF")
+        facts, xmp = exif_facts(image.getexif(), str(path)), image.info.get("xmp")
+    turn, encoding = orientation(data, path), image_format(data)
+    reencoded = turn != 1 or not encoding
+    pixels = upright(decode_rgb(data, str(path)), turn)
     height, width = pixels.shape[:2]
-    encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
     sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
-    return Photo(path, encoded, image_format, width, height, facts, sensed, reencoded=True)
+    encoding = encoding or "jpeg"
+    stored = encode_rgb(pixels, encoding, _REENCODED_QUALITY) if reencoded else without_tail(data)
+    return Photo(path, stored, encoding, width, height, facts, sensed, reencoded)
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:

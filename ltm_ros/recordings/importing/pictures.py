@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array
 from ltm_core.base.utc_time import stamp_of_moment
 from ltm_core.cameras.sensor_pose import held_phone
-from ltm_core.storage.text_io import LARGEST_FILE
+from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.recordings.importing.arkit import (
     is_record3d,
     is_stray_scanner,
@@ -19,8 +20,7 @@ from ltm_ros.recordings.importing.arkit import (
 )
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
-from ltm_ros.recordings.importing.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
-from ltm_ros.recordings.importing.picture import ImportedImage
+from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, read_photo
 from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,
@@ -31,28 +31,43 @@ from ltm_ros.recordings.importing.sensor_track import SensorTrack
 from ltm_ros.recordings.importing.video import SUFFIXES as VIDEO_SUFFIXES
 from ltm_ros.recordings.importing.video import is_video, video_pictures
 
+_RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """Orientation of a phone by the EXIF orientation of its back camera: its sensor's rows are along the screen's side."""
 
 
-def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedImage]:
-    """Return the photos of files, folders, zips and videos. A sensor recording without photos of its own applies to all
-    photos beside it, by their time.
+@dataclass(frozen=True)
+class SkippedFile:
+    """File in a folder that is not imported. `why`: the reason, without the name."""
+
+    path: Path
+    why: str
+
+
+def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[ImportedImage], list[SkippedFile]]:
+    """Return the photos of files, folders with their subfolders, zips and videos, and the files that are not imported.
+    A sensor recording without photos of its own applies to all photos beside it, by their time.
 
     Raises RecordingError if a path does not exist, two photos share a name, there is none at all, or a file type is
     unknown.
     """
     paths = list(paths)
     found: list[ImportedImage] = []
+    skipped: list[SkippedFile] = []
     tracks: list[SensorTrack] = []
     for path in paths:
         if not path.exists():
             raise RecordingError(f"no photo, folder or recording at {path}")
+        inside: list[ImportedImage] = []
         for part in _found_in(path, assumed):
-            if isinstance(part, SensorTrack):
-                tracks.append(part)
-            else:
-                found.append(part)
+            match part:
+                case SensorTrack():
+                    tracks.append(part)
+                case SkippedFile():
+                    skipped.append(part)
+                case _:
+                    inside.append(part)
+        found += _apart(inside, path)
     if tracks:
         found = [_beside(picture, tracks, assumed) for picture in found]
     names: dict[str, Path] = {}
@@ -66,45 +81,86 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[ImportedI
             "photos taken meanwhile with another --images"
         )
     if not found:
+        others = f" ({skipped[0].path.name}: {skipped[0].why})" if skipped else ""
         raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}; supported: {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
-            "recordings of phones"
+            f"no photos in {', '.join(map(str, paths))}{others}; supported: "
+            f"{', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and recordings of phones"
         )
-    return found
+    return found, skipped
 
 
-def _found_in(path: Path, assumed: Assumptions) -> list[ImportedImage | SensorTrack]:
+def _apart(found: list[ImportedImage], folder: Path) -> list[ImportedImage]:
+    """Return the photos of a folder with their subfolders in the names that would occur twice: phones count anew in
+    each of their folders."""
+    count = Counter(picture.name for picture in found)
+    return [
+        replace(picture, name=picture.path.relative_to(folder).as_posix())
+        if count[picture.name] > 1 and picture.path.is_relative_to(folder)
+        else picture
+        for picture in found
+    ]
+
+
+def _found_in(path: Path, assumed: Assumptions) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
     if path.is_dir() or is_zip(path):
         files = CaptureFiles(path)
         if is_sensor_logger(files):
-            return _sensor_logger(files)
-        if is_stray_scanner(files):
-            return [*stray_scanner_pictures(files, assumed)]
-        if is_record3d(files):
-            return [*record3d_pictures(files, assumed)]
-        if path.is_dir():
-            videos = [p for p in sorted(path.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES and is_video(p)]
-            frames = [picture for video in videos for picture in video_pictures(video, assumed)]
-            return [*(_photo_file(p) for p in photos_in(path)), *frames]
-        raise RecordingError(
-            f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
-            "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
-        )
-    if path.suffix.lower() == ".json":
+            yield from _sensor_logger(files)
+        elif is_stray_scanner(files):
+            yield from stray_scanner_pictures(files, assumed)
+        elif is_record3d(files):
+            yield from record3d_pictures(files, assumed)
+        elif path.is_dir():
+            yield from _in_folder(path, assumed)
+        else:
+            raise RecordingError(
+                f"{path}: a zip of an unknown app (it contains {', '.join(files.names[:5]) or 'nothing'}): without a "
+                "Location table, the photos' positions are unknown; unpack it and give its folder of photos"
+            )
+    elif path.suffix.lower() == ".json":
         track = read_sensor_logger_json(path)
         if track is None:
             raise RecordingError(f"{path}: is not a recording of Sensor Logger (a list of objects with `sensor`)")
-        return [track]
-    if is_video(path):
-        return [*video_pictures(path, assumed)]
-    return [_photo_file(path)]
+        yield track
+    elif is_video(path):
+        yield from video_pictures(path, assumed)
+    else:
+        yield _photo_file(path)
+
+
+def _in_folder(folder: Path, assumed: Assumptions) -> Iterator[ImportedImage | SensorTrack | SkippedFile]:
+    """Yield what a folder without a capture holds. Hidden files, such as AppleDouble's `._IMG_1.JPG`, are ignored."""
+    try:
+        paths = sorted(folder.iterdir())
+    except OSError as error:
+        yield SkippedFile(folder, f"the folder cannot be read ({error.strerror})")
+        return
+    photos = {path.stem.lower() for path in paths if path.suffix.lower() in SUFFIXES}
+    for path in paths:
+        suffix = path.suffix.lower()
+        if suffix == ".icloud":
+            yield SkippedFile(path, "only in iCloud; download the original")
+        elif path.name.startswith(".") or (path.is_dir() and path.is_symlink()):
+            continue
+        elif path.is_dir():
+            yield from _found_in(path, assumed)
+        elif suffix in SUFFIXES and path.is_file():
+            yield _photo_file(path)
+        elif suffix == ".mov" and path.stem.lower() in photos:
+            yield SkippedFile(path, "video of a Live Photo; give the file itself to import it")
+        elif suffix in VIDEO_SUFFIXES and path.is_file() and is_video(path):
+            yield from video_pictures(path, assumed)
+        elif suffix in _RAW:
+            yield SkippedFile(path, "raw photo; export it as JPEG")
+        elif suffix != ".srt":  # subtitles are read with their video
+            yield SkippedFile(path, "not a supported photo or video")
 
 
 def _photo_file(path: Path) -> ImportedImage:
     return ImportedImage(path.name, path, lambda: read_photo(path))
 
 
-def _sensor_logger(files: CaptureFiles) -> list[ImportedImage | SensorTrack]:
+def _sensor_logger(files: CaptureFiles) -> Sequence[ImportedImage | SensorTrack]:
     track = read_sensor_logger(files)
     frames = camera_frames(files)
     if not frames:

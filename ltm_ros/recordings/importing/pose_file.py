@@ -17,6 +17,9 @@ from ltm_core.site.site import RosName
 from ltm_core.storage.config_io import checked, read_yaml
 from ltm_core.storage.text_io import LARGEST_TABLE, read_text
 
+POSES = "poses.csv"
+"""Name of the pose file beside photos that were written upright."""
+
 _SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
 
 

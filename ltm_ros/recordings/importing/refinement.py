@@ -27,10 +27,10 @@ from ltm_core.pose_estimation.skyline.picture_pose_io import (
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.site.networks import site_scene_filter, site_segmenter
 from ltm_core.site.site import Site
+from ltm_core.storage.image_io import decode_rgb
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.segmenter import Segmenter
-from ltm_msgs_py.image import decode_rgb
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
 LEAST_AGREEING = 4

@@ -16,13 +16,12 @@ import numpy as np
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
 from ltm_core.cameras.camera_config import PartialCalibration
-from ltm_core.storage.text_io import MAX_PIXELS
+from ltm_core.storage.image_io import MAX_PIXELS
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.dji import read_subtitles, subtitles_of
 from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM, ExifFacts
-from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.picture import ImportedImage
+from ltm_ros.recordings.importing.photo import ImportedImage, Photo
 from ltm_ros.recordings.importing.sensor_track import Sensed, SensorTrack
 
 SUFFIXES = (".mp4", ".mov", ".m4v")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.label_heads.labelled_frames import read_frames, without_classes
-from ltm_core.storage.text_io import read_rgb
+from ltm_core.storage.image_io import read_rgb
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.evaluation.segmentation.network_score import score_frames

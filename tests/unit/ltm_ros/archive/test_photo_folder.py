@@ -10,7 +10,7 @@ from scenes.small_site import write_small_site
 
 from ltm_core.base.errors import ArchiveError
 from ltm_core.site.site_io import load_site
-from ltm_core.storage.text_io import LARGEST_FILE
+from ltm_core.storage.image_io import LARGEST_FILE
 from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
 from ltm_ros.archive.manifest import ArchiveFrame

@@ -17,7 +17,7 @@ from scenes.source_under_test import CALIBRATION, Sourced, settings
 from scenes.timed_picture import jpeg, scene, time_in, with_time
 
 from ltm_core.base.types import UInt8Array
-from ltm_msgs_py.image import decode_rgb
+from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.camera_source import CameraDirection
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading

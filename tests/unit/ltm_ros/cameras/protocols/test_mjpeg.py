@@ -11,7 +11,7 @@ from scenes.http_camera import Behaviour, HttpCamera, Request, running
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import jpeg, scene, time_in
 
-from ltm_msgs_py.image import decode_rgb
+from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.runtime.clocks import SystemClock
 
 FAST = {"frame_s": 0.02}

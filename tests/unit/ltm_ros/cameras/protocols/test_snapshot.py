@@ -12,7 +12,7 @@ from scenes.http_camera import Behaviour, HttpCamera, running
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import exif_of, jpeg, scene, time_in, with_time
 
-from ltm_msgs_py.image import decode_rgb
+from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.protocols.http_pictures import SnapshotReader
 from ltm_ros.cameras.protocols.picture import Nothing
 from ltm_ros.runtime.clocks import SystemClock
