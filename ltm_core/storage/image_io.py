@@ -248,39 +248,40 @@ def _missing_bytes(data: bytes) -> float:
 
 
 def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
+    """Decode a JPEG, and check that the decoder filled in nothing.
+
+    If the image has one scan, blocks without data are grey. The rare image that has such blocks is decoded again, small
+    and with other data where data may be missing: only filled-in blocks change. Images of several scans are always
+    decoded twice.
+    """
     jpeg = Jpeg.of(data, what)
     if len(jpeg.scans) > _MOST_SCANS:
         raise ImageError(f"{what} has {len(jpeg.scans)} scans, at most {_MOST_SCANS} are decoded; save the image again")
     _check_pixels(jpeg.width, jpeg.height, what)
-    if not jpeg.scans:
-        raise ImageError(f"{what} is truncated: 100 % of the image are missing; send or copy it again")
-    image = _by_opencv(jpeg.alone(data), what, reduced)
-    missing = jpeg.unfinished or _filled_in(data, jpeg, image, reduced)
+    missing = jpeg.unfinished
+    if jpeg.simple:
+        image = _by_opencv(jpeg.alone(data), what, reduced)
+        side = max(8 // reduced, 2)
+        grey = _grey_blocks(image, side)
+        if grey.any() and jpeg.restarts_as_expected(data):
+            step = side * reduced // 8
+            small = _by_pillow(jpeg.with_other_data(data), what, 8)[::step, ::step]
+            grey &= (small[: grey.shape[0], : grey.shape[1]][grey] != _FILL).any()
+        missing = float(grey.mean()) if grey.any() else 0.0
+    elif not missing:
+        image = _by_pillow(jpeg.alone(data), what, reduced)
+        other = _by_pillow(jpeg.with_other_data(data), what, reduced)
+        missing = 0.0 if np.array_equal(image, other) else float((image != other).any(axis=2).mean())
     if missing:
         raise ImageError(f"{what} is truncated: {missing:.1%} of the image are missing; send or copy it again")
     return image
 
 
-def _filled_in(data: bytes, jpeg: Jpeg, image: UInt8Array, reduced: int) -> float:
-    """Return the share of the image that the decoder filled in.
-
-    If the image has one scan, blocks without data are grey; the rare image that has such blocks is decoded again, small
-    and with other data where data may be missing: filled-in blocks change. Images of several scans are always decoded
-    again.
-    """
-    if not jpeg.simple:
-        other = _by_opencv(jpeg.with_other_data(data), "image", reduced)
-        return 0.0 if np.array_equal(other, image) else float((other != image).any(axis=2).mean())
-    side = max(8 // reduced, 2)
-    grey = _grey_blocks(image, side)
-    if not grey.any():
-        return 0.0
-    if jpeg.restarts_as_expected(data):
-        step = side * reduced // 8
-        small = _by_opencv(jpeg.with_other_data(data), "image", 8)[::step, ::step]
-        if (small[: grey.shape[0], : grey.shape[1]][grey] == _FILL).all():
-            return 0.0
-    return float(grey.mean())
+def _by_pillow(data: bytes, what: str, reduced: int) -> UInt8Array:
+    """Decode a JPEG. Unlike OpenCV, Pillow prints no warning."""
+    with opened_picture(data, what) as image:
+        image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))
+        return np.asarray(image.convert("RGB"), np.uint8)
 
 
 def _grey_blocks(image: UInt8Array, side: int) -> BoolArray:

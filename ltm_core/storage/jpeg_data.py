@@ -67,7 +67,7 @@ class Jpeg:
             elif marker == 0:
                 scans.append((first, last))
                 end = last
-        if not frame:
+        if not ids:
             raise ImageError(f"{what} is corrupt: its header cannot be read")
         height, width = struct.unpack(">HH", frame[1:5])
         if process not in _PROCESSES or frame[0] != 8:
@@ -84,7 +84,7 @@ class Jpeg:
     @property
     def simple(self) -> bool:
         """Return whether blocks without data are grey: one scan with all coefficients, not of printing inks."""
-        return self.process != _PROGRESSIVE and len(self.scans) == 1 and self.components <= 3
+        return len(self.scans) == 1 and self.unfinished == 0 and self.process != _PROGRESSIVE and self.components <= 3
 
     def alone(self, data: bytes) -> bytes:
         """Return the image's own bytes: without what follows it, and with an end marker."""

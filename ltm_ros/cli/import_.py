@@ -15,7 +15,7 @@ def import_(
         list[Path],
         typer.Option(
             "--images",
-            help="Photo (JPEG, PNG, HEIC, WebP, TIFF, AVIF), video, folder, or Sensor Logger, Stray Scanner or Record3D "
+            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D "
             "recording. Repeatable.",
         ),
     ],

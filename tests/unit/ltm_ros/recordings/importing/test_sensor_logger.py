@@ -272,7 +272,7 @@ def test_a_photo_that_is_not_of_the_walk_is_told_of_its_time(tmp_path: Path, sit
     ):
         import_photos([late], tmp_path / "bag", site=site, assumed=LENS)
     report = import_photos([late], tmp_path / "bag", site=site, assumed=LENS, skip_bad=True)
-    assert [path.name for path, _ in report.skipped] == [f"{STAMP // 1_000_000 + 3_600_000}.jpg"]
+    assert [path.name for path, _ in report.rejected] == [f"{STAMP // 1_000_000 + 3_600_000}.jpg"]
 
 
 def test_a_place_under_the_ground_is_taken_as_above_it_and_told(tmp_path: Path, site: Site) -> None:
