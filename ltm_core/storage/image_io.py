@@ -23,6 +23,9 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.storage.jpeg_data import Jpeg
 
+# Pillow warns of large images and odd EXIF; what matters is checked here.
+warnings.filterwarnings("ignore", module=r"PIL|pillow_heif")
+
 LARGEST_FILE = 256 << 20
 """Maximum size of a photo file in bytes."""
 MAX_PIXELS = 64_000_000
@@ -69,11 +72,9 @@ def opened_picture(data: bytes, place: Path | str) -> Iterator[Image.Image]:
 
         register_heif_opener()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large images and odd EXIF; what matters is checked here
-            with Image.open(BytesIO(data), formats=_FORMATS) as image:
-                _check_pixels(*image.size, str(place))
-                yield image
+        with Image.open(BytesIO(data), formats=_FORMATS) as image:
+            _check_pixels(*image.size, str(place))
+            yield image
     except UnidentifiedImageError as error:
         raise ImageError(f"{place}: cannot be read: it has an unsupported format or is truncated") from error
     except _BROKEN as error:
@@ -124,8 +125,8 @@ def orientation(data: bytes, place: Path | str) -> int:
     """Return the EXIF orientation that applies to the decoded pixels: 1 if there is none."""
     with opened_picture(data, place) as image:
         stated = image.getexif().get(_ORIENTATION, 1)
-        # libheif has rotated a HEIC image by its own format, so its EXIF tag has no effect.
-        return stated if stated in _TURNS and image.format != "HEIF" else 1
+        # libheif turns a HEIC image by its own format, and Pillow a TIFF by its tag.
+        return stated if stated in _TURNS and image.format not in ("HEIF", "TIFF") else 1
 
 
 def upright(pixels: UInt8Array, turn: int) -> UInt8Array:

@@ -56,8 +56,9 @@ class Photo:
     @property
     def turned(self) -> str:
         """Return what EXIF does to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
-        # libheif has rotated a HEIC image by its own format, so its EXIF tag has no effect.
-        known = self.path.suffix.lower() not in (".heic", ".heif", ".hif") and self.exif.orientation in _TURNS
+        # Decoders have turned these formats.
+        own = (".heic", ".heif", ".hif", ".tif", ".tiff")
+        known = self.path.suffix.lower() not in own and self.exif.orientation in _TURNS
         return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
 
 

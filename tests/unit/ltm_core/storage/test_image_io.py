@@ -1,0 +1,307 @@
+"""Images with missing data are rejected with the missing share, and complete ones are accepted."""
+
+from __future__ import annotations
+
+import ast
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pillow_heif
+import pytest
+from PIL import Image, ImageOps
+
+from ltm_core.base.errors import ImageError
+from ltm_core.base.types import UInt8Array
+from ltm_core.storage.image_io import decode_rgb, opened_picture, read_rgb, read_values, stated_size, without_tail
+from ltm_core.storage.jpeg_data import Jpeg
+
+REPOSITORY = Path(__file__).parents[4]
+END = b"\xff\xd9"
+
+
+def scene(height: int = 240, width: int = 320) -> UInt8Array:
+    """Return an image with a third of mid-grey, the colour that libjpeg fills in."""
+    v, u = np.mgrid[:height, :width]
+    noise = np.random.default_rng(0).integers(0, 30, (height, width, 3))
+    image = np.stack([u % 200, v % 200, (u + v) % 200], axis=-1) + noise
+    image[:, : width // 3] = 128
+    return image.astype(np.uint8)
+
+
+def encoded(form: str = "JPEG", image: UInt8Array | None = None, mode: str = "RGB", **options: Any) -> bytes:
+    pillow_heif.register_heif_opener()
+    stream = BytesIO()
+    Image.fromarray(scene() if image is None else image).convert(mode).save(stream, form, **options)
+    return stream.getvalue()
+
+
+JPEGS: dict[str, dict[str, Any]] = {
+    "4:2:0": {},
+    "4:4:4": {"subsampling": 0},
+    "4:2:2": {"subsampling": 1, "optimize": True},
+    "restarts": {"restart_marker_rows": 1},
+    "many restarts": {"restart_marker_blocks": 1},
+    "progressive": {"progressive": True},
+    "progressive restarts": {"progressive": True, "restart_marker_rows": 2},
+    "grey": {"mode": "L"},
+    "inks": {"mode": "CMYK"},
+}
+
+
+def missing_share(data: bytes, reduced: int = 1) -> float:
+    """Return the share that the error states."""
+    with pytest.raises(ImageError, match=r"is truncated") as error:
+        decode_rgb(data, "image", reduced)
+    found = re.search(r"([\d.]+)\s?%", str(error.value))
+    assert found
+    return float(found[1]) / 100
+
+
+def cut(data: bytes, kept: float) -> bytes:
+    """Return a JPEG with this share of the data of all scans together."""
+    first = Jpeg.of(data, "").scans[0][0]
+    return data[: first + round((len(data) - first) * kept)]
+
+
+@pytest.mark.parametrize("end", [b"", END, b"\xff" + END, bytes(5000)])
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.96])
+@pytest.mark.parametrize("kind", JPEGS)
+def test_a_jpeg_whose_data_end_early_is_rejected(kind: str, kept: float, end: bytes) -> None:
+    share = missing_share(cut(encoded(**JPEGS[kind]), kept) + end)
+    if kind not in ("progressive", "progressive restarts", "inks"):
+        # The grey third counts, too, if something is missing.
+        assert share == pytest.approx(1 - kept * 2 / 3, abs=0.12)
+
+
+@pytest.mark.parametrize("reduced", [2, 4, 8])
+def test_a_reduced_image_is_checked_too(reduced: int) -> None:
+    image = scene()
+    image[:, : image.shape[1] // 3] = 40
+    data = encoded(image=image, quality=90)
+    assert decode_rgb(data, "image", reduced).shape == (240 // reduced, 320 // reduced, 3)
+    assert missing_share(cut(data, 0.6) + END, reduced) == pytest.approx(0.4, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data + b"trailing garbage" + bytes(40),
+        lambda data: data + bytes(4000),
+        lambda data: data[:-2],
+        lambda data: data[:-2] + b"\xff\xff\xff" + END,
+        lambda data: data[:-2] + b"extraneous" + END,
+        lambda data: data + encoded(quality=20),
+        lambda data: data + b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 9 + END,
+        lambda data: data[:2] + b"\xff\xe1\x00\x06\xff\xd9\xff\xda" + data[2:],
+    ],
+    ids=["garbage", "zeros", "no end", "fill", "extra", "second image", "video", "markers inside a segment"],
+)
+@pytest.mark.parametrize("kind", JPEGS)
+def test_a_complete_jpeg_is_accepted(kind: str, change: Callable[[bytes], bytes]) -> None:
+    whole = encoded(**JPEGS[kind])
+    np.testing.assert_array_equal(decode_rgb(change(whole)), decode_rgb(whole))
+    np.testing.assert_array_equal(decode_rgb(without_tail(change(whole))), decode_rgb(whole))
+
+
+def test_bytes_between_the_segments_are_skipped() -> None:
+    data = encoded()
+    at = data.index(b"\xff\xdb")
+    np.testing.assert_array_equal(decode_rgb(data[:at] + b"\0\x11" + data[at:]), decode_rgb(data))
+
+
+def test_a_grey_image_is_complete_and_half_of_it_is_not() -> None:
+    data = encoded(image=np.full((240, 320, 3), 128, np.uint8))
+    assert (decode_rgb(data) == 128).all()
+    assert missing_share(cut(data, 0.5) + END) > 0.99
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+def test_a_missing_restart_interval_is_found(progressive: bool) -> None:
+    data = encoded(restart_marker_rows=1, progressive=progressive)
+    marks = [m.start() for m in re.finditer(rb"\xff[\xd0-\xd7]", data)]
+    missing_share(data[: marks[4] + 2] + data[marks[5] :])
+    if not progressive:
+        missing_share(data[: marks[4]] + data[marks[5] :])
+
+
+def test_scans_that_are_missing_are_found() -> None:
+    data = encoded(progressive=True)
+    scans = Jpeg.of(data, "").scans
+    # Without the last refinement of the luminance, and with the first of ten scans only.
+    assert 0.2 < missing_share(data[: scans[-2][1]] + END) < 0.5
+    assert missing_share(data[: scans[0][1]] + END) == 1.0
+
+
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.97])
+@pytest.mark.parametrize("zeros", [False, True])
+@pytest.mark.parametrize(("form", "options"), [("HEIF", {}), ("AVIF", {}), ("WEBP", {}), ("WEBP", {"lossless": True})])
+def test_other_formats_that_are_cut_are_rejected_with_the_share(
+    form: str, options: dict[str, Any], kept: float, zeros: bool
+) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (300, 400, 3), np.uint8)
+    whole = encoded(form, noise, **options)
+    assert decode_rgb(whole).shape == noise.shape
+    data = whole[: round(len(whole) * kept)]
+    share = missing_share(data + bytes(len(whole) - len(data)) if zeros else data)
+    assert share == pytest.approx(1 - kept, abs=0.01)
+
+
+@pytest.mark.parametrize("kept", [0.3, 0.97])
+@pytest.mark.parametrize(
+    ("form", "options"),
+    [("PNG", {}), ("TIFF", {}), ("TIFF", {"compression": "tiff_lzw"}), ("GIF", {}), ("BMP", {})],
+)
+def test_formats_that_state_no_size_are_rejected_when_cut(form: str, options: dict[str, Any], kept: float) -> None:
+    whole = encoded(form, **options)
+    assert decode_rgb(whole).shape == (240, 320, 3)
+    with pytest.raises(ImageError, match="truncated"):
+        decode_rgb(whole[: round(len(whole) * kept)])
+
+
+def chunk(kind: bytes, body: bytes = b"") -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def png_of(width: int, height: int, pixels: bytes = b"") -> bytes:
+    """Return a PNG that states a size, with these rows."""
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", pixels) + chunk(b"IEND")
+
+
+def test_a_png_with_too_few_rows_is_rejected() -> None:
+    row = b"\0" + bytes(range(12))
+    assert decode_rgb(png_of(4, 6, zlib.compress(row * 6)))[5, 1].tolist() == [3, 4, 5]
+    with pytest.raises(ImageError):
+        decode_rgb(png_of(4, 6, zlib.compress(row * 3)))
+
+
+def test_an_image_is_rejected_by_the_size_that_it_states() -> None:
+    jpeg = bytearray(encoded())
+    at = jpeg.index(b"\xff\xc0")
+    jpeg[at + 5 : at + 9] = struct.pack(">HH", 65_000, 65_000)
+    for data in (png_of(30_000, 2_500), bytes(jpeg)):
+        with pytest.raises(ImageError, match=r"states a size of \d+ x \d+: more than 64 million pixels"):
+            decode_rgb(data)
+    assert stated_size(png_of(40, 25)) == (40, 25)
+
+
+def test_a_png_chunk_longer_than_the_file_is_rejected() -> None:
+    """OpenCV would allocate the gigabyte that such a chunk states."""
+    content = bytearray(encoded("PNG"))
+    at = content.index(b"IDAT") - 4
+    content[at : at + 4] = (0x40000110).to_bytes(4, "big")
+    with pytest.raises(ImageError, match="truncated: its chunks state more bytes than it has"):
+        decode_rgb(bytes(content))
+
+
+def with_frame(process: int, bits: int) -> bytes:
+    data = bytearray(encoded())
+    at = data.index(b"\xff\xc0")
+    data[at + 1], data[at + 4] = process, bits
+    return bytes(data)
+
+
+def animation(form: str) -> bytes:
+    stream, frames = BytesIO(), [Image.fromarray(scene()), Image.fromarray(scene()[::-1])]
+    frames[0].save(stream, form, save_all=True, append_images=frames[1:])
+    return stream.getvalue()
+
+
+def dng() -> bytes:
+    """Return a TIFF of a preview, as cameras write it into a raw file."""
+    return encoded("TIFF", tiffinfo={50706: b"\1\4\0\0"})
+
+
+@pytest.mark.parametrize(
+    ("make", "why"),
+    [
+        (lambda: with_frame(0xC1, 12), "12 bits"),
+        (lambda: with_frame(0xC9, 8), "SOF9"),
+        (lambda: with_frame(0xC3, 8), "SOF3"),
+        (dng, "raw photo"),
+        (lambda: animation("GIF"), "animation"),
+        (lambda: animation("WEBP"), "animation"),
+        (lambda: encoded("TIFF", np.ones((4, 4), np.float32), "F"), "32-bit"),
+        (lambda: b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "unsupported format"),
+        (lambda: b"<html>login</html>", "unsupported format"),
+        (lambda: b"\xff\xd8\xff" + bytes(500), "header cannot be read"),
+        (lambda: b"\xff\xd8\xff\xc0\x00\x08\x08\x00\x10\x00\x10\x00" + END, "header cannot be read"),
+    ],
+)
+def test_images_that_cannot_be_checked_or_are_no_photos_are_rejected(make: Callable[[], bytes], why: str) -> None:
+    with pytest.raises(ImageError, match=why):
+        decode_rgb(make())
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF"])
+def test_sixteen_bits_keep_the_high_byte(form: str) -> None:
+    stream = BytesIO()
+    Image.fromarray(np.arange(0, 65_536, 257, np.uint16).reshape(16, 16)).save(stream, form)
+    np.testing.assert_array_equal(decode_rgb(stream.getvalue())[..., 1].ravel(), np.arange(256))
+
+
+def test_a_stereo_pair_gives_its_first_image() -> None:
+    stream, pair = BytesIO(), [Image.fromarray(scene()), Image.fromarray(scene()[::-1])]
+    pair[0].save(stream, "MPO", save_all=True, append_images=pair[1:])
+    data = stream.getvalue()
+    np.testing.assert_array_equal(decode_rgb(without_tail(data)), decode_rgb(data))
+    assert len(without_tail(data)) < len(data) * 2 / 3
+
+
+@pytest.mark.parametrize("form", ["JPEG", "PNG", "TIFF", "WEBP", "AVIF"])
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_photos_are_read_upright(tmp_path: Path, turn: int, form: str) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    path = tmp_path / "photo"
+    Image.fromarray(scene(24, 32)).save(path, form, exif=exif)
+    with Image.open(path) as image:
+        wanted = np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    np.testing.assert_array_equal(read_rgb(path), wanted)
+
+
+def test_heic_is_not_turned_by_its_exif(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    pillow_heif.register_heif_opener()
+    Image.fromarray(scene(32, 48)).save(tmp_path / "a.heic", exif=exif)
+    assert read_rgb(tmp_path / "a.heic").shape == (32, 48, 3)
+
+
+def test_values_are_read_as_stored(tmp_path: Path) -> None:
+    ids = np.array([[0, 3], [255, 7]], np.uint8)
+    Image.fromarray(ids).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_values(tmp_path / "a.png"), ids)
+    Image.fromarray(ids).save(tmp_path / "a.jpg")
+    with pytest.raises(ImageError, match="JPEG"):
+        read_values(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize(
+    "raised", [EOFError("no more"), RuntimeError("odd"), TypeError("odd"), struct.error("odd"), KeyError(3)]
+)
+def test_whatever_pillow_raises_is_an_image_error(raised: Exception) -> None:
+    """EXIF and HEIC that are damaged raised each of these, out of the block that reads them."""
+    with (
+        pytest.raises(ImageError, match=rf"a\.png: cannot be read as an image \({type(raised).__name__}"),
+        opened_picture(encoded("PNG"), "a.png"),
+    ):
+        raise raised
+
+
+def test_only_one_file_calls_the_libraries_that_decode() -> None:
+    decoders = {"imdecode", "imdecodemulti", "imread", "imreadmulti", "register_heif_opener", "open_heif", "read_heif"}
+    found = set()
+    for top in ("ltm_core", "ltm_msgs_py", "ltm_ros"):
+        for path in (REPOSITORY / top).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                call = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+                if call.rpartition(".")[2] in decoders or call.endswith("Image.open"):
+                    found.add(path.relative_to(REPOSITORY).as_posix())
+    assert found == {"ltm_core/storage/image_io.py"}
