@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
@@ -32,8 +32,9 @@ MAX_PIXELS = 64_000_000
 """Maximum number of pixels of a compressed image; a few kilobytes can claim gigapixels, which would use all memory of a
 tower."""
 
-_FORMATS = ("JPEG", "PNG", "HEIF", "TIFF", "GIF", "BMP", "WEBP", "AVIF")
-"""Formats that are opened (MPO with JPEG). Other formats of Pillow are not tried: for EPS it starts Ghostscript."""
+_FORMATS = ("JPEG", "PNG", "TIFF", "GIF", "BMP", "WEBP", "AVIF")
+"""Formats that are opened besides HEIF (MPO with JPEG). Other formats of Pillow are not tried: for EPS it starts
+Ghostscript."""
 _BROKEN = (
     *(OSError, ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError),
     *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
@@ -41,12 +42,6 @@ _BROKEN = (
 """Errors that Pillow, its plugins and their EXIF parsers raise for damaged files; they have no common class."""
 _PHOTOS = {".jpg", ".jpeg", ".png"}
 _ORIENTATION, _DNG_VERSION, _SUBFILE_TYPE, _SUB_IFDS = 0x0112, 0xC612, 0x00FE, 0x014A
-_TURNS = {
-    **{2: (False, 1, -1), 3: (False, -1, -1), 4: (False, -1, 1)},
-    **{5: (True, 1, 1), 6: (True, 1, -1), 7: (True, -1, -1), 8: (True, -1, 1)},
-}
-"""Effect of EXIF's orientation tag on the stored image, CIPA DC-008 4.6.4: whether rows and columns are exchanged, then
-the steps of rows and columns."""
 _REDUCED = {
     1: cv2.IMREAD_COLOR,
     2: cv2.IMREAD_REDUCED_COLOR_2,
@@ -67,12 +62,14 @@ def opened_picture(data: bytes, place: Path | str) -> Iterator[Image.Image]:
     """Return the image of a file's bytes for its header, not decoded; `place` names it in errors. Raises ImageError for
     other files, too large ones, and any Pillow error in the block; other errors in the block must be ImageErrors
     already."""
+    formats = _FORMATS
     if data[4:8] == b"ftyp":
         from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
         register_heif_opener()
+        formats = (*formats, "HEIF")
     try:
-        with Image.open(BytesIO(data), formats=_FORMATS) as image:
+        with Image.open(BytesIO(data), formats=formats) as image:
             _check_pixels(*image.size, str(place))
             yield image
     except UnidentifiedImageError as error:
@@ -126,14 +123,14 @@ def orientation(data: bytes, place: Path | str) -> int:
     with opened_picture(data, place) as image:
         stated = image.getexif().get(_ORIENTATION, 1)
         # libheif turns a HEIC image by its own format, and Pillow a TIFF by its tag.
-        return stated if stated in _TURNS and image.format not in ("HEIF", "TIFF") else 1
+        return stated if stated in range(1, 9) and image.format not in ("HEIF", "TIFF") else 1
 
 
 def upright(pixels: UInt8Array, turn: int) -> UInt8Array:
     """Return stored pixels as an EXIF orientation shows them."""
-    exchanged, rows, columns = _TURNS.get(turn, (False, 1, 1))
-    pixels = pixels.swapaxes(0, 1) if exchanged else pixels
-    return np.ascontiguousarray(pixels[::rows, ::columns])
+    image = Image.fromarray(pixels)
+    image.getexif()[_ORIENTATION] = turn
+    return pixels if turn == 1 else np.asarray(ImageOps.exif_transpose(image), np.uint8)
 
 
 def image_format(data: bytes) -> str:
@@ -145,9 +142,13 @@ def image_format(data: bytes) -> str:
 
 def stated_size(data: bytes, what: str = "image") -> tuple[int, int]:
     """Return the (width, height) that an image's header states. Raises ImageError."""
-    if image_format(data) == "jpeg":
-        header = Jpeg.of(data, what, header_only=True)
-        return header.width, header.height
+    match image_format(data):
+        case "jpeg":
+            header = Jpeg.of(data, what, header_only=True)
+            return header.width, header.height
+        case "png" if data[12:16] == b"IHDR" and len(data) >= 24:
+            width, height = struct.unpack_from(">II", data, 16)
+            return width, height
     with opened_picture(data, what) as image:
         return image.size
 

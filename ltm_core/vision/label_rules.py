@@ -19,7 +19,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-import yaml
 from pydantic import Field, model_validator
 
 from ltm_core.base.errors import ConfigError, ModelError
@@ -174,15 +173,3 @@ def load_calibration(manifest: NetworkManifest) -> Calibration | None:
         return load_yaml(path, Calibration)
     except ConfigError as reason:
         raise ModelError(str(reason)) from reason
-
-
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    content = {
-        "classes": list(calibration.classes),
-        "measured_on": calibration.measured_on,
-        **({} if calibration.photographs is None else {"photographs": calibration.photographs}),
-        "ece": {name: round(value, 4) for name, value in calibration.ece.items()},
-        "confusion": [[round(value, 4) for value in row] for row in calibration.confusion],
-    }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(f"# confusion: rows are true classes, P(label given | true); written by `ltm train`.\n{text}")

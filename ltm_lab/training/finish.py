@@ -8,16 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
+from scipy import optimize
 
+from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, UInt8Array
-from ltm_core.label_heads.head_fit import balanced, fit_temperature
+from ltm_core.label_heads.head_fit import balanced
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.scoring.labels import CalibrationScore, SegmentationScore
-from ltm_core.vision.label_rules import Calibration, calibration_path, write_calibration
+from ltm_core.vision.label_rules import Calibration, calibration_path
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 
 _PIXELS = 4000  # of a frame, drawn for the temperature
+_RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
 
 
 class SetScore(NamedTuple):
@@ -61,6 +64,38 @@ def calibrate(
     )
     write_calibration(calibration_path(manifest), calibration)
     return temperature, scores
+
+
+def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
+    """Return the temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
+
+    `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
+    """
+    if len(logits) == 0 or logits.shape[0] != labels.shape[0]:
+        raise ImageError(f"logits {logits.shape} and labels {labels.shape}: expected (N, K) and (N,), N > 0")
+    scores = np.asarray(logits, np.float64)
+    rows = np.arange(len(scores))
+
+    def cost(log_temperature: float) -> float:
+        scaled = scores * np.exp(-log_temperature)
+        top = scaled.max(axis=1)
+        normaliser = top + np.log(np.exp(scaled - top[:, None]).sum(axis=1))
+        return float((normaliser - scaled[rows, labels]).mean())
+
+    bounds = (float(np.log(_RANGE[0])), float(np.log(_RANGE[1])))
+    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    content = {
+        "classes": list(calibration.classes),
+        "measured_on": calibration.measured_on,
+        **({} if calibration.photographs is None else {"photographs": calibration.photographs}),
+        "ece": {name: round(value, 4) for name, value in calibration.ece.items()},
+        "confusion": [[round(value, 4) for value in row] for row in calibration.confusion],
+    }
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(f"# confusion: rows are true classes, P(label given | true); written by `ltm train`.\n{text}")
 
 
 def score_sets(segmenter: Segmenter, frames: Sequence[Frame]) -> dict[str, SetScore]:

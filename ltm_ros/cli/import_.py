@@ -15,8 +15,7 @@ def import_(
         list[Path],
         typer.Option(
             "--images",
-            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D "
-            "recording. Repeatable.",
+            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D recording. Repeatable.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],

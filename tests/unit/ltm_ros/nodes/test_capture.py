@@ -63,6 +63,12 @@ def pose(stamp: int, x: float = 1.0) -> Any:
     return pose_to_msg(at(x), stamp, "map", np.diag([1.0, 2, 3, 4, 5, 6]))
 
 
+def half_grey() -> bytes:
+    """Return a JPEG of the camera's size whose data end early, though it has an end marker."""
+    whole = encode_rgb(PHOTO, "jpeg", 99)
+    return whole[: whole.index(b"\xff\xda") + 24] + b"\xff\xd9"
+
+
 @pytest.fixture
 def site(tmp_path: Path) -> Callable[..., Path]:
     """Writes a site of one camera `eye` with these settings."""
@@ -224,12 +230,13 @@ def test_an_image_that_is_the_last_one_again_is_no_new_one(capture_of: CaptureOf
         assert health.dropped == ({"repeated": 2} if told else {})
 
 
-def test_broken_image_does_not_hold_back_the_others(capture_of: CaptureOf) -> None:
+@pytest.mark.parametrize("data", [b"garbage", half_grey()])
+def test_broken_image_does_not_hold_back_the_others(capture_of: CaptureOf, data: bytes) -> None:
     capture, outlet, health = capture_of()
     for stamp in (S, 2 * S, 3 * S, 4 * S):
         capture.subscriptions[POSE](pose(stamp))
-        capture.on_image(image(stamp, b"garbage" if stamp in (S, 3 * S) else None))
-    with pytest.raises(ImageError, match="neither jpeg nor png"):
+        capture.on_image(image(stamp, data if stamp in (S, 3 * S) else None))
+    with pytest.raises(ImageError, match=r"neither jpeg nor png|truncated"):
         capture.on_camera_info(info(0))
     assert outlet.stamps(POSED_IMAGE) == [2 * S, 4 * S]
     # The one that is raised is counted by who called.

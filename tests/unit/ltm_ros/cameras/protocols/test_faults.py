@@ -236,7 +236,7 @@ FAULTS = (
     Fault("silent", lambda b: b.behave(stall_s=3.0), "stalled", 15, "does not respond"),
     Fault("silent within a picture", lambda b: b.behave(stall_within_s=3.0), "stalled", 15, "does not respond"),
     Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 15, "closed the connection"),
-    Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
+    Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "truncated"),
     Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
     Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "neither"),
     Fault("empty picture", lambda b: b.render(lambda _: b""), "stalled", 50, "of 0 bytes"),

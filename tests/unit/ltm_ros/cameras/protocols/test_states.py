@@ -11,6 +11,7 @@ import pytest
 from scenes.source_under_test import Sourced, TurnedClock, settings
 from scenes.timed_picture import jpeg, scene
 
+from ltm_ros.cameras.protocols.credentials import PictureError
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.picture import (
     CameraImage,
@@ -33,6 +34,12 @@ def test_thumbnails_of_bytes_and_of_pixels_show_the_same() -> None:
     assert small.shape == picked.shape == (45, 80, 3)
     assert np.abs(small.astype(int) - picked).mean() < 8
     assert (difference_hash(small) ^ difference_hash(picked)).bit_count() <= 2
+
+
+def test_an_image_with_missing_rows_is_an_error() -> None:
+    data = jpeg(scene(640, 360))
+    with pytest.raises(PictureError, match=r"\d %|\d% of the image are missing"):
+        thumbnail_of_bytes(data[: len(data) // 2] + b"\xff\xd9")
 
 
 def test_night_is_dark_but_for_lamps_or_without_colour() -> None:
