@@ -221,7 +221,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
-    unreadable: ImageError | None = None
+    unreadable: LtmError | None = None
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
@@ -230,7 +230,7 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
         if lon is None or lat is None:
             try:
                 sensed = file.read().sensed
-            except ImageError as error:  # it is reported when it is placed
+            except LtmError as error:  # it is reported when it is placed
                 unreadable = unreadable or error
                 continue
             lon, lat = sensed.lon, sensed.lat

@@ -21,7 +21,7 @@ from ltm_ros.recordings.importing.dji import sensed_by_xmp
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
 from ltm_ros.recordings.importing.sensor_track import Sensed
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".tif", ".tiff", ".avif", ".mpo")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
 _FORMATS = ("JPEG", "MPO", "PNG", "HEIF", "WEBP", "TIFF", "AVIF")
 _REENCODED_QUALITY = 95
 _TURNS = {

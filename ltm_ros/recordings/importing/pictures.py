@@ -149,11 +149,26 @@ def _in_folder(folder: Path, assumed: Assumptions) -> Iterator[ImportedImage | S
         elif suffix == ".mov" and path.stem.lower() in photos:
             yield SkippedFile(path, "video of a Live Photo; give the file itself to import it")
         elif suffix in VIDEO_SUFFIXES and path.is_file() and is_video(path):
-            yield from video_pictures(path, assumed)
+            yield from _video(path, assumed)
+        elif suffix in (".tif", ".tiff"):
+            yield SkippedFile(path, "TIFF, perhaps a map; give the file itself to import it")
         elif suffix in _RAW:
             yield SkippedFile(path, "raw photo; export it as JPEG")
         elif suffix != ".srt":  # subtitles are read with their video
             yield SkippedFile(path, "not a supported photo or video")
+
+
+def _video(path: Path, assumed: Assumptions) -> list[ImportedImage]:
+    """Return the frames of a video; if it is damaged, one that raises the reason, as a damaged photo does."""
+    try:
+        return video_pictures(path, assumed)
+    except RecordingError as error:
+        reason = error
+
+    def read() -> Photo:
+        raise reason
+
+    return [ImportedImage(path.name, path, read)]
 
 
 def _photo_file(path: Path) -> ImportedImage:

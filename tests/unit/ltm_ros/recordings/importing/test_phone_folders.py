@@ -12,7 +12,7 @@ from PIL import Image
 from typer.testing import CliRunner
 from unit.ltm_ros.recordings.importing.test_photos import GROUND, LEVEL, contents, phone, picture, save, site
 
-from ltm_core.base.errors import ImageError
+from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_msgs_py.image import compressed_to_rgb
@@ -33,7 +33,14 @@ def phone_folder(folder: Path) -> Path:
         save(folder / name, phone(**{"photo_0x9003": f"2024:07:04 18:30:{20 + i}"}))
     for name in ("100APPLE/IMG_0001.MOV", "100APPLE/IMG_0002.mov"):
         (folder / name).write_bytes(VIDEO)
-    others = ("raw/IMG_0003.DNG", "IMG_0001.AAE", "100APPLE/._IMG_0002.JPG", ".IMG_0009.HEIC.icloud", "broken.mp4")
+    others = (
+        "raw/IMG_0003.DNG",
+        "dem.tif",
+        "IMG_0001.AAE",
+        "100APPLE/._IMG_0002.JPG",
+        ".IMG_0009.HEIC.icloud",
+        "broken.mp4",
+    )
     for name in others:
         (folder / name).write_bytes(b"\0\5\x16\7")
     return folder
@@ -50,6 +57,7 @@ def test_every_file_of_a_phone_is_accounted_for(tmp_path: Path) -> None:
         "100APPLE/IMG_0002.mov": "video of a Live Photo",
         "IMG_0001.AAE": "not a supported photo or video",
         "broken.mp4": "not a supported photo or video",
+        "dem.tif": "TIFF, perhaps a map",
         "raw/IMG_0003.DNG": "raw photo",
     }
 
@@ -89,6 +97,17 @@ def test_other_formats_are_imported_as_jpeg(tmp_path: Path, site: Site, name: st
     assert np.abs(compressed_to_rgb(image).astype(int) - picture()).mean() < 8
 
 
+def test_a_damaged_video_is_rejected_like_a_damaged_photo(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "photos").mkdir()
+    save(tmp_path / "photos/a.jpg", phone())
+    (tmp_path / "photos/b.mp4").write_bytes(VIDEO)
+    with pytest.raises(RecordingError, match=r"b\.mp4"):
+        import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=LEVEL)
+    report = import_photos([tmp_path / "photos"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
+    assert [path.name for path, _ in report.rejected] == ["b.mp4"]
+    assert report.cameras == {"phone": 1}
+
+
 def test_a_raw_photo_with_a_preview_is_no_photo(tmp_path: Path) -> None:
     Image.fromarray(picture()).save(tmp_path / "a.tif", tiffinfo={50706: b"\1\4\0\0"})
     with pytest.raises(ImageError, match="raw photo"):
@@ -109,5 +128,5 @@ def test_the_command_ends_with_a_table_of_all_files(tmp_path: Path) -> None:
     counts = [(word, int(number)) for word, number, _ in rows]
     assert counts.count(("rejected", 1)) == 2
     assert ("imported", 4) in counts
-    assert sum(number for word, number in counts if word == "skipped") == 6
+    assert sum(number for word, number in counts if word == "skipped") == 7
     assert decode_rgb(whole).shape == picture().shape
