@@ -62,7 +62,7 @@ def opened_picture(data: bytes, place: Path | str) -> Iterator[Image.Image]:
     """Return the image of a file's bytes for its header, not decoded; `place` names it in errors. Raises ImageError for
     other files, too large ones, and any Pillow error in the block; other errors in the block must be ImageErrors
     already."""
-    formats = _FORMATS
+    formats: tuple[str, ...] = _FORMATS
     if data[4:8] == b"ftyp":
         from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
