@@ -11,8 +11,17 @@ import numpy as np
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
-from ltm_core.label_heads.head_fit import FittedHead, HeadFitConfig, balanced, fit_exponent, fit_head
-from ltm_core.label_heads.head_samples import PhotoSamples, by_area, photo_samples, sites_of
+from ltm_core.label_heads.head_fit import (
+    FittedHead,
+    HeadFitConfig,
+    PhotoSamples,
+    balanced,
+    by_area,
+    fit_exponent,
+    fit_head,
+    photo_samples,
+    sites_of,
+)
 from ltm_core.label_heads.labelled_frames import Frame
 from ltm_core.pictures.legend import label_legend, to_png, with_legend
 from ltm_core.pictures.photo_overlays import overlay_labels
