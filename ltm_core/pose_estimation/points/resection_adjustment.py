@@ -39,6 +39,10 @@ REMEDY = (
 )
 
 
+class NoCommonPoseError(PoseError):
+    """The points do not fit one pose of a camera with these free parameters."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     camera: Camera
@@ -78,7 +82,7 @@ class Adjustment:
         for _ in range(10):
             used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
-                raise PoseError(
+                raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
                     f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
                 )
@@ -219,7 +223,7 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
     limit = MAX_MEDIAN_SHARE * diagonal(fit.camera)
     median = median_px(fit.residuals)
     if median > limit:
-        raise PoseError(
+        raise NoCommonPoseError(
             f"no pose explains the control points: the median residual is {median:.0f} px (limit {limit:.0f} px): "
             f"{named(points, fit.residuals, np.ones(len(points.names), bool))}. {REMEDY}"
         )

@@ -19,7 +19,7 @@ from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.pose_file import PhotoPose
 
-_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose)"
+_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Write imported photos as files with a photo list of their known values, for `ltm pose --photo`."""
+"""Write imported photos as files with a photo list of their known values, for `ltm pose photo`."""
 
 from __future__ import annotations
 

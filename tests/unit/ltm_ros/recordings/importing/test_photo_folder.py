@@ -27,7 +27,7 @@ def test_sigmas_come_back_from_a_covariance(pitch: float) -> None:
 
 
 def test_the_list_of_an_import_makes_the_same_recording(tmp_path: Path) -> None:
-    """Pixels, poses, sigmas and lenses: what is known goes to `ltm pose --photo`, and comes back the same way."""
+    """Pixels, poses, sigmas and lenses: what is known goes to `ltm pose photo`, and comes back the same way."""
     site = phone_site(tmp_path)
     write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
     folder = tmp_path / "photos"
@@ -67,7 +67,7 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) -> None:
-    """As `ltm pose --photo` leaves it, one a photo; the recording keeps the time."""
+    """As `ltm pose photo` leaves it, one a photo; the recording keeps the time."""
     site = phone_site(tmp_path)
     write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
     folder = tmp_path / "found"
