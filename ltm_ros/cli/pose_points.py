@@ -129,20 +129,19 @@ def _what_fits(
 
     from ltm_core.base.errors import PoseError
 
-    tried = [([*free, "position"], sigma_px)] if "position" not in free else []
-    for names, pixels in (*tried, (free, 2 * sigma_px), (["position"], 2 * sigma_px)):
+    free_place = free if "position" in free else [*free, "position"]
+    for names, pixels in ((free_place, sigma_px), (free, 3 * sigma_px), (["position"], 2 * sigma_px)):
         try:
             result = fitted(names, pixels)
         except PoseError:
             continue
-        if len(result.outliers) >= outliers or set(names) & set(result.held) - set(free):
+        if len(result.outliers) >= outliers or "position" in result.held:
             continue
         moved = float(np.linalg.norm(result.pose.position - setup.position))
         place = f" (the camera moves by {moved:.1f} m)" if "position" in names else ""
-        wider = f" --sigma-px {pixels:g}" if pixels != sigma_px else ""
         return (
-            f". All but {len(result.outliers)} of the points fit with --free {','.join(names) or 'none'}{wider}{place}"
-            "; if the position is not exact, state position_sigma in the guess"
+            f". With --free {','.join(names) or 'none'} --sigma-px {pixels:g}, {len(result.outliers)} points do not fit"
+            f"{place}; if the position is not exact, state position_sigma in the guess"
         )
     return ""
 

@@ -113,7 +113,7 @@ def resect(
         bend: curvature coefficient of the rays, `geodesy.ray_bend`.
         position_sigma: how well `position` is known, metres, one or three: an observation of weight 1 / sigma^2 where
             the position is free, which it then stays, and its variance where it is not.
-        sigma_px: what a click is worth at best, pixels.
+        sigma_px: smallest standard deviation of a marked pixel; it is doubled if the points do not fit one pose.
         force: parameters to fit however badly the points bear them; they count as free. Too few points stay too few.
 
     Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
@@ -141,7 +141,9 @@ def resect(
             fit = problem.without_outliers(fit, tuple(chosen), sigma_px)
             check_fit(points, fit)
         except NoCommonPoseError as error:
-            misfit = misfit or error
+            if misfit is None:
+                misfit, sigma_px = error, 2 * sigma_px
+                continue
             optional = [name for name in PARAMETERS if name in chosen and name not in kept and name != "position"]
             if not optional:
                 raise misfit from None

@@ -69,7 +69,7 @@ class Adjustment:
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
-            scale = max(sigma_px, _scale(fit.residuals, 3 + size_of(free)))
+            scale = max(sigma_px, _scale(fit.residuals, self._unknowns(free)))
             fit = self._solve(
                 fit, free, everyone, min(scale, diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
             )
@@ -77,7 +77,7 @@ class Adjustment:
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
         """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable."""
-        size = 3 + size_of(free)
+        size = self._unknowns(free)
         before = None
         for _ in range(10):
             used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
@@ -93,6 +93,11 @@ class Adjustment:
                 break
             before = used
         return fit
+
+    def _unknowns(self, free: tuple[Parameter, ...]) -> int:
+        """Return the number of parameters that the pixels alone determine: a position with a sigma is observed too."""
+        known = "position" in free and self.position_sigma is not None
+        return 3 + size_of(free) - (SIZE["position"] if known else 0)
 
     def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
