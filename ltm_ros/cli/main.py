@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from typing import Annotated
 
 import typer
 
@@ -57,11 +58,30 @@ def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> 
 
 cli = typer.Typer(
     name="ltm",
-    help="Live terrain and fuel maps from fire-watch cameras.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"ltm {version('ltm')}")
+        raise typer.Exit
+
+
+@cli.callback()
+def _options(
+    version: Annotated[  # the callback prints it
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Live terrain and fuel maps from fire-watch cameras."""
+
+
 pose = typer.Typer(no_args_is_help=True, help="Find a camera's pose from points, from a photo, or for a PTZ head.")
 for method in (points, photo, mount):
     pose.command()(method)
