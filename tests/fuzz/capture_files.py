@@ -64,7 +64,7 @@ def _srt(folder: Path) -> list[bytes]:
 
 
 def _read_srt(folder: Path) -> None:
-    read_subtitles(folder / "a.srt", None)[0].at(1, np.eye(3))
+    read_subtitles(folder / "a.srt").track.at(1, np.eye(3))
 
 
 def _video(folder: Path) -> list[bytes]:

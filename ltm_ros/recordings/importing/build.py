@@ -20,9 +20,8 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import Photo
+from ltm_ros.recordings.importing.photo import ImportedImage, Photo
 from ltm_ros.recordings.importing.photo_folder import PhotoFolder
-from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.pictures import find_pictures
 from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
@@ -73,15 +72,17 @@ def import_photos(
     """
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
+    if site is not None:
+        around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+        assumed = replace(assumed, covers=around.covers)
     files = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
         given = len(files)
         files = _named_in(files, rows, poses)
     frame = site.frame if site is not None else _frame_of(files, rows)
-    around = Surroundings(frame)
-    if site is not None:
-        around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+    if site is None:
+        around = Surroundings(frame)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
     if rows is not None and len(files) < given:

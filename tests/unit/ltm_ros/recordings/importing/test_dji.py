@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scenes.movie_file import movie
-from scenes.phone_site import FRAME, GROUND, LAT, LON, imported, phone_site, picture
+from scenes.phone_site import FRAME, FX, GROUND, LAT, LON, imported, phone_site, picture
 
 from ltm_core.base.errors import LtmError, PoseError, RecordingError
 from ltm_core.geometry.pose import pose_covariance
@@ -29,7 +29,7 @@ FACTS = {
     "GimbalYawDegree": "-128.30",
     "GimbalPitchDegree": "-21.50",
     "FlightYawDegree": "+12.00",
-    "CalibratedFocalLength": "55.5",
+    "CalibratedFocalLength": "43.5",
     "CalibratedOpticalCenterX": "31.0",
     "CalibratedOpticalCenterY": "20.5",
 }
@@ -67,7 +67,7 @@ def test_a_drones_photo_is_placed_by_its_gimbal(tmp_path: Path, site: Site, elem
     np.testing.assert_allclose(pose.position, [x, y, GROUND + 61.5], atol=1e-3)
     azimuth = FRAME.true_to_grid_deg(360 - 128.3, x, y)
     np.testing.assert_allclose(pose.angles_deg, [azimuth, -21.5, 0.4], atol=1e-6)
-    assert (camera.fx, camera.cx, camera.cy) == (55.5, 31.0, 20.5)
+    assert (camera.fx, camera.cx, camera.cy) == (43.5, 31.0, 20.5)
     np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 10.0, 8.2, 0.5, 0.5), atol=1e-9)
 
 
@@ -90,7 +90,7 @@ def test_a_height_above_the_take_off_needs_its_height(tmp_path: Path, site: Site
 
 def test_a_calibration_in_millimetres_is_left_to_exif(tmp_path: Path, site: Site) -> None:
     import_photos([photo(tmp_path / "DJI_0001.JPG", CalibratedFocalLength="8.6")], tmp_path / "bag", site=site)
-    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 36 * 64)
+    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 27 * FX)
 
 
 def test_a_drone_that_looks_straight_down(tmp_path: Path, site: Site) -> None:
@@ -131,7 +131,7 @@ def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, sit
     rows = imported(tmp_path / "bag")
     assert [stamp for stamp, *_ in rows] == [1_720_143_015_500_000_000 + s * 10**9 for s in range(3)]
     for s, (_, camera, pose, _) in enumerate(rows):
-        assert camera.fx == 48.0
+        assert camera.fx == pytest.approx(FX)
         x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT + 1e-5 * s))
         np.testing.assert_allclose(pose.position, [x, y, GROUND + 50 + s], atol=0.06)
         azimuth = FRAME.true_to_grid_deg(350.0 + 10 * s, x, y)
@@ -140,17 +140,17 @@ def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, sit
 
 def test_older_subtitles_have_a_place_and_a_height_alone(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").write_text(flight(OLD))
-    track, begin, focal = read_subtitles(tmp_path / "a.SRT", None)
-    assert begin == datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC)
-    assert focal is None
-    sensed = track.at(1 + 1_500_000_000, np.eye(3))
+    found = read_subtitles(tmp_path / "a.SRT")
+    assert found.begins == datetime(2024, 7, 4, 18, 30, 15)
+    assert found.lens_at(1.0) is None
+    sensed = found.track.at(1 + 1_500_000_000, np.eye(3))
     assert sensed.lat == pytest.approx(LAT + 1.5e-5)
     assert (sensed.lon, sensed.climb, sensed.azimuth_deg) == (LON, 41.5, None)
 
 
 def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").write_text(flight(NEW))
-    track, _, _ = read_subtitles(tmp_path / "a.SRT", None)
+    track = read_subtitles(tmp_path / "a.SRT").track
     sensed = track.at(1 + 500_000_000, np.eye(3))
     assert sensed.azimuth_deg == pytest.approx(355.0, abs=0.1)
 
@@ -168,7 +168,7 @@ def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
 def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint: str) -> None:
     (tmp_path / "a.SRT").write_text(text)
     with pytest.raises(RecordingError, match=rf"a\.SRT.*{complaint}"):
-        read_subtitles(tmp_path / "a.SRT", None)
+        read_subtitles(tmp_path / "a.SRT")
 
 
 def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:

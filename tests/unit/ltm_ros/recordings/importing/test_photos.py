@@ -10,6 +10,7 @@ import pillow_heif
 import pytest
 import yaml
 from PIL import Image
+from scenes.phone_site import FX
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import CameraError, ConfigError, ImageError, LtmError, PoseError, RecordingError
@@ -112,7 +113,7 @@ def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None
     report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((stamp, camera, pose, image),) = contents(tmp_path / "bag")
     assert stamp == 1_720_143_015 * 10**9  # 2024-07-05 01:30:15 UTC
-    assert camera == Camera(W, H, 48.0, 48.0, (W - 1) / 2, (H - 1) / 2)
+    assert camera == Camera(W, H, FX, FX, (W - 1) / 2, (H - 1) / 2)
     x, y = site.frame.from_lonlat(LON, LAT)
     np.testing.assert_allclose(pose.position, [x, y, GROUND + 12.0], atol=1e-6)
     # True north turns to grid north by the meridian convergence, here -0.6 deg: sin(lat) * (lon - central meridian).
@@ -157,7 +158,7 @@ def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str
     import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((_, camera, _, image),) = contents(tmp_path / "bag")
     assert (camera.height, camera.width) == upright.shape[:2]
-    assert camera.fx == 27 / 36 * W  # the long side stays the long side
+    assert camera.fx == FX
     assert np.abs(compressed_to_rgb(image).astype(int) - upright).mean() < 6
 
 
