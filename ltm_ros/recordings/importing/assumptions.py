@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -184,12 +185,12 @@ def height_of(
                 found["height_sigma"] = sigma
                 return z
             under = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
-            _refuse_in_flight(photo, assumed, under)
+            _refuse_in_flight(photo.sensed, photo.path, assumed, under)
             notes.append(
                 f"{under}: {assumed.height_above_ground:g} m above the terrain is assumed; {_MAYBE_ELLIPSOIDAL}"
             )
         else:
-            _refuse_in_flight(photo, assumed, "its altitude is not known")
+            _refuse_in_flight(photo.sensed, photo.path, assumed, "its altitude is not known")
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
@@ -203,14 +204,16 @@ def height_of(
     return ground + above
 
 
-def _refuse_in_flight(photo: Photo, assumed: Assumptions, why: str) -> None:
-    """Raise PoseError for a drone that only gives its climb: it is not at eye height above the terrain."""
-    climb = photo.sensed.climb
-    if climb is not None and photo.sensed.walk is None and assumed.start_height is None:
-        raise PoseError(
-            f"{photo.path}: {why}, and {photo.sensed.source} only gives {climb:.1f} m above the take-off place: "
-            "give its height in the DEM's vertical datum, --start-height (0 if the drone counts from sea level)"
-        )
+def _refuse_in_flight(sensed: Sensed, path: Path, assumed: Assumptions, why: str) -> None:
+    """Raise PoseError for a drone of unknown height: it is not at eye height above the terrain."""
+    if not sensed.in_flight or (sensed.climb is not None and assumed.start_height is not None):
+        return
+    if sensed.climb is None:
+        raise PoseError(f"{path}: {why}: give the drone's z or height_above_ground in a pose file (--poses)")
+    raise PoseError(
+        f"{path}: {why}, and {sensed.source} only gives {sensed.climb:.1f} m above the take-off place: give its height "
+        "in the DEM's vertical datum, --start-height (0 if the drone counts from sea level)"
+    )
 
 
 def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[str]) -> tuple[float, float, str] | None:

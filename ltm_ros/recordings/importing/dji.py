@@ -48,6 +48,7 @@ def sensed_by_xmp(xmp: Mapping[str, str], by_exif: Sensed) -> Sensed:
     yaw, pitch, roll = angles
     facts: dict[str, Any] = {
         "source": SOURCE,
+        "in_flight": True,
         "pitch_deg": pitch,
         "roll_deg": roll,
         "tilt_sigma_deg": _GIMBAL_SIGMA_DEG,

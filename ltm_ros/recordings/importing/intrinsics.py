@@ -34,6 +34,8 @@ _LEAST_FOCAL = 0.2
 """Least focal length as a share of the long side."""
 _LEAST_SENSOR_MM = 4.4
 """Long side of the smallest sensor of a camera (1/3.2 inch); smaller ones are of digital zoom or of a resized image."""
+_NO_SENSOR_MM = 29.5, 34.5
+"""There is no sensor between APS-H and full frame; some cameras state one."""
 
 _VIDEO_FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _SUBTITLE = re.compile(r"\b(focal_len|dzoom_ratio|DZOOM)\s*:?\s*(\d+(?:[.,]\d+)?)")
@@ -108,9 +110,9 @@ def intrinsics(
     if not _LEAST_FOV_DEG <= _fov_deg(agreed[0], long) <= _LARGEST_FOV_DEG:
         limits = f"outside {_LEAST_FOV_DEG:g} to {_LARGEST_FOV_DEG:g} deg"
         raise CameraError(f"{what}: field of view along the long side ({values}) {limits}: {remedy}")
-    if all(name.startswith("FocalPlane") for name in sources) and not (
-        lens.untouched and lens.focal_mm and lens.focal_mm * long / agreed[0] * lens.zoom >= _LEAST_SENSOR_MM
-    ):
+    sensor_mm = (lens.focal_mm or 0.0) * long / agreed[0] * lens.zoom
+    exists = sensor_mm >= _LEAST_SENSOR_MM and not _NO_SENSOR_MM[0] < sensor_mm < _NO_SENSOR_MM[1]
+    if all(name.startswith("FocalPlane") for name in sources) and not (lens.untouched and exists):
         raise CameraError(
             f"{what}: only the focal plane resolution gives the field of view ({values}), and software that resizes an "
             f"image leaves it unchanged: {remedy}, or --sensor-width-mm"

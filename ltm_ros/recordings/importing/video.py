@@ -229,4 +229,4 @@ def _sensed(video: Video, flight: Flight | None, seconds: float) -> Sensed:
         position_sigma=video.position_sigma,
     )
     told = own if flight is None else flight.track.at(1 + round(seconds * 1e9), _GIMBAL).over(own)
-    return replace(told, stamp=stamp, seconds=seconds)
+    return replace(told, stamp=stamp, seconds=seconds, in_flight=flight is not None)

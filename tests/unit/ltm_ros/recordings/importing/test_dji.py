@@ -148,6 +148,86 @@ def test_older_subtitles_have_a_place_and_a_height_alone(tmp_path: Path) -> None
     assert (sensed.lon, sensed.climb, sensed.azimuth_deg) == (LON, 41.5, None)
 
 
+@pytest.mark.parametrize(
+    ("block", "position", "covered", "climb"),
+    [
+        ("GPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M", (36.6146, -6.112), None, 0.3),  # Matrice 300, in Spain
+        ("GPS(149.0251,-20.2533,16) Hb:1.9 Hs:1.9", (-20.2533, 149.0251), None, 1.9),  # Inspire
+        ("GPS (8.2090, 47.4692, 18), D 49.21m, H 45.60m, H.S 0.00m/s", (47.4692, 8.209), None, 45.6),  # Phantom 4 Pro
+        ("GPS (-58.85, -34.24, 15), HOME (-58.84, -34.23, -57.98m), H 85.80m", (-34.24, -58.85), None, 85.8),
+        ("GPS (8.2090, 47.4692, 18), D 161ft, H 150ft, H.S n/a", (47.4692, 8.209), None, 45.72),
+        ("GPS (-121.7458, 48.0771, 12.5)", (48.0771, -121.7458), None, None),  # only that is on the globe
+        ("GPS (36.6146, -6.1120)", (36.6146, -6.112), (36.6, -6.1), None),
+        ("GPS (36.6146, -6.1120)", (-6.112, 36.6146), (-6.1, 36.6), None),
+        ("GPS(36.6146,-6.1120,14) BAROMETER:0.3", (36.6146, -6.112), (36.6, -6.1), 0.3),  # against its format
+        ("[latitude: 34.2250] [longtitude: -118.0600] [altitude: 26.60]", (34.225, -118.06), None, 26.6),
+        ("[latitude: 34,2250] [longitude: -118,0600] [rel_alt: 1,300 abs_alt: 132,860]", (34.225, -118.06), None, 1.3),
+    ],
+)
+def test_the_order_of_coordinates_and_what_heights_count_from(
+    tmp_path: Path,
+    block: str,
+    position: tuple[float, float],
+    covered: tuple[float, float] | None,
+    climb: float | None,
+) -> None:
+    (tmp_path / "a.SRT").write_text(f"1\n00:00:00,000 --> 00:00:01,000\n\n2\n00:00:01,000 --> 00:00:02,000\n{block}\n")
+
+    def covers(lon: float, lat: float) -> bool:
+        return covered is not None and np.hypot(lat - covered[0], lon - covered[1]) < 1
+
+    found = read_subtitles(tmp_path / "a.SRT", covers).track.at(1 + 10**9, np.eye(3))
+    assert (found.lat, found.lon) == position
+    assert found.climb == (None if climb is None else pytest.approx(climb))
+    assert found.altitude == (132.86 if "abs_alt" in block else None)
+
+
+def test_an_order_that_nothing_decides_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "a.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nGPS (36.6146, -6.1120)\n")
+    with pytest.raises(RecordingError, match=r"36\.6146.*--site"):
+        read_subtitles(tmp_path / "a.SRT")
+
+
+def test_a_lens_that_zooms_during_the_video(tmp_path: Path) -> None:
+    text = flight(NEW)
+    (tmp_path / "a.SRT").write_text(text[: text.index("3\n00")] + text[text.index("3\n00") :].replace("27.00", "48.00"))
+    lenses = [read_subtitles(tmp_path / "a.SRT").lens_at(at) for at in (0.0, 1.9, 2.0, 60.0)]
+    assert [lens.focal_35mm for lens in lenses if lens is not None] == [27.0, 27.0, 48.0, 48.0]
+
+
+@pytest.mark.parametrize(
+    ("heights", "start", "z"),
+    [
+        ("[altitude: 1561.5]", None, None),  # above the take-off place or above sea level: nothing states it
+        ("[altitude: 61.5]", GROUND, GROUND + 61.5),
+        ("", None, None),
+        ("", GROUND, None),
+        ("[rel_alt: 61.5 abs_alt: 1561.5]", None, GROUND + 61.5),
+    ],
+)
+def test_a_height_of_unknown_origin_needs_the_take_offs(
+    tmp_path: Path, site: Site, heights: str, start: float | None, z: float | None
+) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    text = re.sub(r"\[rel_alt[^]]*\]", heights, flight(NEW))
+    (tmp_path / "DJI_0002.SRT").write_text(text)
+    assumed = Assumptions(start_height=start, time_zone=ZoneInfo("America/Los_Angeles"))
+    if z is None:
+        with pytest.raises(PoseError, match="--start-height" if heights else "pose file"):
+            import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
+    else:
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
+        assert imported(tmp_path / "bag")[0][2].position[2] == pytest.approx(z)
+
+
+def test_a_date_without_a_zone_is_reported(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    (tmp_path / "DJI_0002.SRT").write_text(flight(NEW))
+    report = import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
+    assert any("--time-zone" in note for _, note in report.notes)
+    assert imported(tmp_path / "bag")[0][0] == 1_720_117_815_500_000_000  # 18:30:15.5 UTC
+
+
 def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").write_text(flight(NEW))
     track = read_subtitles(tmp_path / "a.SRT").track

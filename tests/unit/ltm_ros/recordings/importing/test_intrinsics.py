@@ -104,7 +104,8 @@ def test_focal_planes(
         (1772, 1181, {**canon(28.0, 13.07, 1772, 1181), 0x927C: b""}, "26.3 deg"),  # EOS D60, resized by Photoshop
         (2659, 1773, {0x920A: 200.0, 0xA20E: 3512.2, 0xA210: 2}, "5.5 deg"),  # EOS-1D Mark III, exported by Lightroom
         (1296, 864, {**canon(50.0, 5.6, 1296, 864), 0xA405: 80}, "6.4 deg.*25.4 deg"),
-        (3504, 2336, {**canon(17.0, 22.5, 3504, 2336), 0xA20E: 2886.36}, "84.4 deg.*67.0 deg"),  # EOS 20D's own error
+        (3504, 2336, canon(17.0, 30.84, 3504, 2336), "84.4 deg"),  # EOS 20D states a sensor that does not exist
+        (3504, 2336, {**canon(17.0, 22.5, 3504, 2336), 0xA20E: 2886.36}, "84.4 deg.*67.0 deg"),
         (3064, 2379, {0xA405: 42, **size(3872, 2592)}, "3872 x 2592"),  # Nikon D60, cropped
         (2566, 3313, {0xA405: 26, **size(4032, 3024)}, "4032 x 3024"),  # iPhone, cropped HEIC
         (4608, 1976, {0xA405: 26}, "4608 x 1976"),

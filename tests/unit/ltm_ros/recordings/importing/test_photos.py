@@ -189,6 +189,16 @@ def test_ellipsoidal_altitudes_lose_the_geoid_undulation(tmp_path: Path, site: S
     assert pose.position[2] == pytest.approx(GROUND + 12.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("reference", "removed"), [(b"\0", -35.4), (b"\2", 0.0)])
+def test_an_altitude_certainly_above_sea_level_keeps_the_undulation(
+    tmp_path: Path, site: Site, reference: bytes, removed: float
+) -> None:
+    save(tmp_path / "a.jpg", phone(gps_5=reference))
+    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(GROUND + 12.0 - removed, abs=1e-3)
+
+
 def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, site: Site) -> None:
     folder = tmp_path / "photos"
     folder.mkdir()
@@ -250,6 +260,9 @@ def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
         ({"photo_0x9003": None}, RecordingError, "has no date"),
         ({"photo_0x9003": "1969:07:04 18:30:15"}, RecordingError, "before 1970"),
         ({"gps_2": (35.0, 0.0, 0.0), "gps_6": None}, PoseError, "outside the DEM"),
+        ({"gps_2": (34.0, 14.0, 30.0)}, PoseError, "outside the DEM"),
+        ({"gps_3": None}, PoseError, "GPSLongitudeRef"),
+        ({"gps_18": "TOKYO"}, PoseError, "TOKYO"),
         ({"gps_2": (91.0, 0.0, 0.0)}, ImageError, "invalid EXIF position"),
     ],
 )
