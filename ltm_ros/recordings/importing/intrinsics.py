@@ -20,8 +20,6 @@ _PIXEL_SIZE, _PLANE_RESOLUTION, _PLANE_UNIT = (0xA002, 0xA003), (0xA20E, 0xA20F)
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
 _CUSTOM_RENDERED, _LENS_MODEL, _MAKER_NOTE = 0xA401, 0xA434, 0x927C
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-_PANORAMA = 6
-"""Value of CustomRendered for a panorama (Apple)."""
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 """The 35 mm equivalent refers to the diagonal of the image (CIPA)."""
@@ -36,6 +34,7 @@ _LEAST_SENSOR_MM = 4.4
 """Long side of the smallest sensor of a camera (1/3.2 inch); smaller ones are of digital zoom or of a resized image."""
 _NO_SENSOR_MM = 29.5, 34.5
 """There is no sensor between APS-H and full frame; some cameras state one."""
+_OFFSETS = {"fx": 0.0, "fy": 0.0, "cx": 0.5, "cy": 0.5}
 
 _VIDEO_FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _SUBTITLE = re.compile(r"\b(focal_len|dzoom_ratio|DZOOM)\s*:?\s*(\d+(?:[.,]\d+)?)")
@@ -78,20 +77,17 @@ def intrinsics(
     """
     long, short = max(width, height), min(width, height)
     remedy = "give fx or hfov_deg in a pose file (--poses)"
-    panorama = lens.not_pinhole or (
-        f"{width} x {height} pixels are a panorama" if long > _WIDEST_ASPECT * short else ""
-    )
-    if panorama:
-        raise CameraError(f"{what}: {panorama}, not an image of a pinhole camera: use another photo, or {remedy}")
+    if lens.not_pinhole or long > _WIDEST_ASPECT * short:
+        why = lens.not_pinhole or f"{width} x {height} pixels are a panorama"
+        raise CameraError(f"{what}: {why}, not an image of a pinhole camera: use another photo, or {remedy}")
     scale = 1.0
     if lens.size is not None:
-        recorded_long, recorded_short = max(lens.size), min(lens.size)
-        if abs(recorded_long / recorded_short * short / long - 1) > _SAME_ASPECT + 1 / short:
+        scale = long / max(lens.size)
+        if abs(short / min(lens.size) / scale - 1) > _SAME_ASPECT + 1 / short:
             raise CameraError(
                 f"{what}: the camera recorded {lens.size[0]:g} x {lens.size[1]:g} pixels, but the image has {width} x "
                 f"{height}, so that it is cropped: use the original, or {remedy} with cx and cy"
             )
-        scale = long / recorded_long
     sources = _sources(lens, long, math.hypot(width, height), scale, sensor_width_mm)
     if not sources and focal_35mm is not None:
         sources = {"--focal-35mm": [focal_35mm / FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)]}
@@ -120,8 +116,9 @@ def intrinsics(
     stated = lens.calibration
     if stated.fx is None or agreed[0] != stated.fx * scale:
         return PartialCalibration(fx=agreed[0])
-    turned = lens.size is not None and (lens.size[0] > lens.size[1]) != (width > height)
-    return PartialCalibration(fx=agreed[0]) if turned else _scaled(stated, scale)
+    # Pixel centres are integers, so that the image begins at -0.5.
+    known = {name: value + at for name, at in _OFFSETS.items() if (value := getattr(stated, name)) is not None}
+    return stated.model_copy(update={name: value * scale - _OFFSETS[name] for name, value in known.items()})
 
 
 def _sources(
@@ -157,32 +154,22 @@ def _fov_deg(focal: float, side: float) -> float:
     return math.degrees(2 * math.atan2(side / 2, focal))
 
 
-def _scaled(stated: PartialCalibration, scale: float) -> PartialCalibration:
-    """Return a calibration for an image that was resized by `scale`; pixel centres are integers."""
-    lengths = {name: value * scale for name in ("fx", "fy") if (value := getattr(stated, name)) is not None}
-    centre = {
-        name: (value + 0.5) * scale - 0.5 for name in ("cx", "cy") if (value := getattr(stated, name)) is not None
-    }
-    return stated.model_copy(update=lengths | centre)
-
-
 def lens_of_photo(exif: Exif, xmp: Mapping[str, str], width: int, height: int) -> LensFacts:
     """Return the facts of a photo's EXIF and XMP (`xmp_values`). `width`, `height`: of the upright image."""
     photo = exif.get_ifd(EXIF_IFD)
-    related = exif.get_ifd(_INTEROPERABILITY_IFD)
     recorded = _pair(photo, _PIXEL_SIZE)
     unit = _MM_PER_UNIT.get(photo.get(_PLANE_UNIT, 2))
     resolutions = [positive(photo.get(tag)) for tag in _PLANE_RESOLUTION]
     projection = xmp.get("GPano:ProjectionType", "equirectangular" if "GPano:FullPanoWidthPixels" in xmp else "")
     not_pinhole = ""
-    if projection.lower() not in ("", "perspective", "rectilinear") or photo.get(_CUSTOM_RENDERED) == _PANORAMA:
+    if projection.lower() not in ("", "perspective", "rectilinear") or photo.get(_CUSTOM_RENDERED) == 6:
         not_pinhole = f"its metadata states a panorama ({projection or 'CustomRendered 6'})"
     if "fisheye" in (text_of(photo.get(_LENS_MODEL)) + xmp.get("Camera:ModelType", "")).lower().replace("-", ""):
         not_pinhole = "its metadata states a fisheye lens"
     plane = tuple(r / unit for r in resolutions if unit and r)
-    size = _pair(related, _RELATED_SIZE) or recorded
+    size = _pair(exif.get_ifd(_INTEROPERABILITY_IFD), _RELATED_SIZE) or recorded
     calibration = _xmp_calibration(xmp, size or (width, height), plane)
-    upright = exif.get(ORIENTATION, 1) == 1
+    as_recorded = exif.get(ORIENTATION, 1) == 1 and (size is None or (size[0] > size[1]) == (width > height))
     return LensFacts(
         focal_mm=positive(photo.get(_FOCAL_LENGTH)),
         focal_35mm=positive(photo.get(_FOCAL_LENGTH_35MM)),
@@ -192,7 +179,7 @@ def lens_of_photo(exif: Exif, xmp: Mapping[str, str], width: int, height: int) -
         size=size,
         untouched=recorded is not None and _MAKER_NOTE in photo,
         not_pinhole=not_pinhole,
-        calibration=calibration if upright else PartialCalibration(fx=calibration.fx),
+        calibration=calibration if as_recorded else PartialCalibration(fx=calibration.fx),
     )
 
 

@@ -48,10 +48,9 @@ class Sensed:
     `source`: of the values, for the user. `stamp`: exact, or without a zone by the device's clock; None: by EXIF.
     `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
     sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
-    if the device was carried on foot.
-    `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and `roll_deg`
-    are of the upright image. Sigmas are standard deviations. `calibration`: of the upright image. `seconds`: after the
-    capture's start. `relative`: to the capture's first frame, to which all other values then belong.
+    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
+    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start.
+    `relative`: to the capture's first frame, to which all other values then belong.
     """
 
     source: str = "EXIF"
