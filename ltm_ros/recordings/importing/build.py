@@ -208,6 +208,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
+    why = ""
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
@@ -215,13 +216,14 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
             sensed = file.read().sensed
-            lon, lat = sensed.lon, sensed.lat
+            lon, lat, why = sensed.lon, sensed.lat, why or sensed.missing
         if lon is not None and lat is not None:
             zone = min(math.floor((lon + 180) / 6) + 1, 60)
             crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
             x, y = SiteFrame(crs).from_lonlat(lon, lat)
             return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
-    raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
+    reason = f" ({why})" if why else ""
+    raise RecordingError(f"no photo has a position{reason}: give them x, y or lon, lat in a pose file (--poses)")
 
 
 def _apart(

@@ -23,6 +23,7 @@ from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.storage.text_io import read_text
+from ltm_ros.recordings.importing.exif import number
 from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_subtitle
 from ltm_ros.recordings.importing.sensor_track import Attitudes, Climb, Fixes, Sensed, SensorTrack, ascending
 
@@ -42,7 +43,7 @@ _DATE = re.compile(r"(\d{4})[-.](\d{1,2})[-.](\d{1,2}) (\d{2}):(\d{2}):(\d{2})(?
 def sensed_by_xmp(xmp: Mapping[str, str], by_exif: Sensed) -> Sensed:
     """Return the sensor data of a photo's XMP (`xmp_values`) over its EXIF; unchanged if it is not from DJI."""
     found = {key.removeprefix("drone-dji:"): value for key, value in xmp.items() if key.startswith("drone-dji:")}
-    angles = [_number(found.get(f"Gimbal{axis}Degree")) for axis in ("Yaw", "Pitch", "Roll")]
+    angles = [number(found.get(f"Gimbal{axis}Degree")) for axis in ("Yaw", "Pitch", "Roll")]
     if all(angle is None for angle in angles):
         return by_exif
     yaw, pitch, roll = angles
@@ -55,17 +56,17 @@ def sensed_by_xmp(xmp: Mapping[str, str], by_exif: Sensed) -> Sensed:
     }
     if yaw is not None:
         facts |= {"azimuth_deg": yaw % 360.0, "azimuth_ref": "T"}
-    lat, lon = _number(found.get("GpsLatitude")), _number(found.get("GpsLongitude", found.get("GpsLongtitude")))
+    lat, lon = number(found.get("GpsLatitude")), number(found.get("GpsLongitude", found.get("GpsLongtitude")))
     if lat is not None and lon is not None and _on_globe(lat, lon):
         facts |= {"lat": lat, "lon": lon}
-    deviations = [_number(found.get(f"RtkStd{axis}")) for axis in ("Lon", "Lat", "Hgt")]
+    deviations = [number(found.get(f"RtkStd{axis}")) for axis in ("Lon", "Lat", "Hgt")]
     if deviations[0] and deviations[1] and deviations[0] > 0 and deviations[1] > 0:
         facts["position_sigma"] = math.hypot(deviations[0], deviations[1]) / math.sqrt(2)
         facts["altitude_sigma"] = deviations[2] if deviations[2] and deviations[2] > 0 else None
-    altitude = _number(found.get("AbsoluteAltitude"))
+    altitude = number(found.get("AbsoluteAltitude"))
     if altitude is not None:
         facts |= {"altitude": altitude, "ellipsoidal": "rtk" in found.get("AltitudeType", "").lower() or None}
-    climb = _number(found.get("RelativeAltitude"))
+    climb = number(found.get("RelativeAltitude"))
     if climb is not None:
         facts["climb"] = climb
     return replace(by_exif, **facts)
@@ -102,8 +103,8 @@ def read_subtitles(path: Path, covers: Callable[[float, float], bool] | None = N
     lenses: list[tuple[float, LensFacts]] = []
     begins: datetime | None = None
     lon_first: bool | None = None
-    for number, mark in enumerate(marks, start=1):
-        block = text[mark.end() : marks[number].start() if number < len(marks) else len(text)]
+    for k, mark in enumerate(marks, start=1):
+        block = text[mark.end() : marks[k].start() if k < len(marks) else len(text)]
         hours, minutes, seconds, milli = (int(v) for v in mark.groups())
         at = hours * 3600 + minutes * 60 + seconds + milli / 1000
         begins = begins or _date(block, at)
@@ -193,11 +194,3 @@ def _date(block: str, at: float) -> datetime | None:
         return datetime(*map(int, parts), int(milli or 0) * 1000) - timedelta(seconds=at)  # type: ignore[arg-type,call-arg]
     except (ValueError, OverflowError):
         return None
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        number = float(text or "")
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import MAXYEAR, UTC, datetime, timedelta
 from typing import Any, Literal
 
 from PIL.Image import Exif
@@ -69,10 +69,10 @@ def exif_facts(exif: Exif, what: str) -> ExifFacts:
     if no_position or (lat, lon) == (0.0, 0.0):
         lat = lon = None  # phones write 0, 0 without a GPS fix
     reference = _small_number(gps.get(_ALTITUDE_REF))
-    altitude = _number(gps.get(_ALTITUDE))
+    altitude = number(gps.get(_ALTITUDE))
     if altitude is not None and reference in (1, 3):
         altitude = -abs(altitude)
-    direction = _number(gps.get(_DIRECTION))
+    direction = number(gps.get(_DIRECTION))
     north = text_of(gps.get(_DIRECTION_REF))
     taken, changed = _taken(photo)
     return ExifFacts(
@@ -127,10 +127,10 @@ def _taken(tags: Mapping[int, Any]) -> tuple[datetime | None, bool]:
 def _gps_time(gps: Mapping[int, Any], taken: datetime | None) -> datetime | None:
     """Return the GPS stamp; one that is a multiple of 1024 weeks before the camera's date is moved to it."""
     clock, midnight = gps.get(_GPS_TIME), _date_time(f"{text_of(gps.get(_GPS_DATE))} 00:00:00")
-    if midnight is None or not (isinstance(clock, tuple) and len(clock) == 3):
+    if midnight is None or midnight.year == MAXYEAR or not (isinstance(clock, tuple) and len(clock) == 3):
         return None
-    parts = [_number(v) for v in clock]
-    if any(part is None or not 0 <= part < 61 for part in parts):
+    parts = [number(v) for v in clock]
+    if any(v is None or not 0 <= v < most for v, most in zip(parts, (24, 60, 61), strict=True)):
         return None
     hours, minutes, seconds = (part or 0.0 for part in parts)
     stamp = midnight.replace(tzinfo=UTC) + timedelta(hours=hours, minutes=minutes, seconds=seconds)
@@ -157,24 +157,24 @@ def text_of(value: Any) -> str:
     return value.strip("\0 ") if isinstance(value, str) else ""
 
 
-def _number(value: Any) -> float | None:
+def number(value: Any) -> float | None:
     """Return a rational or a number; None if it is neither, or a fraction over zero."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
+        found = float(value)
+    except (TypeError, ValueError, ArithmeticError):
         return None
-    return number if math.isfinite(number) else None
+    return found if math.isfinite(found) else None
 
 
 def positive(value: Any) -> float | None:
-    number = _number(value)
-    return number if number is not None and number > 0 else None
+    found = number(value)
+    return found if found is not None and found > 0 else None
 
 
 def _degrees(value: Any) -> float | None:
     if not isinstance(value, tuple) or len(value) != 3:
         return None
-    parts = [_number(part) for part in value]
+    parts = [number(part) for part in value]
     # Some writers leave minutes or seconds as 0/0 and put the fraction into the degrees.
     minutes, seconds = parts[1] or 0.0, parts[2] or 0.0
     if parts[0] is None or not (0 <= minutes <= 60 and 0 <= seconds <= 60):

@@ -184,7 +184,7 @@ _GIMBAL = np.eye(3)
 def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
     """Return a frame every `assumed.every` seconds. Raises RecordingError for an unreadable video or telemetry."""
     video = read_video(path, assumed.every)
-    flight = _telemetry(path, assumed)
+    flight, missing = _telemetry(path, assumed)
 
     def picture(seconds: float) -> ImportedImage:
         name = f"{path.stem}_{round(seconds * 1000):07d}.jpg"
@@ -192,7 +192,7 @@ def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
 
         def read() -> Photo:
             lens = (flight.lens_at(seconds) if flight is not None else None) or video.lens
-            return frame_photo(video.upright(seconds), place, _sensed(video, flight, seconds), lens)
+            return frame_photo(video.upright(seconds), place, _sensed(video, flight, missing, seconds), lens)
 
         return ImportedImage(name, place, read, capture=path.name)
 
@@ -206,21 +206,20 @@ def frame_photo(pixels: UInt8Array, path: Path, sensed: Sensed, lens: LensFacts 
     return Photo(path, data, "jpeg", width, height, ExifFacts(), sensed, True, lens or LensFacts())
 
 
-def _telemetry(path: Path, assumed: Assumptions) -> Flight | None:
+def _telemetry(path: Path, assumed: Assumptions) -> tuple[Flight | None, str]:
+    """Return the flight, or the reason why its subtitles give none; then a pose file must place the frames."""
     subtitles = subtitles_of(path)
-    if subtitles is None:
-        return None
     try:
-        return read_subtitles(subtitles, assumed.covers)
-    except RecordingError:
-        if assumed.keep_unknown:  # subtitles of speech
-            return None
-        raise
+        return None if subtitles is None else read_subtitles(subtitles, assumed.covers), ""
+    except RecordingError as error:
+        return None, "" if assumed.keep_unknown else str(error)  # subtitles of speech
 
 
-def _sensed(video: Video, flight: Flight | None, seconds: float) -> Sensed:
+def _sensed(video: Video, flight: Flight | None, missing: str, seconds: float) -> Sensed:
     begins = (flight.begins if flight is not None else None) or video.begins
     stamp = later(begins, seconds) if begins is not None else None
+    if missing:
+        return Sensed(source="its subtitles", missing=missing, stamp=stamp, seconds=seconds, in_flight=True)
     own = Sensed(
         source=f"the video's tags ({video.maker})" if video.maker else "the video's tags",
         lon=video.lon,

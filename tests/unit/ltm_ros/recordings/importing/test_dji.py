@@ -188,6 +188,19 @@ def test_an_order_that_nothing_decides_is_an_error(tmp_path: Path) -> None:
         read_subtitles(tmp_path / "a.SRT")
 
 
+def test_a_pose_file_places_frames_whose_subtitles_do_not(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    (tmp_path / "DJI_0002.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nGPS (36.6146, -6.1120)\n")
+    with pytest.raises(LtmError, match=r"36\.6146"):
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
+    with pytest.raises(RecordingError, match=r"36\.6146"):
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag")
+    row = f"DJI_0002.MP4,{LON},{LAT},{GROUND + 60},10,-5,0,50\n"
+    (tmp_path / "poses.csv").write_text(f"name,lon,lat,z,azimuth_deg,pitch_deg,roll_deg,fx\n{row}")
+    import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", tmp_path / "poses.csv", site)
+    assert imported(tmp_path / "bag")[0][2].position[2] == GROUND + 60
+
+
 def test_a_lens_that_zooms_during_the_video(tmp_path: Path) -> None:
     text = flight(NEW)
     (tmp_path / "a.SRT").write_text(text[: text.index("3\n00")] + text[text.index("3\n00") :].replace("27.00", "48.00"))
