@@ -25,8 +25,7 @@ from ltm_core.storage.text_io import LARGEST_FILE
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.capture_files import LARGEST_JSON, CaptureFiles, table
-from ltm_ros.recordings.importing.photo import Photo
-from ltm_ros.recordings.importing.picture import ImportedImage
+from ltm_ros.recordings.importing.photo import ImportedImage, Photo
 from ltm_ros.recordings.importing.sensor_track import Relative, Sensed
 from ltm_ros.recordings.importing.video import frame_photo, later, read_video
 

@@ -20,9 +20,8 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings
 from ltm_ros.recordings.importing.georeference import PlacedPhoto, place
-from ltm_ros.recordings.importing.photo import Photo
+from ltm_ros.recordings.importing.photo import ImportedImage, Photo
 from ltm_ros.recordings.importing.photo_folder import PhotoFolder
-from ltm_ros.recordings.importing.picture import ImportedImage
 from ltm_ros.recordings.importing.pictures import find_pictures
 from ltm_ros.recordings.importing.pose_file import PhotoPose, read_pose_file
 from ltm_ros.recordings.importing.refinement import PoseRefinement, Refinement
@@ -73,15 +72,17 @@ def import_photos(
     """
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
+    if site is not None:
+        around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+        assumed = replace(assumed, covers=around.covers)
     files = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
         given = len(files)
         files = _named_in(files, rows, poses)
     frame = site.frame if site is not None else _frame_of(files, rows)
-    around = Surroundings(frame)
-    if site is not None:
-        around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+    if site is None:
+        around = Surroundings(frame)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
     if rows is not None and len(files) < given:
@@ -207,6 +208,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
+    why = ""
     for file in files:
         row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
@@ -214,13 +216,14 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
             sensed = file.read().sensed
-            lon, lat = sensed.lon, sensed.lat
+            lon, lat, why = sensed.lon, sensed.lat, why or sensed.missing
         if lon is not None and lat is not None:
             zone = min(math.floor((lon + 180) / 6) + 1, 60)
             crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
             x, y = SiteFrame(crs).from_lonlat(lon, lat)
             return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
-    raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
+    reason = f" ({why})" if why else ""
+    raise RecordingError(f"no photo has a position{reason}: give them x, y or lon, lat in a pose file (--poses)")
 
 
 def _apart(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from ltm_core.base.errors import ImageError
 from ltm_core.storage.text_io import opened_picture, read_picture
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
-from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
+from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
+from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
 from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
@@ -46,6 +48,7 @@ class Photo:
     exif: ExifFacts
     sensed: Sensed
     reencoded: bool
+    lens: LensFacts = field(default_factory=LensFacts)
 
     @property
     def turned(self) -> str:
@@ -53,6 +56,21 @@ class Photo:
         # libheif has rotated a HEIC image by its own format, so its EXIF tag has no effect.
         known = self.path.suffix.lower() not in (".heic", ".heif") and self.exif.orientation in _TURNS
         return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
+
+
+@dataclass(frozen=True)
+class ImportedImage:
+    """A photo to import, whatever file contains it.
+
+    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
+    each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
+    capture, if its row gives the start; empty: none.
+    """
+
+    name: str
+    path: Path
+    read: Callable[[], Photo]
+    capture: str = ""
 
 
 def photos_in(folder: Path) -> list[Path]:
@@ -77,21 +95,23 @@ def photo_of(data: bytes, path: Path) -> Photo:
         found = image.format or "unknown"
         if found not in _FORMATS and found != "HEIF":
             raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
-        facts = exif_facts(image.getexif(), str(path))
+        exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
+        facts = exif_facts(exif, str(path))
         # libheif has already rotated a HEIC image, whatever its EXIF says.
-        if found in _FORMATS and facts.orientation == 1:
+        reencoded = found not in _FORMATS or facts.orientation != 1
+        if reencoded:
+            upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
+            pixels = np.asarray(upright.convert("RGB"), np.uint8)
+        else:
             pixels = decode_rgb(data, str(path))
-            height, width = pixels.shape[:2]
-            sensed = sensed_by_xmp(image.info.get("xmp"), sensed_by_exif(facts), width, height)
-            return Photo(path, data, _FORMATS[found], width, height, facts, sensed, reencoded=False)
-        xmp = image.info.get("xmp")
-        upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
-        pixels = np.asarray(upright.convert("RGB"), np.uint8)
-    image_format = "png" if found == "PNG" else "jpeg"
-    height, width = pixels.shape[:2]
-    encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
-    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
-    return Photo(path, encoded, image_format, width, height, facts, sensed, reencoded=True)
+        height, width = pixels.shape[:2]
+        lens = lens_of_photo(exif, xmp, width, height)
+    image_format = _FORMATS.get(found, "jpeg")
+    if reencoded:
+        data = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
+    return Photo(
+        path, data, image_format, width, height, facts, sensed_by_xmp(xmp, sensed_by_exif(facts)), reencoded, lens
+    )
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:
@@ -101,6 +121,8 @@ def sensed_by_exif(facts: ExifFacts) -> Sensed:
         lat=facts.lat,
         position_sigma=facts.position_error,
         altitude=facts.altitude,
+        ellipsoidal=False if facts.above_sea else None,
+        missing=facts.no_position,
         azimuth_deg=facts.direction_deg,
         azimuth_ref=facts.direction_ref,
     )

@@ -19,8 +19,7 @@ from ltm_ros.recordings.importing.arkit import (
 )
 from ltm_ros.recordings.importing.assumptions import Assumptions, photo_time
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, is_zip
-from ltm_ros.recordings.importing.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
-from ltm_ros.recordings.importing.picture import ImportedImage
+from ltm_ros.recordings.importing.photo import SUFFIXES, ImportedImage, Photo, photo_of, photos_in, read_photo
 from ltm_ros.recordings.importing.sensor_logger import (
     camera_frames,
     is_sensor_logger,
