@@ -68,8 +68,8 @@ class PoseWatch:
         if len(self._shares) == FRAMES and mean >= _CONTRADICTED:
             self.reason = (
                 f"in the last {FRAMES} clear images {mean:.0%} of the skyline contradict the terrain at the stated "
-                f"poses (newest azimuth {pose.angles_deg[0]:.0f} deg): check position, direction and field of view, and "
-                "whether the images are of this camera"
+                f"poses (newest azimuth {pose.angles_deg[0]:.0f} deg): check position, direction and field of view, "
+                "and whether the images are of this camera"
             )
         elif mean < _CONTRADICTED / 2:
             self.reason = ""
