@@ -35,6 +35,14 @@ from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message
 
 FOLDER = Path(__file__).parent / "same_results_jobs"
+FORMER = (
+    (r"pose (photo \S+/photos) --guess", r"pose --\1 --poses"),
+    (r"pose (photo \S+) (.*)--guess", r"pose --\1 \2--pose-guess"),
+    (r"pose points (\S+) (.*)--guess", r"pose --gcps \1 \2--pose-guess"),
+    (r"locate (.*)--mark (\w+)=", r"locate \1--camera \2 --pixel "),
+    (r"pose mount (\S+) (\S+) --points", r"pose --site \1 --camera \2 --gcps"),
+)
+"""Spelling of commands in checkouts in which `ltm pose` is one command."""
 VOLATILE: tuple[tuple[str, bytes, bytes], ...] = (
     ("*.printed.txt", rb"\b\d+:\d\d:\d\d\b", b"DURATION"),  # of progress bars
     ("*.printed.txt", rb"[\d,.]+ MB free", b"MB FREE"),
@@ -86,6 +94,9 @@ def run_job(job: Job, side: Path, checkout: Path, python: str) -> tuple[float, s
     environment = os.environ | {"PYTHONPATH": str(checkout), "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
     started = _children_time()
     for number, command in enumerate(job.commands):
+        if not (checkout / "ltm_ros/cli/pose_points.py").exists():
+            for now, then in FORMER:
+                command = re.sub(now, then, command)  # as this checkout spells it
         words = shlex.split(command)
         program = ["-P", "-m", "ltm_ros.cli.main"] if words[0] == "ltm" else ["-P", words[0]]
         run = [python, *program, *words[1:]]

@@ -171,6 +171,12 @@ class PartialPose(StrictModel):
             *(angle_deg if sigma is None else sigma for sigma in degrees),
         )
 
+    def sigmas_of_place(self) -> tuple[float, float, float] | None:
+        """Return the standard deviations of x, y and height in metres; None if none is stated."""
+        plan = self.position_sigma or self.height_sigma
+        height = self.height_sigma or self.position_sigma
+        return None if plan is None or height is None else (plan, plan, height)
+
     def xy(self, frame: SiteFrame) -> tuple[float, float] | None:
         """Return the position in the map frame; None if it is not known.
 

@@ -150,8 +150,8 @@ def _check_ptz(mount: MountConfig, name: str, site: Site, dem: Dem) -> SiteFindi
     worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
     if not mount.calibrated:
         doubt = (
-            f"its mount is not calibrated: directions are uncertain by {worst:.1f} deg; `ltm pose --site SITE --camera "
-            f"{name}` calibrates it (docs/cameras.md)"
+            f"its mount is not calibrated: directions are uncertain by {worst:.1f} deg; `ltm pose mount SITE "
+            f"{name}` calibrates it (docs/poses.md)"
         )
         return SiteFinding.of("cameras", name, doubt, SiteVerdict.DOUBTFUL)
     return SiteFinding(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
@@ -18,8 +19,7 @@ from ltm_core.base.utc_time import moment_of_stamp
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.geometry.pose import Pose
-
-_FULL_FRAME_WIDTH_MM = 36.0
+from ltm_ros.recordings.importing.intrinsics import FULL_FRAME_DIAGONAL_MM
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def write_phone_photo(
             0x9291: f"{taken.microsecond // 1000:03d}",
             0xA002: stored.shape[1],
             0xA003: stored.shape[0],
-            0xA405: round(photo.camera.fx * _FULL_FRAME_WIDTH_MM / max(width, height)),
+            0xA405: round(photo.camera.fx * FULL_FRAME_DIAGONAL_MM / math.hypot(width, height)),
         }
     )
     exif.get_ifd(0x8825).update(

@@ -124,7 +124,7 @@ def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rul
     if site.refine_poses is not None:
         raise ArchiveError(
             f"site {site.name} refines poses (refine_poses): a frame's pose then depends on earlier frames. Write "
-            "the refined pose into the site file (ltm pose) and remove the section for the archive"
+            "the refined pose into the site file (ltm pose photo) and remove the section for the archive"
         )
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
     for camera in cameras:

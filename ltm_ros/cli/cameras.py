@@ -174,7 +174,7 @@ def snapshot(
     ] = 5,
     overwrite: Overwrite = False,
 ) -> None:
-    """Take an image now, with its pose. For a PTZ head, add its reading to readings.csv for `ltm pose --readings`."""
+    """Take an image now, with its pose. For a PTZ head, add its reading to readings.csv for `ltm pose mount`."""
     from rich.console import Console
     from rich.markup import escape
 

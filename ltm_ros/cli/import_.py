@@ -74,7 +74,7 @@ def import_(
     ] = 3.0,
     write_photos: Annotated[
         Path | None,
-        typer.Option(help="Also write upright photos and poses.csv for `ltm pose --photo`."),
+        typer.Option(help="Also write upright photos and poses.csv for `ltm pose photo`."),
     ] = None,
     refine: Annotated[
         bool,

@@ -11,7 +11,6 @@ from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
     from ltm_core.locating.answer import LocateResult
-    from ltm_core.locating.settings import LocatingConfig
     from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
 
@@ -27,15 +26,12 @@ def locate(
     dem: Annotated[
         list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
     ] = None,
-    camera: Annotated[
-        list[str] | None, typer.Option(help="Camera of a mark; give one for each mark, in order.")
-    ] = None,
-    pixel: Annotated[list[str] | None, typer.Option(help="Mark: a pixel, u,v. Repeatable.")] = None,
-    box: Annotated[
-        list[str] | None, typer.Option(help="Mark: a box u_min,v_min,u_max,v_max; its lower edge is used. Repeatable.")
-    ] = None,
-    polygon: Annotated[
-        list[str] | None, typer.Option(help="Mark: a polygon u,v,u,v,u,v,...; its lower edge is used. Repeatable.")
+    mark: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAMERA=]U,V,...",
+            help="Mark: a pixel, a box u_min,v_min,u_max,v_max, or a polygon; lower edges count. Repeatable.",
+        ),
     ] = None,
     mask: Annotated[
         list[str] | None, typer.Option(help="Mask NAME=PNG: marks ignore the non-black pixels of that camera.")
@@ -48,14 +44,12 @@ def locate(
     ] = None,
     lonlat: Annotated[str | None, typer.Option(help="Like --place, in degrees: lon,lat.")] = None,
     points: Annotated[
-        Path | None, typer.Option(help="CSV of control points to draw over --photo: id, x, y, z, u, v.")
+        Path | None, typer.Option(metavar="FILE", help="CSV of control points to draw over --photo: id, x, y, z, u, v.")
     ] = None,
-    first_pixel: Annotated[float, typer.Option(help="With --points: coordinate of the first pixel's centre.")] = 0.0,
-    photo: Annotated[Path | None, typer.Option(help="Image of the camera to draw places over; needs --out.")] = None,
-    dem_sigma: Annotated[
-        float | None, typer.Option(help="Standard deviation of terrain heights in metres.", min=0)
+    photo: Annotated[
+        str | None,
+        typer.Option(metavar="[CAMERA=]FILE", help="Image of the camera to draw places over; needs --out."),
     ] = None,
-    plume_height: Annotated[float | None, typer.Option(help="With --smoke: mean height of plumes in metres.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for image, JSON, GeoJSON and the posterior.")] = None,
     crs: Annotated[str | None, typer.Option(help="With --dem: CRS of a raster that states none.")] = None,
@@ -66,18 +60,15 @@ def locate(
 
     from ltm_core.base.errors import ConfigError
     from ltm_core.storage.disk_io import require_files
-    from ltm_ros.cli.locate_cameras import hidden_by, marked, of_poses, of_site
+    from ltm_ros.cli.locate_cameras import hidden_by, marked, named, of_poses, of_site
 
     reverse = place is not None or lonlat is not None or points is not None
-    marks = [*(pixel or []), *(box or []), *(polygon or [])]
-    if reverse == bool(marks):
-        raise ConfigError(
-            "give a mark (--pixel, --box or --polygon), or for the reverse query --place, --lonlat or --points"
-        )
+    if reverse == bool(mark):
+        raise ConfigError("give --mark, or for the reverse query --place, --lonlat or --points")
     if photo is not None and out is None:
         raise ConfigError("--photo is drawn over and written to --out: give that folder")
     if out is not None:
-        require_files((out / name for name in (FILES if marks else ("places.png", "places.json"))), overwrite)
+        require_files((out / name for name in (FILES if mark else ("places.png", "places.json"))), overwrite)
     if site is not None:
         scene = of_site(site, pose or [])
     elif pose:
@@ -88,23 +79,12 @@ def locate(
     if reverse:
         from ltm_ros.cli.locate_places import show_places
 
-        show_places(scene, place, lonlat, points, first_pixel, photo, camera or [], as_json, out, console)
+        show_places(scene, place, lonlat, points, photo, as_json, out, console)
         return
-    changed = {"dem_sigma": dem_sigma, "plume_height": plume_height}
-    config = scene.config.model_validate(
-        scene.config.model_dump() | {key: value for key, value in changed.items() if value is not None}
-    )
-    kinds = [kind for kind in (pixel, box, polygon) if kind]
-    if len(kinds) > 1:
-        raise ConfigError("give marks of one kind; --polygon also takes a pixel (one point) or a box (four points)")
-    names = camera or (list(scene.cameras) if len(scene.cameras) == 1 else [])
-    if len(names) != len(marks):
-        raise ConfigError(
-            f"{len(marks)} marks need as many --camera, in the same order; got {', '.join(names) or 'none'}"
-        )
+    marks = [named(text, "--mark", scene) for text in mark or []]
     masks = hidden_by(scene, mask or [])
-    sightings = [marked(scene, name, text, config, smoke, masks) for name, text in zip(names, marks, strict=True)]
-    said = _answer(scene, config, sightings, smoke)
+    sightings = [marked(scene, name, text, scene.config, smoke, masks) for name, text in marks]
+    said = _answer(scene, sightings, smoke)
     if as_json:
         import json
 
@@ -116,17 +96,17 @@ def locate(
 
         show_answer(said, scene.frame, console)
     if out is not None:
-        written = _write(out, said, scene, names)
+        written = _write(out, said, scene, [name for name, _ in marks])
         if not as_json:
             for path in written:
                 console.print(f"  {path}", highlight=False)
 
 
-def _answer(scene: LocatingScene, config: LocatingConfig, sightings: list[Sighting], smoke: bool) -> LocateResult:
+def _answer(scene: LocatingScene, sightings: list[Sighting], smoke: bool) -> LocateResult:
     from ltm_core.locating.answer import answer
     from ltm_core.locating.locator import Locator
 
-    location = Locator(scene.dem, scene.bend, config).locate(sightings, smoke)
+    location = Locator(scene.dem, scene.bend, scene.config).locate(sightings, smoke)
     posed = [camera.posed for camera in scene.cameras.values()]
     return answer(location, scene.sight, scene.frame, posed, scene.prior, smoke)
 

@@ -150,6 +150,17 @@ def _named(text: str) -> tuple[str, Path]:
     return name, Path(path)
 
 
+def named(text: str, option: str, scene: LocatingScene) -> tuple[str, str]:
+    """Return the camera and the value of an argument `[CAMERA=]VALUE`. Raises ConfigError if there are several
+    cameras."""
+    name, given, value = text.rpartition("=")
+    if given:
+        return name, value
+    if len(scene.cameras) != 1:
+        raise ConfigError(f"{option} {text}: give the camera, {option} NAME={text}, one of {', '.join(scene.cameras)}")
+    return next(iter(scene.cameras)), value
+
+
 def hidden_by(scene: LocatingScene, given: list[str]) -> dict[str, BoolArray | None]:
     """Return each camera's mask (H, W), from the site file and from NAME=PNG arguments. Raises ConfigError."""
     found = {name: camera.hidden for name, camera in scene.cameras.items()}

@@ -15,7 +15,7 @@ from ltm_core.base.errors import ConfigError, RegionError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.locating.answer import SHARES, LocateResult, PlaceView, fuel_at, place_name, place_views, view_data
-from ltm_ros.cli.locate_cameras import numbers
+from ltm_ros.cli.locate_cameras import named, numbers
 from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -86,19 +86,17 @@ def show_places(
     place: str | None,
     lonlat: str | None,
     points: Path | None,
-    first_pixel: float,
-    photo: Path | None,
-    cameras: list[str],
+    photo: str | None,
     as_json: bool,
     out: Path | None,
     console: Console,
 ) -> None:
     """Print where cameras see places; draw them over a camera's photo. Raises ConfigError, RegionError, PoseError."""
-    chosen = [scene.camera(name) for name in cameras] if cameras else list(scene.cameras.values())
-    if not chosen:
+    if not scene.cameras:
         raise ConfigError(f"no camera has calibration and pose ({', '.join(scene.skipped)}: from topics); give --pose")
-    names, places, marked = _places(scene, place, lonlat, points, first_pixel)
-    posed = [camera.posed for camera in chosen]
+    names, places, marked = _places(scene, place, lonlat, points)
+    drawn = None if photo is None else named(photo, "--photo", scene)
+    posed = [camera.posed for camera in scene.cameras.values()]
     data = []
     for name, target in zip(names, places, strict=True):
         views = place_views(scene.sight, posed, target)
@@ -126,13 +124,9 @@ def show_places(
     out.mkdir(parents=True, exist_ok=True)
     (out / "places.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
     written = [out / "places.json"]
-    if photo is not None:
-        if len(chosen) != 1:
-            raise ConfigError(
-                f"--photo belongs to one camera: give its name with --camera, one of {', '.join(scene.cameras)}"
-            )
+    if drawn is not None:
         written.append(out / "places.png")
-        _draw(scene, chosen[0].name, names, places, marked, photo, written[-1])
+        _draw(scene, drawn[0], names, places, marked, Path(drawn[1]), written[-1])
     if not as_json:
         for path in written:
             console.print(f"  {path}", highlight=False)
@@ -164,14 +158,14 @@ def _draw(
 
 
 def _places(
-    scene: LocatingScene, place: str | None, lonlat: str | None, points: Path | None, first_pixel: float
+    scene: LocatingScene, place: str | None, lonlat: str | None, points: Path | None
 ) -> tuple[list[str], Float64Array, Float64Array | None]:
     """Return names, places (N, 3) in the map frame, and marked pixels (N, 2) of control points."""
     frame = scene.frame
     if points is not None:
         from ltm_core.pose_estimation.points.resection_io import read_control_points
 
-        read = read_control_points(points, frame, first_pixel)
+        read = read_control_points(points, frame)
         return list(read.names), np.array(read.places), np.array(read.pixels)
     if place is not None:
         values = numbers(place, "--place", (2, 3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from typing import Annotated
 
 import typer
 
@@ -18,7 +19,9 @@ from ltm_ros.cli.import_ import import_
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import label, mask
 from ltm_ros.cli.models import models
-from ltm_ros.cli.pose import pose
+from ltm_ros.cli.pose_mount import mount
+from ltm_ros.cli.pose_photo import photo
+from ltm_ros.cli.pose_points import points
 from ltm_ros.cli.record import record, replay
 from ltm_ros.cli.reprocess import reprocess
 from ltm_ros.cli.run import certs, region, run
@@ -55,14 +58,37 @@ def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> 
 
 cli = typer.Typer(
     name="ltm",
-    help="Live terrain and fuel maps from fire-watch cameras.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"ltm {version('ltm')}")
+        raise typer.Exit
+
+
+@cli.callback()
+def _options(
+    version: Annotated[  # the callback prints it
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Live terrain and fuel maps from fire-watch cameras."""
+
+
+pose = typer.Typer(no_args_is_help=True, help="Find a camera's pose from points, from a photo, or for a PTZ head.")
+for method in (points, photo, mount):
+    pose.command()(method)
+
 START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
     "Start here",
-    "Run the command line `ltm`.",
+    "Cameras and poses",
     "Maps",
     "Recordings",
     "Tower and region",
@@ -75,7 +101,7 @@ cli.command(rich_help_panel=START)(check)
 cli.command(rich_help_panel=START)(run)
 cli.command(rich_help_panel=START)(view)
 cli.add_typer(cameras, name="cameras", rich_help_panel=POSES)
-cli.command(rich_help_panel=POSES)(pose)
+cli.add_typer(pose, name="pose", rich_help_panel=POSES)
 cli.command(rich_help_panel=POSES)(mask)
 cli.command(rich_help_panel=POSES)(label)
 cli.add_typer(train, name="train", rich_help_panel=POSES)

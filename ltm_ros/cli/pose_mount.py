@@ -1,14 +1,16 @@
-"""`ltm pose --site --camera`: calibrate the mount of a PTZ head, and write it into the site file."""
+"""`ltm pose mount`: calibrate the mount of a PTZ head, and write it into the site file."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from ltm_core.site.networks import site_scene_filter, site_segmenter
-from ltm_ros.cli.output import print_table
+import typer
+
+from ltm_ros.cli.output import Overwrite, print_table
+from ltm_ros.cli.pose_points import parameter_names
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,6 +31,61 @@ class StatedMount:
     config: MountConfig
     model: MountModel
     lens: ZoomLens
+
+
+def mount(
+    site: Annotated[Path, typer.Argument(metavar="SITE", help="Site file, in which the mount is calibrated.")],
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="PTZ camera of the site.")],
+    gcps: Annotated[
+        Path | None,
+        typer.Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, pan, tilt, zoom."),
+    ] = None,
+    photos: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Photos of several presets, with their readings.csv.")
+    ] = None,
+    free: Annotated[
+        str, typer.Option(metavar="NAMES", help="With --points, also fit these: focal, position.")
+    ] = "focal",
+    first_pixel: Annotated[
+        float,
+        typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5."),
+    ] = 0.0,
+    sigma_px: Annotated[
+        float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")
+    ] = 1.0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File for the mount, instead of the site file.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Calibrate the mount of a PTZ head from landmarks or photos of several presets.
+
+    A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it.
+    """
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.storage.disk_io import require_files
+
+    if (gcps is None) == (photos is None):
+        raise ConfigError("give either --points (marked landmarks) or --photos (a folder of presets)")
+    chosen = set(parameter_names(free))
+    if chosen - {"focal", "position"}:
+        raise ConfigError(
+            f"--free {free}: for a PTZ head, only focal (the lens at each zoom) and position can be fitted"
+        )
+    ptz = ptz_mount_of(site, camera)
+    if out is not None:
+        require_files([out], overwrite)
+    elif ptz.config.calibrated and not overwrite:
+        raise ConfigError(
+            f"{site}: the mount of {camera} is calibrated already; replace it with --overwrite, or write to "
+            "another file with --out"
+        )
+    if gcps is not None:
+        found, lens = calibrate_from_points(ptz, gcps, first_pixel, chosen, sigma_px)
+    else:
+        assert photos is not None  # nosec B101 # tells the type checker what holds
+        found, lens = calibrate_from_photos(ptz, photos)
+    write_mount(ptz, found, lens, site, camera, out)
 
 
 def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
@@ -85,9 +142,7 @@ def calibrate_from_points(
     return found.model, found.lens
 
 
-def calibrate_from_photos(
-    ptz: StatedMount, photos: Path, readings: Path, model_name: str
-) -> tuple[MountModel, ZoomLens]:
+def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, ZoomLens]:
     """Fit the mount to skylines of several presets, with the site's labels and mask. Raises PoseError if they do not
     determine it.
     """
@@ -101,15 +156,18 @@ def calibrate_from_photos(
     from ltm_core.pose_estimation.skyline.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
     from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
+    from ltm_core.site.networks import site_scene_filter, site_segmenter
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.masks import Looking
+    from ltm_ros.cli.cameras_watch import READINGS
 
     terrain, config = site_terrain(ptz.site)
-    segmenter = site_segmenter(ptz.site, ptz.camera, model_name)
+    segmenter = site_segmenter(ptz.site, ptz.camera)
     scene = site_scene_filter(ptz.site, ptz.camera)
     azimuth, pitch, roll, tilt_zero = ptz.config.angle_sigmas_deg
     place, height = ptz.config.position_sigma or 0.0, ptz.config.height_sigma or 0.0
     priors, searches = [], []
+    readings = photos / READINGS
     for name, (pan, tilt, zoom) in read_readings(readings).items():
         file = photos / name
         if not file.is_file():
@@ -130,7 +188,7 @@ def calibrate_from_photos(
     if fit.word != "accepted":
         raise PoseError(
             f"these {len(priors)} photos do not determine the mount: {fit.word} ({fit.reason}). Take more presets "
-            "with a clear skyline, spread in pan, or mark landmarks (--gcps); nothing was written"
+            "with a clear skyline, spread in pan, or mark landmarks (--points); nothing was written"
         )
     Console().print(f"{fit.reason}; the cost of the second best mount is {fit.gap:.1f} higher", highlight=False)
     return ptz.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), ptz.lens

@@ -1,11 +1,16 @@
-"""`ltm pose --photo`: find the poses of photos from their skylines and ridges."""
+"""`ltm pose photo`: find the poses of photos from their skylines and ridges."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ltm_ros.cli.output import Overwrite, print_table
+from ltm_ros.cli.pose_points import parameter_names
 
 if TYPE_CHECKING:
     from ltm_core.base.types import UInt8Array
@@ -16,6 +21,8 @@ if TYPE_CHECKING:
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
 
+NOT_ACCEPTED = 3
+"""Exit code of a search whose result is not accepted."""
 FOCAL_SIGMA = 0.05
 """Relative standard deviation of a focal length to fit; the search covers twice this."""
 
@@ -49,6 +56,91 @@ class FoundPhoto:
     word: str
     reason: str
     seconds: float
+
+    @property
+    def usable(self) -> bool:
+        """Return whether there is a pose to write: the accepted one, or the given one, unless that lacks a direction or
+        the photo fits several."""
+        return self.result.accepted or (self.word != "ambiguous" and self.guess.pose.azimuth_deg is not None)
+
+
+def photo(
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Photo, or with a photo list a folder of photos.")],
+    guess: Annotated[
+        Path, typer.Option(metavar="FILE", help="Pose file, or photo list (CSV, YAML), with what is known.")
+    ],
+    dem: Annotated[
+        list[Path], typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Pose file to write; with a photo list, a folder.")
+    ],
+    mount: Annotated[
+        bool, typer.Option("--mount", help="All photos are of one fixed camera or PTZ head: find one correction.")
+    ] = False,
+    free: Annotated[str, typer.Option(metavar="NAMES", help="Also fit these: focal, position.")] = "none",
+    labels: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG of class ids, replaces the segmentation network.")
+    ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Mask PNG (`ltm mask`); non-zero pixels are ignored.")
+    ] = None,
+    model: Annotated[str, typer.Option(metavar="NAME", help="Segmentation network. Default: the shipped one.")] = "",
+    canopy: Annotated[
+        bool, typer.Option("--canopy", help="The DEM includes tree tops (a surface model, not bare earth).")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG of terrain lines over the photo, before and after.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON with residuals, verdict and covariance.")
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the DEM, if its file states none.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find a camera's pose from the skyline and ridges in its photo.
+
+    Exit code 3: a pose was not accepted. An ambiguous one, or one without a stated azimuth, is not written.
+    """
+    from rich.console import Console
+
+    from ltm_core.base.errors import ConfigError
+    from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.storage.config_io import load_yaml
+    from ltm_core.storage.disk_io import require_files, require_folder
+    from ltm_core.tracing.trace_io import GuessConfig
+
+    many = photo.is_dir()
+    if many:
+        require_folder(out)
+    require_files([place for place in (None if many else out, report, None if many else picture) if place], overwrite)
+    chosen = parameter_names(free)
+    if set(chosen) - {"focal", "position"}:
+        raise ConfigError(f"--free {free}: a photo's skyline fits focal and position; `ltm pose points` fits k1")
+    guesses = guesses_of(photo, guess) if many else {photo: load_yaml(guess, GuessConfig)}
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])])
+    found = search_photos(guesses, terrain, PhotoOptions(labels, model, tuple(chosen), canopy, mount, mask))
+    write_photos(found, out, picture, report, many)
+    rows = []
+    for f in found:
+        angles, given = f.result.pose.angles_deg, f.setup.prior.pose.angles_deg
+        moved = ((angles[0] - given[0] + 180) % 360 - 180, angles[1] - given[1], angles[2] - given[2])
+        cells = ["-"] * 5
+        if f.usable:
+            sigma = ", ".join(f"{s:.2f}" for s in f.search.verdict.sigma_deg) if f.result.accepted else "as given"
+            cells = [*(f"{a:.3f}" for a in angles), sigma, ", ".join(f"{m:+.2f}" for m in moved)]
+        rows.append((f.name, f.word, *cells))
+    console = Console()
+    columns = ("photo", "verdict", ">azimuth", ">pitch", ">roll", "sigma, deg", "difference from the input")
+    print_table(console, "poses", columns, rows)
+    for f in found:
+        if not f.result.accepted:
+            kept = "the given pose is kept" if f.usable else "no pose was written"
+            console.print(f"[yellow]{f.name}: {f.word}, {kept}: {f.reason}", highlight=False)
+    if any(f.usable for f in found):
+        console.print(f"  {out}", highlight=False)
+    if not all(f.result.accepted for f in found):
+        raise typer.Exit(NOT_ACCEPTED)
 
 
 def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
@@ -148,8 +240,9 @@ def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, repor
     content = {}
     for f in found:
         place = out / f"{Path(f.name).stem}.yaml" if folder else out
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_result(place, f.result, f.reason, f.word, f.guess, f.setup.frame)
+        if f.usable:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_result(place, f.result, f.reason, f.word, f.guess, f.setup.frame)
         content[f.name] = figures(f.search, f.result, f.setup.prior, f.setup.frame) | {
             "verdict": f.word,
             "reason": f.reason,

@@ -1,11 +1,14 @@
-"""`ltm pose --gcps`: fit a camera's pose and calibration to ground control points, and print the residuals."""
+"""`ltm pose points`: fit a camera's pose and calibration to ground control points, and print the residuals."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from ltm_ros.cli.output import print_table
+import typer
+
+from ltm_ros.cli.output import Overwrite, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,25 +18,43 @@ if TYPE_CHECKING:
     from ltm_core.pose_estimation.points.resection_io import ResectionSetup
 
 
-def fit_to_points(
-    gcps: Path,
-    pose_guess: Path,
-    out: Path,
-    dem: list[Path] | None,
-    free: list[str],
-    force: list[str],
-    first_pixel: float,
-    position_sigma: float | None,
-    sigma_px: float,
-    report: Path | None,
-    crs: str | None,
-) -> Path:
-    """Fit to control points; return the written pose file."""
+def points(
+    control_points: Annotated[
+        Path, typer.Argument(metavar="POINTS", help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")
+    ],
+    guess: Annotated[Path, typer.Option(metavar="FILE", help="Pose file with what is known: position and camera.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Pose file to write, for `ltm trace`.")],
+    dem: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Fit these too: focal, k1, position, or none. Default: focal, k1, and a position with a sigma.",
+        ),
+    ] = None,
+    force: Annotated[
+        str, typer.Option(metavar="NAMES", help="Fit these even if poorly determined: focal, k1, position.")
+    ] = "none",
+    first_pixel: Annotated[
+        float,
+        typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5."),
+    ] = 0.0,
+    sigma_px: Annotated[
+        float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")
+    ] = 1.0,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the control points, if no DEM states it.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit a camera's pose and calibration to surveyed points that are marked in its photo."""
     from typing import cast
 
     from rich.console import Console
     from rich.markup import escape
 
+    from ltm_core.base.errors import PoseError
     from ltm_core.geometry.geodesy import ray_bend
     from ltm_core.pose_estimation.points.resection import resect
     from ltm_core.pose_estimation.points.resection_adjustment import Parameter
@@ -46,37 +67,83 @@ def fit_to_points(
     )
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
+    from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing.trace_io import GuessConfig
 
-    guess = load_yaml(pose_guess, GuessConfig)
+    require_files([place for place in (out, report) if place is not None], overwrite)
+    known = load_yaml(guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
-    setup = set_up_resection(guess, terrain, crs)
-    result = resect(
-        read_control_points(gcps, setup.frame, first_pixel),
-        setup.camera,
-        setup.position,
-        setup.angles_deg,
-        cast("list[Parameter]", free),
-        ray_bend(guess.curvature, guess.refraction),
-        position_sigma,
-        sigma_px,
-        cast("list[Parameter]", force),
-    )
+    setup = set_up_resection(known, terrain, crs)
+    marked = read_control_points(control_points, setup.frame, first_pixel)
+    sigma = known.pose.sigmas_of_place()
+    chosen = parameter_names(free) if free is not None else ["focal", "k1", *(["position"] if sigma else [])]
+
+    def fitted(names: list[str], pixels: float) -> Resection:
+        return resect(
+            marked,
+            setup.camera,
+            setup.position,
+            setup.angles_deg,
+            cast("list[Parameter]", names),
+            ray_bend(known.curvature, known.refraction),
+            sigma,
+            pixels,
+            cast("list[Parameter]", parameter_names(force)),
+        )
+
+    try:
+        result = fitted(chosen, sigma_px)
+    except PoseError as error:
+        raise PoseError(f"{error}{_what_fits(fitted, chosen, sigma_px, len(marked.names), setup)}") from error
     for place in (out, report):
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
-    write_pose(out, result, guess, setup.frame)
+    write_pose(out, result, known, setup.frame)
     if report is not None:
         write_report(report, result, setup.frame)
     console = Console()
     for note in held_notes(result, setup.position, setup.frame):
         console.print(f"[yellow]{escape(note)}", highlight=False)
     if result.outliers:
-        console.print(f"[yellow]left out as outliers: {escape(', '.join(result.outliers))}", highlight=False)
+        remedy = _what_fits(fitted, chosen, sigma_px, len(result.outliers), setup)
+        console.print(f"[yellow]rejected as outliers: {escape(', '.join(result.outliers) + remedy)}", highlight=False)
     _print_parameters(console, result, setup.camera, setup)
-    _print_points(console, result, setup, guess.curvature, guess.refraction)
+    _print_points(console, result, setup, known.curvature, known.refraction)
     console.print(escape(f"  {out}"), highlight=False)
-    return out
+
+
+def parameter_names(listed: str) -> list[str]:
+    """Return the names of a comma-separated list of parameters to fit; none for `none`."""
+    return [name.strip() for name in listed.split(",") if name.strip() not in ("", "none", "angles")]
+
+
+def _what_fits(
+    fitted: Callable[[list[str], float], Resection],
+    free: list[str],
+    sigma_px: float,
+    outliers: int,
+    setup: ResectionSetup,
+) -> str:
+    """Return advice that fits more of the points: a free position, or less exact pixels. Empty: there is none."""
+    import numpy as np
+
+    from ltm_core.base.errors import PoseError
+
+    free_place = free if "position" in free else [*free, "position"]
+    for names, pixels in ((free_place, sigma_px), (free, 3 * sigma_px), (["position"], 2 * sigma_px)):
+        try:
+            result = fitted(names, pixels)
+        except PoseError:
+            continue
+        if len(result.outliers) >= outliers or "position" in result.held:
+            continue
+        moved = float(np.linalg.norm(result.pose.position - setup.position))
+        place = f" (the camera moves by {moved:.1f} m)" if "position" in names else ""
+        return (
+            f". With --free {','.join(names) or 'none'} --sigma-px {pixels:g}, {len(result.outliers)} points do not fit"
+            f"{place}; if the position is not exact, state position_sigma in the guess"
+        )
+    return ""
 
 
 def _print_parameters(console: Console, result: Resection, start: Camera, setup: ResectionSetup) -> None:
@@ -115,7 +182,15 @@ def _print_points(
     title = f"{len(result.used)} points: median residual {median:.2f} px"
     columns = ["point", ">u", ">v", ">du px", ">dv px", ">residual px"]
     traced = None
-    if setup.dem is not None:
+    below = _depth_below(setup, result)
+    if below > 0:
+        x, y, _ = result.pose.position
+        title += (
+            f"\n[yellow]the fitted camera, at ({x + setup.frame.x_origin:.1f}, {y + setup.frame.y_origin:.1f}) in "
+            f"{setup.frame.crs}, is {below:.1f} m below the DEM: `ltm trace` rejects it. Check the height of the guess "
+            "and the vertical datums of points and DEM"
+        )
+    elif setup.dem is not None:
         from ltm_core.pose_estimation.points.resection import traced_errors
         from ltm_core.tracing import TerrainTracer
 
@@ -134,6 +209,12 @@ def _print_points(
             cells.append(escape(str(traced.states[k])))
         rows.append(cells if result.used[k] else [f"[red]{cell}" for cell in cells])
     print_table(console, title, columns, rows)
+
+
+def _depth_below(setup: ResectionSetup, result: Resection) -> float:
+    """Return how far the camera is below the DEM, in metres; NaN without a DEM."""
+    x, y, z = (float(value) for value in result.pose.position)
+    return float("nan") if setup.dem is None else float(setup.dem.elevation_at(x, y)) - z
 
 
 def _summary(traced: TracedErrors) -> str:

@@ -193,7 +193,7 @@ def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]
     ]
 
 
-PHONE = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
+PHONE = Assumptions(focal_35mm=25.0, height_above_ground=1.6)
 """Lens of the phone and height above ground, which the recording lacks."""
 _WIDTH = 1000
 _COLORS = ((205, 40, 40), (0, 130, 220), (25, 25, 25), (240, 150, 0))

@@ -10,6 +10,7 @@ import numpy as np
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import VotingStep
+from ltm_core.pipeline.pose_watch import PoseWatch
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -31,6 +32,9 @@ from ltm_ros.runtime.topics import (
     POSED_POSE,
 )
 
+CONTRADICTED = "pose_contradicted"
+"""Name under which /diagnostics counts frames whose stated poses the skyline contradicts."""
+
 
 class FuelVotesHandler(Handler[JoinConfig]):
     publications = (FUEL_VOTES,)
@@ -38,7 +42,8 @@ class FuelVotesHandler(Handler[JoinConfig]):
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        self._step = VotingStep(load_site(config.site), config.camera)
+        site = load_site(config.site)
+        self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
         self._withdrawn = np.zeros(2, np.int64)
         parts = ("depth", "info", "labels", "confidence", "pose")
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
@@ -69,14 +74,15 @@ class FuelVotesHandler(Handler[JoinConfig]):
         self._join.finish()
 
     def _vote(self, depth: Any, info: Any, labels: Any, confidence: Any, pose: Any) -> None:
-        votes = self._step.cast(
-            msg_to_depth(depth),
-            msg_to_camera(info),
-            msg_to_pose(pose, "map"),
-            Segmentation(msg_to_array(labels, ("mono8",)), msg_to_array(confidence, ("mono8",))),
-            stamp_of(depth),
-            msg_to_covariance(pose, self._step.assumed),
-        )
+        stamp, camera, posed = stamp_of(depth), msg_to_camera(info), msg_to_pose(pose, "map")
+        found = Segmentation(msg_to_array(labels, ("mono8",)), msg_to_array(confidence, ("mono8",)))
+        covariance = msg_to_covariance(pose, self._step.assumed)
+        votes = self._step.cast(msg_to_depth(depth), camera, posed, found, stamp, covariance)
+        self._watch.look(found.labels, camera, posed, covariance, stamp)
+        if self._watch.reason:
+            self.health.note(CONTRADICTED)
+            self.health.trouble(CONTRADICTED, self._watch.reason)
+        self.health.gauge("pose", self._watch.reason or "not contradicted")
         sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")

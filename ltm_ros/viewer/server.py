@@ -1,9 +1,8 @@
 """Start the viewer and server processes of Rerun, on loopback only; take a screenshot without a screen.
 
-Take a screenshot of an .rrd file in the Rerun viewer, without a screen.
-
-The front tab is selected in the blueprint that a running viewer reports: a nested mapping entity path -> archetype ->
-field.
+Rerun's programs send usage statistics, and its page loads fonts and looks for releases. The processes started here have
+a configuration of their own without statistics. The page is served again by our server, without links to other hosts
+and with a policy that makes the browser block requests to them.
 """
 
 from __future__ import annotations
@@ -11,14 +10,19 @@ from __future__ import annotations
 import contextlib
 import copy
 import ctypes
+import http.client
+import json
 import os
+import re
 import shutil
 import signal
 import socket
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from http import HTTPStatus
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,6 +30,7 @@ from urllib.parse import quote
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.image_io import read_rgb
+from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
@@ -37,6 +42,11 @@ viewer is open, the server uses up to twice that.
 OPEN_MEMORY = "1GiB"
 """Memory limit of a window, and of the server of a recording. Rerun's own limit for a window is 75 % of the machine."""
 _PR_SET_PDEATHSIG = 1
+_PROXY_VARIABLES = ("http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+_NOWHERE = dict.fromkeys(_PROXY_VARIABLES, f"http://{LOOPBACK}:9") | {"no_proxy": LOOPBACK, "NO_PROXY": LOOPBACK}
+"""A proxy that does not exist: the viewer's search for new releases ends there."""
+_PAGE_FILES = ("", "index.html", "re_viewer.js", "re_viewer_bg.wasm", "sw.js", "favicon.ico", "apple-touch-icon.png")
+_FOREIGN_LINK = re.compile(rb"<link\b[^>]*https?://[^>]*>")
 
 
 def rerun_binary() -> Path:
@@ -69,11 +79,19 @@ class RerunProcess:
 
     def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
         sink = subprocess.DEVNULL if quiet else None
+        self._page: WebServer | None = None
+        self._config = tempfile.TemporaryDirectory(prefix="ltm-rerun-")
+        private = Path(self._config.name, "rerun", "analytics.json")
+        private.parent.mkdir()
+        settings = {"analytics_enabled": False, "analytics_id": "", "metadata": {}}
+        places = {"config_file_path": str(private), "data_dir_path": self._config.name}
+        private.write_text(json.dumps(settings | places), encoding="utf-8")
         self._process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [str(rerun_binary()), "--bind", LOOPBACK, "--hide-welcome-screen", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=sink,
             stderr=sink,
+            env=os.environ | _NOWHERE | {"XDG_CONFIG_HOME": self._config.name},
             start_new_session=True,
             preexec_fn=_end_with_parent(),
         )
@@ -88,15 +106,17 @@ class RerunProcess:
         """
         for port in (web_port, grpc_port):
             _refuse_taken(port)
-        ports = ["--web-viewer-port", str(web_port), "--port", str(grpc_port)]
+        own_page = _free_port()
+        ports = ["--web-viewer-port", str(own_page), "--port", str(grpc_port)]
         files = [str(recording)] if recording is not None else []
         process = cls([*files, "--serve-web", *ports, "--server-memory-limit", memory_limit])
         try:
             process.wait_until_listening(grpc_port)
-            process.wait_until_listening(web_port)
-        except ConfigError:
+            process.wait_until_listening(own_page)
+            process._page = WebServer(_page_routes(own_page, grpc_port), LOOPBACK, web_port)
+        except (ConfigError, OSError) as error:
             process.stop()
-            raise
+            raise ConfigError(f"{LOOPBACK}:{web_port}: {error}") if isinstance(error, OSError) else error from error
         return process
 
     @property
@@ -123,12 +143,37 @@ class RerunProcess:
 
     def stop(self, grace: float = 3.0) -> None:
         """End the process and all its children."""
+        if self._page is not None:
+            self._page.close()
+            self._page = None
         for number in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, number)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=grace)
                 return
+
+
+def _page_routes(own_page: int, grpc_port: int) -> dict[str, Route]:
+    """Return the routes that serve the page at Rerun's port `own_page` without requests to other hosts."""
+    policy = (
+        "default-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' data: blob:; "
+        f"connect-src 'self' data: blob: http://{LOOPBACK}:{grpc_port}; frame-ancestors 'none'"
+    )
+
+    def route(name: str) -> Route:
+        def answer(_: bytes) -> WebResponse:
+            with contextlib.closing(http.client.HTTPConnection(LOOPBACK, own_page, timeout=30)) as connection:
+                connection.request("GET", f"/{name}")
+                response = connection.getresponse()
+                body, kind = response.read(), response.getheader("Content-Type", "application/octet-stream")
+            if kind.startswith("text/html"):
+                body = _FOREIGN_LINK.sub(b"", body)
+            return WebResponse(body, kind, HTTPStatus(response.status), policy)
+
+        return answer
+
+    return {f"GET /{name}": route(name) for name in _PAGE_FILES}
 
 
 def listens(port: int) -> bool:

@@ -60,11 +60,14 @@ def _srt(folder: Path) -> list[bytes]:
         "[rel_alt: 40.0 abs_alt: 1550.0] [gb_yaw: -10.0 gb_pitch: -12.0 gb_roll: 0.5] </font>\n\n"
     )
     old = "1\n00:00:00,000 --> 00:00:01,000\nGPS(-118.060000,34.225000,19) BAROMETER:40.5\n2024.07.04 18:30:15\n\n"
-    return [(new + new.replace("00:00:00", "00:00:01")).encode(), old.encode()]
+    height = "1\n00:00:00,000 --> 00:00:01,000\nGPS (34.2250, -118.0600, 0.0M), H 40.50ft, DZOOM 2.000\n\n"
+    return [(new + new.replace("00:00:00", "00:00:01")).encode(), old.encode(), height.encode()]
 
 
 def _read_srt(folder: Path) -> None:
-    read_subtitles(folder / "a.srt", None)[0].at(1, np.eye(3))
+    found = read_subtitles(folder / "a.srt")
+    found.track.at(1, np.eye(3))
+    found.lens_at(0.0)
 
 
 def _video(folder: Path) -> list[bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +11,11 @@ import numpy as np
 from PIL import Image
 
 from fuzz.target import Target
+from ltm_core.base.errors import CameraError
 from ltm_core.geometry.camera import Camera
 from ltm_core.tracing import trace_io
 from ltm_core.vision.masks import read_mask
+from ltm_ros.recordings.importing.intrinsics import intrinsics
 from ltm_ros.recordings.importing.photo import read_photo
 
 
@@ -20,8 +23,9 @@ def _exif() -> Image.Exif:
     exif = Image.Exif()
     exif[0x0112], exif[0x0132] = 6, "2024:05:06 07:08:09"
     exif.get_ifd(0x8769).update(
-        {0x9003: "2024:05:06 07:08:09", 0x9011: "+02:00", 0x920A: 6.86, 0xA405: 26, 0x9291: "123"}
+        {0x9003: "2024:05:06 07:08:09", 0x9011: "+02:00", 0x920A: 6.86, 0xA405: 26, 0xA404: 1.5, 0x9291: "123"}
     )
+    exif.get_ifd(0x8769).update({0xA002: 4000, 0xA003: 3000, 0xA20E: 600.0, 0xA20F: 600.0, 0xA210: 3, 0x927C: b"abcd"})
     gps = {1: "N", 2: (34.0, 12.0, 30.5), 3: "W", 4: (117.0, 5.0, 1.25), 5: b"\0", 6: 912.5, 7: (7.0, 8.0, 9.0)}
     exif.get_ifd(0x8825).update(gps | {16: "M", 17: 123.5, 29: "2024:05:06"})
     return exif
@@ -45,7 +49,8 @@ def _photos(kind: str, **options: object) -> Callable[[Path], list[bytes]]:
 
 def _read_photo(folder: Path, name: str) -> None:
     photo = read_photo(folder / name)
-    photo.exif.focal_px(photo.width, photo.height)
+    with contextlib.suppress(CameraError):
+        intrinsics(photo.lens, photo.width, photo.height, name)
     trace_io.read_photo(folder / name, Camera.from_fov(photo.width, photo.height, 60.0))
 
 
@@ -60,6 +65,7 @@ _XMP = (
     b'drone-dji:GpsLatitude="34.225" drone-dji:GpsLongitude="-118.06" drone-dji:AbsoluteAltitude="+1561.50" '
     b'drone-dji:RelativeAltitude="+60.0" drone-dji:GimbalYawDegree="-128.30" drone-dji:GimbalPitchDegree="-21.50" '
     b'drone-dji:GimbalRollDegree="+0.40" drone-dji:RtkStdLon="0.03" drone-dji:RtkStdLat="0.05" '
+    b'drone-dji:DewarpData="2018-09-04;55.5,55.4,1,2,-0.2,0.1,0,0,0" GPano:ProjectionType="perspective" '
     b'drone-dji:CalibratedFocalLength="55.5" drone-dji:CalibratedOpticalCenterX="36.0"/></x:xmpmeta>'
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ GROUND = 1500.0
 STAMP = 1_720_143_015_250_000_000
 """2024-07-05 01:30:15.25 UTC."""
 LONG, SHORT = 64, 40
+FX = 27.0 / math.hypot(36.0, 24.0) * math.hypot(LONG, SHORT)
+"""Focal length in pixels of a lens of 27 mm (35 mm equivalent)."""
 
 
 def phone_site(folder: Path) -> Site:
@@ -60,7 +63,7 @@ def taken(
     x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
     place = (x + at[0], y + at[1], GROUND + at[2])
     width, height = (SHORT, LONG) if portrait else (LONG, SHORT)
-    camera = Camera(width, height, 48.0, 48.0, (width - 1) / 2, (height - 1) / 2)
+    camera = Camera(width, height, FX, FX, (width - 1) / 2, (height - 1) / 2)
     stamp = STAMP + number * 10_000_000_000
     return PhonePhoto(f"IMG_{number}.jpg", picture(portrait), camera, Pose.from_angles(place, *angles_deg), stamp, 4.0)
 

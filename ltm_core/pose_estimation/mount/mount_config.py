@@ -1,4 +1,4 @@
-"""The mount of a PTZ head in a site file, as written by `ltm pose`."""
+"""The mount of a PTZ head in a site file, as written by `ltm pose mount`."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from ltm_core.pose_estimation.points.resection_adjustment import (
     PARAMETERS,
     Adjustment,
     Fit,
+    NoCommonPoseError,
     Parameter,
     check_fit,
     check_points,
@@ -107,11 +108,12 @@ def resect(
         position: (3,) map metres: held, or roughly known where "position" is free: then all places are searched, and
             of poses that explain the points alike the nearest is taken.
         angles_deg: (azimuth, pitch, roll) where they are roughly known; they only help the search.
-        free: parameters to fit besides the angles. One that the points cannot bear is held, with a reason.
+        free: parameters to fit besides the angles. One that the points do not determine, or with which they do not
+            fit one pose, is held, with a reason.
         bend: curvature coefficient of the rays, `geodesy.ray_bend`.
         position_sigma: how well `position` is known, metres, one or three: an observation of weight 1 / sigma^2 where
-            the position is free, and its variance where it is not.
-        sigma_px: what a click is worth at best, pixels.
+            the position is free, which it then stays, and its variance where it is not.
+        sigma_px: smallest standard deviation of a marked pixel; it is doubled if the points do not fit one pose.
         force: parameters to fit however badly the points bear them; they count as free. Too few points stay too few.
 
     Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
@@ -128,21 +130,32 @@ def resect(
     chosen = [name for name in PARAMETERS if name in free or name in force]
     held = hold_for_redundancy(chosen, len(points.names), sigma is not None)
     rejected: dict[Parameter, Rejected] = {}
+    kept: list[Parameter] = list(force) if sigma is None else [*force, "position"]
 
     problem = Adjustment(points, bend, origin, sigma)
-    best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
+    misfit: NoCommonPoseError | None = None
     while True:
-        fit = problem.robust_fit(best.pose, best.camera, tuple(chosen), sigma_px)
-        fit = problem.without_outliers(fit, tuple(chosen), sigma_px)
-        check_fit(points, fit)
-        reason = unbearable(fit, tuple(chosen), points, force)
+        try:
+            best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
+            fit = problem.robust_fit(best.pose, best.camera, tuple(chosen), sigma_px)
+            fit = problem.without_outliers(fit, tuple(chosen), sigma_px)
+            check_fit(points, fit)
+        except NoCommonPoseError as error:
+            if misfit is None:
+                misfit, sigma_px = error, 2 * sigma_px
+                continue
+            optional = [name for name in PARAMETERS if name in chosen and name not in kept and name != "position"]
+            if not optional:
+                raise misfit from None
+            held[optional[-1]] = "with it, the points do not fit one pose"
+            chosen.remove(optional[-1])
+            continue
+        reason = unbearable(fit, tuple(chosen), points, kept)
         if reason is None:
             break
         name, why = reason
         held[name], rejected[name] = why, _rejected(name, fit, tuple(chosen))
         chosen.remove(name)
-        if name != "k1":  # which the rough fit leaves as it was given
-            best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
     return _result(points, fit, tuple(chosen), held, rejected, sigma)
 
 

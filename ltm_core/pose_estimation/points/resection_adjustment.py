@@ -39,6 +39,10 @@ REMEDY = (
 )
 
 
+class NoCommonPoseError(PoseError):
+    """The points do not fit one pose of a camera with these free parameters."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     camera: Camera
@@ -65,7 +69,7 @@ class Adjustment:
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
-            scale = max(sigma_px, _scale(fit.residuals, 3 + size_of(free)))
+            scale = max(sigma_px, _scale(fit.residuals, self._unknowns(free)))
             fit = self._solve(
                 fit, free, everyone, min(scale, diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
             )
@@ -73,12 +77,12 @@ class Adjustment:
 
     def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
         """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable."""
-        size = 3 + size_of(free)
+        size = self._unknowns(free)
         before = None
         for _ in range(10):
             used = lengths(fit.residuals) <= OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
-                raise PoseError(
+                raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
                     f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
                 )
@@ -89,6 +93,11 @@ class Adjustment:
                 break
             before = used
         return fit
+
+    def _unknowns(self, free: tuple[Parameter, ...]) -> int:
+        """Return the number of parameters that the pixels alone determine: a position with a sigma is observed too."""
+        known = "position" in free and self.position_sigma is not None
+        return 3 + size_of(free) - (SIZE["position"] if known else 0)
 
     def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
@@ -219,7 +228,7 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
     limit = MAX_MEDIAN_SHARE * diagonal(fit.camera)
     median = median_px(fit.residuals)
     if median > limit:
-        raise PoseError(
+        raise NoCommonPoseError(
             f"no pose explains the control points: the median residual is {median:.0f} px (limit {limit:.0f} px): "
             f"{named(points, fit.residuals, np.ones(len(points.names), bool))}. {REMEDY}"
         )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -40,16 +41,21 @@ def time_zone(name: str) -> ZoneInfo:
 def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes: list[str]) -> datetime:
     """Return the time of a photo with its zone.
 
-    Sources in this order: `stated` (UTC unless it names a zone; for a frame, the start of its capture); the name in a
-    sensor recording; EXIF's clock with EXIF's zone; the clock in `zone`; the GPS stamp, which is UTC; the clock as UTC.
-    `notes` gets assumptions and contradictions between clock and GPS stamp. Raises RecordingError without any date.
+    Sources in this order: `stated` (UTC unless it names a zone; for a frame, the start of its capture); the time of a
+    recording or video, else EXIF's clock, each with its own zone; this clock in `zone`; the GPS stamp, which is UTC;
+    the clock as UTC. `notes` gets assumptions and contradictions between clock and GPS stamp. Raises RecordingError
+    without any date.
     """
     if stated is not None:
         begun = stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
         return begun + timedelta(seconds=photo.sensed.seconds)
-    if photo.sensed.stamp is not None:
-        return photo.sensed.stamp
-    clock, gps = photo.exif.taken, photo.exif.gps_time
+    clock, gps, what = photo.sensed.stamp, photo.exif.gps_time, photo.sensed.source
+    if clock is not None and clock.tzinfo is not None:
+        return clock
+    if clock is None:
+        clock, what = photo.exif.taken, "EXIF"
+        if photo.exif.changed:
+            notes.append(f"EXIF has no date of the exposure: the date of the last change is used, {clock}")
     if clock is None:
         if gps is None:
             raise RecordingError(f"{photo.path} has no date: give it a `stamp` (ISO 8601) in the pose file")
@@ -59,10 +65,10 @@ def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes
             _compare_minutes(clock, gps, notes)
             return gps
         if zone is None:
-            notes.append(f"EXIF date {clock.isoformat()} has no time zone: UTC is assumed; give --time-zone otherwise")
+            notes.append(f"{what}'s dates have no time zone: UTC is assumed; give --time-zone otherwise")
         elif clock.replace(tzinfo=zone).utcoffset() != clock.replace(tzinfo=zone, fold=1).utcoffset():
             notes.append(
-                f"EXIF date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
+                f"{what} date {clock.isoformat()} is in the hour of a clock change of {zone}: it may be an hour off"
             )
         clock = clock.replace(tzinfo=zone or UTC)
     if gps is not None and abs(clock - gps) > _CONTRADICTION:
@@ -97,8 +103,8 @@ class Assumptions:
 
     `pitch_deg`: None: reject a photo of unknown pitch, because a wrong one moves everything that it sees; likewise one
     of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
-    `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from ellipsoidal altitudes (H = h - N); if
-    given, EXIF's count as ellipsoidal. `start_height`: of the camera at the start of a barometer's record, in the DEM's
+    `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from altitudes (H = h - N) unless these are
+    certainly above sea level. `start_height`: of the camera at the start of a barometer's record, in the DEM's
     vertical datum. `focal_35mm`: focal length in 35 mm equivalent. `every`: seconds between the frames of a video.
     Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
     `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
@@ -123,6 +129,8 @@ class Assumptions:
     start_height: float | None = None
     focal_35mm: float | None = None
     every: float = 1.0
+    covers: Callable[[float, float], bool] | None = None
+    """Whether the site's DEM covers (lon, lat) in degrees; it decides the order of a drone's coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +143,14 @@ class Surroundings:
     dem: Dem | None = None
     cameras: Mapping[str, CameraConfig] = field(default_factory=dict)
     pose_error: PoseErrorConfig = field(default_factory=PoseErrorConfig)
+
+    def covers(self, lon: float, lat: float) -> bool:
+        """Return whether a position is inside the DEM's outline; True without a DEM."""
+        if self.dem is None:
+            return True
+        covered = self.dem.levels[-1].geometry
+        row, col = covered.to_grid(*self.frame.from_lonlat(lon, lat))
+        return bool(covered.contains(row + 0.5, col + 0.5))
 
 
 _SUSPECT_HEIGHT = 25.0
@@ -169,12 +185,12 @@ def height_of(
                 found["height_sigma"] = sigma
                 return z
             under = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
-            _refuse_in_flight(photo, assumed, under)
+            _refuse_in_flight(photo.sensed, photo.path, assumed, under)
             notes.append(
                 f"{under}: {assumed.height_above_ground:g} m above the terrain is assumed; {_MAYBE_ELLIPSOIDAL}"
             )
         else:
-            _refuse_in_flight(photo, assumed, "its altitude is not known")
+            _refuse_in_flight(photo.sensed, photo.path, assumed, "its altitude is not known")
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
@@ -188,14 +204,16 @@ def height_of(
     return ground + above
 
 
-def _refuse_in_flight(photo: Photo, assumed: Assumptions, why: str) -> None:
-    """Raise PoseError for a drone that only gives its climb: it is not at eye height above the terrain."""
-    climb = photo.sensed.climb
-    if climb is not None and photo.sensed.walk is None and assumed.start_height is None:
-        raise PoseError(
-            f"{photo.path}: {why}, and {photo.sensed.source} only gives {climb:.1f} m above the take-off place: "
-            "give its height in the DEM's vertical datum, --start-height"
-        )
+def _refuse_in_flight(sensed: Sensed, path: Path, assumed: Assumptions, why: str) -> None:
+    """Raise PoseError for a drone of unknown height: it is not at eye height above the terrain."""
+    if not sensed.in_flight or (sensed.climb is not None and assumed.start_height is not None):
+        return
+    if sensed.climb is None:
+        raise PoseError(f"{path}: {why}: give the drone's z or height_above_ground in a pose file (--poses)")
+    raise PoseError(
+        f"{path}: {why}, and {sensed.source} only gives {sensed.climb:.1f} m above the take-off place: give its height "
+        "in the DEM's vertical datum, --start-height (0 if the drone counts from sea level)"
+    )
 
 
 def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[str]) -> tuple[float, float, str] | None:
@@ -210,7 +228,9 @@ def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[s
             "them"
         )
         return None
-    z, what = sensed.altitude - (undulation or 0.0), f"{sensed.source} altitude"
+    z, what = sensed.altitude, f"{sensed.source} altitude"
+    if sensed.ellipsoidal is not False:
+        z -= undulation or 0.0
     if z > ground + _SUSPECT_HEIGHT:
         notes.append(f"{what} {z:.1f} m is {z - ground:.1f} m above the terrain: {_MAYBE_ELLIPSOIDAL}")
     return z, sensed.altitude_sigma or assumed.altitude_sigma, what

@@ -84,6 +84,9 @@ def import_photos(
     """
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
+    if site is not None:
+        around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+        assumed = replace(assumed, covers=around.covers)
     files, skipped = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
@@ -91,9 +94,8 @@ def import_photos(
         skipped += [SkippedFile(file.path, f"not listed in {poses}") for file in files if file not in listed]
         files = listed
     frame = site.frame if site is not None else _frame_of(files, rows)
-    around = Surroundings(frame)
-    if site is not None:
-        around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
+    if site is None:
+        around = Surroundings(frame)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
     report.skipped = skipped
 
@@ -221,6 +223,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 
 def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """Return the UTM zone of the first photo with a position, with an origin on the nearest kilometre."""
+    why = ""
     unreadable: LtmError | None = None
     for file in files:
         row = _row_of(file, rows)
@@ -233,7 +236,7 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
             except LtmError as error:  # it is reported when it is placed
                 unreadable = unreadable or error
                 continue
-            lon, lat = sensed.lon, sensed.lat
+            lon, lat, why = sensed.lon, sensed.lat, why or sensed.missing
         if lon is not None and lat is not None:
             zone = min(math.floor((lon + 180) / 6) + 1, 60)
             crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
@@ -241,7 +244,8 @@ def _frame_of(files: list[ImportedImage], rows: dict[str, PhotoPose] | None) -> 
             return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
     if unreadable is not None:
         raise unreadable
-    raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
+    reason = f" ({why})" if why else ""
+    raise RecordingError(f"no photo has a position{reason}: give them x, y or lon, lat in a pose file (--poses)")
 
 
 def _apart(

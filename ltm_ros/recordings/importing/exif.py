@@ -1,11 +1,12 @@
-"""Read a photo's EXIF: position, time, direction and lens."""
+"""Read a photo's EXIF: position, time and direction; and the values of its XMP."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import MAXYEAR, UTC, datetime, timedelta
 from typing import Any, Literal
 
 from PIL.Image import Exif
@@ -13,164 +14,188 @@ from PIL.Image import Exif
 from ltm_core.base.errors import ImageError
 
 # Tag numbers: CIPA DC-008 (Exif 2.32), sections 4.6.4 to 4.6.6.
-_ORIENTATION, _DATE_TIME = 0x0112, 0x0132
-_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
-_DATE_TIME_ORIGINAL, _OFFSET_TIME, _OFFSET_TIME_ORIGINAL, _SUBSEC_TIME_ORIGINAL = 0x9003, 0x9010, 0x9011, 0x9291
-_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _PIXEL_X_DIMENSION = 0x920A, 0xA405, 0xA002
-_FOCAL_PLANE_X_RESOLUTION, _FOCAL_PLANE_RESOLUTION_UNIT = 0xA20E, 0xA210
+ORIENTATION, EXIF_IFD, _GPS_IFD = 0x0112, 0x8769, 0x8825
+_DATES = ((0x9003, 0x9291, 0x9011), (0x9004, 0x9292, 0x9012), (0x0132, 0x9290, 0x9010))
+"""Date, fraction of a second and zone: of the exposure, of the digitisation, and of the last change."""
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
 _ALTITUDE_REF, _ALTITUDE, _GPS_TIME, _DIRECTION_REF, _DIRECTION, _GPS_DATE = 5, 6, 7, 16, 17, 29
-_POSITION_ERROR = 31
-
-_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-FULL_FRAME_WIDTH_MM = 36.0
+_MAP_DATUM, _POSITION_ERROR = 18, 31
+_OTHER_DATUM = re.compile("TOKYO|NAD.?27|ED.?50", re.IGNORECASE)
+_ROLLOVER = timedelta(weeks=1024)
+"""Interval after which a GPS receiver's week number starts again from 0."""
+_FIRST_GPS_YEAR = 1999
+"""EXIF has GPS tags since 1998; receivers without a fix count from 1980, or from 1970."""
+_XMP_VALUE = re.compile(r"""([\w-]+:\w+)\s*=\s*["']([^"']*)["']|<([\w-]+:\w+)>([^<]*)</""")
 
 
 @dataclass(frozen=True)
 class ExifFacts:
     """EXIF of one photo, each value None if missing or invalid.
 
-    `altitude`: metres above sea level, negative below (tag 5). `direction_deg`: of the optical axis, clockwise from
-    true ("T") or magnetic ("M") north by `direction_ref`. `taken`: by the camera's clock, with its time zone if stated.
-    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31). `focal_plane_px_per_mm`: sensor
-    pixels per millimetre, of an image `original_width` pixels wide.
+    `no_position`: reason why a stated position is not used. `altitude`: metres above sea level, negative below (tag 5);
+    as most cameras mean sea level even if the standard says ellipsoid (Exif 3.0), it is only certain if `above_sea`.
+    `direction_deg`: of the optical axis, clockwise from true ("T") or magnetic ("M") north by `direction_ref`.
+    `taken`: by the camera's clock, with its time zone if stated; `changed`: whether it may be the date of an edit.
+    `gps_time`: of the GPS fix, UTC. `position_error`: horizontal, metres (tag 31).
     """
 
     orientation: int = 1
     taken: datetime | None = None
+    changed: bool = False
     gps_time: datetime | None = None
     lat: float | None = None
     lon: float | None = None
+    no_position: str = ""
     altitude: float | None = None
+    above_sea: bool = False
     position_error: float | None = None
     direction_deg: float | None = None
     direction_ref: Literal["T", "M"] | None = None
-    focal_mm: float | None = None
-    focal_35mm: float | None = None
-    focal_plane_px_per_mm: float | None = None
-    original_width: int | None = None
-
-    def focal_px(self, width: int, height: int, sensor_width_mm: float | None = None) -> float | None:
-        """Return the focal length in pixels of the uncropped image of `width` x `height`; None if unknown.
-
-        It uses the focal length and, in this order, the stated sensor width, EXIF's pixels per millimetre, or the 35 mm
-        equivalent over the 36 mm long side (only that is rounded to whole millimetres). If EXIF's two values differ by
-        more than 10 %, the 35 mm equivalent is used: some cameras state the resolution of a thumbnail.
-        """
-        long_side = max(width, height)
-        if sensor_width_mm is not None and self.focal_mm is not None:
-            return self.focal_mm / sensor_width_mm * long_side
-        by_35mm = self.focal_35mm / FULL_FRAME_WIDTH_MM * long_side if self.focal_35mm is not None else None
-        by_plane = None
-        if self.focal_mm is not None and self.focal_plane_px_per_mm is not None:
-            scale = long_side / self.original_width if self.original_width else 1.0
-            by_plane = self.focal_mm * self.focal_plane_px_per_mm * scale
-        if by_plane is None or (by_35mm is not None and abs(by_plane / by_35mm - 1) > 0.1):
-            return by_35mm
-        return by_plane
 
 
 def exif_facts(exif: Exif, what: str) -> ExifFacts:
     """Read the tags; `what` names the photo in errors. Raises ImageError for an invalid latitude or longitude."""
-    main, photo, gps = dict(exif), exif.get_ifd(_EXIF_IFD), exif.get_ifd(_GPS_IFD)
-    orientation = main.get(_ORIENTATION, 1)
-    lat = _signed(_degrees(gps.get(_LATITUDE)), gps.get(_LATITUDE_REF), "S")
-    lon = _signed(_degrees(gps.get(_LONGITUDE)), gps.get(_LONGITUDE_REF), "W")
+    photo, gps = dict(exif) | exif.get_ifd(EXIF_IFD), exif.get_ifd(_GPS_IFD)
+    orientation = exif.get(ORIENTATION, 1)
+    lat = _signed(_degrees(gps.get(_LATITUDE)), gps.get(_LATITUDE_REF), "NS")
+    lon = _signed(_degrees(gps.get(_LONGITUDE)), gps.get(_LONGITUDE_REF), "EW")
+    no_position = ""
     if (lat is not None and abs(lat) > 90) or (lon is not None and abs(lon) > 180):
         raise ImageError(f"{what}: invalid EXIF position lat {lat}, lon {lon}")
-    if (lat, lon) == (0.0, 0.0):
-        lat = lon = None  # phones write this without a GPS fix
-    altitude = _number(gps.get(_ALTITUDE))
-    if altitude is not None and _below_sea(gps.get(_ALTITUDE_REF)):
-        altitude = -altitude
-    direction = _number(gps.get(_DIRECTION))
-    reference = _text(gps.get(_DIRECTION_REF))
-    unit = photo.get(_FOCAL_PLANE_RESOLUTION_UNIT, 2)
-    resolution = _positive(photo.get(_FOCAL_PLANE_X_RESOLUTION))
-    original_width = _positive(photo.get(_PIXEL_X_DIMENSION))
+    if any(value is not None and math.isnan(value) for value in (lat, lon)):
+        no_position = "it does not state the hemisphere (GPSLatitudeRef, GPSLongitudeRef)"
+    elif datum := _OTHER_DATUM.search(text_of(gps.get(_MAP_DATUM))):
+        no_position = f"it is in the datum {datum[0]}, not in WGS 84"
+    if no_position or (lat, lon) == (0.0, 0.0):
+        lat = lon = None  # phones write 0, 0 without a GPS fix
+    reference = _small_number(gps.get(_ALTITUDE_REF))
+    altitude = number(gps.get(_ALTITUDE))
+    if altitude is not None and reference in (1, 3):
+        altitude = -abs(altitude)
+    direction = number(gps.get(_DIRECTION))
+    north = text_of(gps.get(_DIRECTION_REF))
+    taken, changed = _taken(photo)
     return ExifFacts(
         orientation=orientation if orientation in range(1, 9) else 1,
-        taken=_taken(main, photo),
-        gps_time=_gps_time(gps),
+        taken=taken,
+        changed=changed,
+        gps_time=_gps_time(gps, taken),
         lat=lat,
         lon=lon,
+        no_position=no_position,
         altitude=altitude,
-        position_error=_positive(gps.get(_POSITION_ERROR)),
-        direction_deg=direction % 360.0 if direction is not None else None,
-        direction_ref="M" if reference == "M" else "T" if reference == "T" else None,
-        focal_mm=_positive(photo.get(_FOCAL_LENGTH)),
-        focal_35mm=_positive(photo.get(_FOCAL_LENGTH_35MM)),
-        focal_plane_px_per_mm=resolution / _MM_PER_UNIT[unit] if resolution and unit in _MM_PER_UNIT else None,
-        original_width=int(original_width) if original_width else None,
+        above_sea=reference in (2, 3),
+        position_error=positive(gps.get(_POSITION_ERROR)),
+        direction_deg=direction % 360.0 if direction is not None and -180 <= direction <= 360 else None,
+        direction_ref="M" if north == "M" else "T" if north == "T" else None,
     )
 
 
-def _taken(main: Mapping[int, Any], photo: Mapping[int, Any]) -> datetime | None:
-    local = _date_time(_text(photo.get(_DATE_TIME_ORIGINAL)) or _text(main.get(_DATE_TIME)))
-    if local is None:
-        return None
-    fraction = _text(photo.get(_SUBSEC_TIME_ORIGINAL))
-    if fraction.isdigit():
-        local += timedelta(seconds=float(f"0.{fraction}"))
-    offset = _text(photo.get(_OFFSET_TIME_ORIGINAL)) or _text(photo.get(_OFFSET_TIME))
-    try:
-        return local.replace(tzinfo=datetime.strptime(offset, "%z").tzinfo)
-    except ValueError:
-        return local
+def xmp_values(xmp: bytes | str | None) -> dict[str, str]:
+    """Return the simple values of an XMP packet by their names with prefix, whether attributes or elements."""
+    text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp or ""
+    found: dict[str, str] = {}
+    for attribute, value, element, content in _XMP_VALUE.findall(text):
+        found.setdefault(attribute or element, (value or content).strip())
+    return found
 
 
-def _gps_time(gps: Mapping[int, Any]) -> datetime | None:
-    clock = gps.get(_GPS_TIME)
-    if not (isinstance(clock, tuple) and len(clock) == 3 and all(_number(v) is not None for v in clock)):
+def _taken(tags: Mapping[int, Any]) -> tuple[datetime | None, bool]:
+    """Return the date of the exposure, else of the digitisation, else of the last change, and whether it is the last.
+
+    A zone of the last change counts for another date if both read the same time.
+    """
+    *_, (last, _, last_zone) = _DATES
+    for tag, fraction_tag, zone_tag in _DATES:
+        local = _date_time(text_of(tags.get(tag)))
+        if local is None:
+            continue
+        same = local == _date_time(text_of(tags.get(last)))
+        zone = text_of(tags.get(zone_tag)) or (text_of(tags.get(last_zone)) if same or last not in tags else "")
+        fraction = text_of(tags.get(fraction_tag))
+        if fraction.isascii() and fraction.isdigit():
+            local += timedelta(seconds=float(f"0.{fraction}"))
+        try:
+            zoned = local.replace(tzinfo=datetime.strptime(zone, "%z").tzinfo)
+        except ValueError:
+            return local, tag == last
+        away = zoned.utcoffset() or timedelta()
+        return zoned if abs(away) <= timedelta(hours=14) else local, tag == last
+    return None, False
+
+
+def _gps_time(gps: Mapping[int, Any], taken: datetime | None) -> datetime | None:
+    """Return the GPS stamp; one that is a multiple of 1024 weeks before the camera's date is moved to it."""
+    clock, midnight = gps.get(_GPS_TIME), _date_time(f"{text_of(gps.get(_GPS_DATE))} 00:00:00")
+    if midnight is None or midnight.year == MAXYEAR or not (isinstance(clock, tuple) and len(clock) == 3):
         return None
-    try:
-        midnight = datetime.strptime(_text(gps.get(_GPS_DATE)), "%Y:%m:%d").replace(tzinfo=UTC)
-    except ValueError:
+    parts = [number(v) for v in clock]
+    if any(v is None or not 0 <= v < most for v, most in zip(parts, (24, 60, 61), strict=True)):
         return None
-    hours, minutes, seconds = (float(v) for v in clock)
-    return midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    hours, minutes, seconds = (part or 0.0 for part in parts)
+    stamp = midnight.replace(tzinfo=UTC) + timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    if taken is not None:
+        apart = (taken if taken.tzinfo is not None else taken.replace(tzinfo=UTC)) - stamp
+        turns = round(apart / _ROLLOVER)
+        if turns > 0 and abs(apart - turns * _ROLLOVER) < timedelta(days=1):
+            stamp += turns * _ROLLOVER
+    return stamp if stamp.year >= _FIRST_GPS_YEAR else None
 
 
 def _date_time(text: str) -> datetime | None:
     try:
-        return datetime.strptime(text, "%Y:%m:%d %H:%M:%S")
+        return datetime.strptime(
+            re.sub(r"^(\d{4})[-/.:](\d\d)[-/.:](\d\d)[T ]", r"\1:\2:\3 ", text), "%Y:%m:%d %H:%M:%S"
+        )
     except ValueError:
         return None
 
 
-def _text(value: Any) -> str:
+def text_of(value: Any) -> str:
     if isinstance(value, bytes):
         value = value.decode("ascii", "replace")
     return value.strip("\0 ") if isinstance(value, str) else ""
 
 
-def _number(value: Any) -> float | None:
+def number(value: Any) -> float | None:
     """Return a rational or a number; None if it is neither, or a fraction over zero."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
+        found = float(value)
+    except (TypeError, ValueError, ArithmeticError):
         return None
-    return number if math.isfinite(number) else None
+    return found if math.isfinite(found) else None
 
 
-def _positive(value: Any) -> float | None:
-    number = _number(value)
-    return number if number is not None and number > 0 else None
+def positive(value: Any) -> float | None:
+    found = number(value)
+    return found if found is not None and found > 0 else None
 
 
 def _degrees(value: Any) -> float | None:
     if not isinstance(value, tuple) or len(value) != 3:
         return None
-    parts = [_number(part) for part in value]
-    if parts[0] is None:
-        return None
+    parts = [number(part) for part in value]
     # Some writers leave minutes or seconds as 0/0 and put the fraction into the degrees.
-    return parts[0] + (parts[1] or 0.0) / 60 + (parts[2] or 0.0) / 3600
+    minutes, seconds = parts[1] or 0.0, parts[2] or 0.0
+    if parts[0] is None or not (0 <= minutes <= 60 and 0 <= seconds <= 60):
+        return None
+    return math.copysign(abs(parts[0]) + minutes / 60 + seconds / 3600, parts[0])
 
 
-def _signed(value: float | None, reference: Any, negative: str) -> float | None:
-    return -value if value is not None and _text(reference).upper() == negative else value
+def _signed(value: float | None, reference: Any, letters: str) -> float | None:
+    """Return degrees with the sign of the reference, one of two letters; NaN if they do not state the hemisphere."""
+    letter = text_of(reference).upper()[:1]
+    if not value:
+        return value
+    if letter == letters[1]:
+        return -abs(value)
+    return value if value > 0 and letter == letters[0] else math.nan
 
 
-def _below_sea(reference: Any) -> bool:
-    return reference in (1, b"\x01", "\x01", "1")
+def _small_number(value: Any) -> int:
+    """Return a tag of type BYTE, which some writers store as text."""
+    if isinstance(value, str):
+        value = value.encode("latin-1", "replace")
+    if isinstance(value, bytes):
+        value = value[0] % ord("0") if value else 0
+    return value if isinstance(value, int) else 0

@@ -15,11 +15,11 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, Pose, moved_covariance
 from ltm_core.site.sections import CameraConfig
 from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, height_of, photo_time
-from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM
+from ltm_ros.recordings.importing.intrinsics import intrinsics
 from ltm_ros.recordings.importing.photo import Photo
 from ltm_ros.recordings.importing.pose_file import PhotoPose
 
-_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose)"
+_NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     fixed = site.cameras.get(camera, CameraConfig())
     known = row.pose.over(_whole(fixed.pose))
     found: dict[str, float] = {}
-    x, y = _position(photo, known, site.frame, assumed, found)
+    x, y = _position(photo, known, site, assumed, found)
     z = height_of(photo, known, x, y, site, assumed, notes, found)
     azimuth = _azimuth_deg(photo, known, site.frame, (x, y, z), taken, assumed, notes, found)
     pitch, roll = _tilt(photo, known, assumed, notes, found)
@@ -114,8 +114,9 @@ def _stamp_ns(photo: Photo, taken: datetime) -> int:
 
 
 def _position(
-    photo: Photo, known: PartialPose, frame: SiteFrame, assumed: Assumptions, found: dict[str, float]
+    photo: Photo, known: PartialPose, site: Surroundings, assumed: Assumptions, found: dict[str, float]
 ) -> tuple[float, float]:
+    frame = site.frame
     stated = known.xy(frame)
     if stated is not None:
         return stated
@@ -130,6 +131,11 @@ def _position(
     x, y = frame.from_lonlat(lon, lat)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise PoseError(f"{photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
+    if not site.covers(lon, lat):
+        raise PoseError(
+            f"{photo.path}: position lon {lon:.6f}, lat {lat:.6f} in {sensed.source} is outside the DEM: give another "
+            "--site, or the right position in a pose file (--poses)"
+        )
     return float(x), float(y)
 
 
@@ -169,9 +175,7 @@ def _azimuth_deg(
 
 
 def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumptions) -> Camera:
-    """Return the camera model. Raises CameraError if the focal length is unknown, or the row's calibration has another
-    size.
-    """
+    """Return the camera model. Raises CameraError as `intrinsics`, or if the row's calibration has another size."""
     width, height = photo.width, photo.height
     stated: PartialCalibration = row.calibration
     if stated.width is not None and (stated.width, stated.height) != (width, height):
@@ -191,12 +195,5 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         )
     if stated.fx is not None or stated.hfov_deg is not None:
         return stated.camera_of(width, height, 0.0)
-    fx = photo.exif.focal_px(width, height, assumed.sensor_width_mm)
-    if fx is None and assumed.focal_35mm is not None:
-        fx = assumed.focal_35mm / FULL_FRAME_WIDTH_MM * max(width, height)
-    if fx is None:
-        remedy = "give fx or hfov_deg in a pose file (--poses), --focal-35mm"
-        if photo.exif.focal_mm is not None:
-            remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
-        raise CameraError(f"{photo.path}: EXIF does not give the focal length in pixels: {remedy}")
-    return stated.camera_of(width, height, fx)
+    read = intrinsics(photo.lens, width, height, str(photo.path), assumed.sensor_width_mm, assumed.focal_35mm)
+    return (read if stated == PartialCalibration() else stated).camera_of(width, height, read.fx or 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_core.base.errors import ImageError
@@ -18,7 +18,8 @@ from ltm_core.storage.image_io import (
 )
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.dji import sensed_by_xmp
-from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
+from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
+from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_photo
 from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif", ".hif", ".webp", ".avif", ".mpo")
@@ -52,6 +53,7 @@ class Photo:
     exif: ExifFacts
     sensed: Sensed
     reencoded: bool
+    lens: LensFacts = field(default_factory=LensFacts)
 
     @property
     def turned(self) -> str:
@@ -64,7 +66,9 @@ class Photo:
 
 @dataclass(frozen=True)
 class ImportedImage:
-    """`name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
+    """A photo to import, whatever file contains it.
+
+    `name`: in a pose file. `path`: of its file, or of its container with its name there. `read`: reads the photo
     each time, because a season's photos do not fit in memory. `capture`: name in a pose file for all images of one
     capture, if its row gives the start; empty: none.
     """
@@ -90,15 +94,17 @@ def photo_of(data: bytes, path: Path) -> Photo:
     with opened_picture(data, path) as image:
         if image.format not in _FORMATS:
             raise ImageError(f"{path} is {image.format}; photos must be JPEG, PNG, HEIC, WebP, TIFF or AVIF")
-        facts, xmp = exif_facts(image.getexif(), str(path)), image.info.get("xmp")
-    turn, encoding = orientation(data, path), image_format(data)
-    reencoded = turn != 1 or not encoding
-    pixels = upright(decode_rgb(data, str(path)), turn)
-    height, width = pixels.shape[:2]
-    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
+        exif, xmp = image.getexif(), xmp_values(image.info.get("xmp"))
+        facts = exif_facts(exif, str(path))
+        turn, encoding = orientation(data, path), image_format(data)
+        reencoded = turn != 1 or not encoding
+        pixels = upright(decode_rgb(data, str(path)), turn)
+        height, width = pixels.shape[:2]
+        lens = lens_of_photo(exif, xmp, width, height)
     encoding = encoding or "jpeg"
     stored = encode_rgb(pixels, encoding, _REENCODED_QUALITY) if reencoded else without_tail(data)
-    return Photo(path, stored, encoding, width, height, facts, sensed, reencoded)
+    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts))
+    return Photo(path, stored, encoding, width, height, facts, sensed, reencoded, lens)
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:
@@ -108,6 +114,8 @@ def sensed_by_exif(facts: ExifFacts) -> Sensed:
         lat=facts.lat,
         position_sigma=facts.position_error,
         altitude=facts.altitude,
+        ellipsoidal=False if facts.above_sea else None,
+        missing=facts.no_position,
         azimuth_deg=facts.direction_deg,
         azimuth_ref=facts.direction_ref,
     )

@@ -46,7 +46,7 @@ def columns() -> list[str]:
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     """Return rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names
-    without suffix, from a folder of pose files, as `ltm pose --photo` writes it.
+    without suffix, from a folder of pose files, as `ltm pose photo` writes it.
 
     Raises ConfigError: missing file, another file type, unknown columns, invalid or contradictory values (with the
     line), or a photo listed twice.

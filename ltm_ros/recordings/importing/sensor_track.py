@@ -45,11 +45,12 @@ class Relative:
 class Sensed:
     """Known values of one photo, each None if unknown. Angles in degrees, lengths in metres.
 
-    `source`: of the values, for the user. `stamp`: with its zone, exact; None: by EXIF. `altitude`: above sea level, or
-    above the WGS 84 ellipsoid if `ellipsoidal`. `climb`: above the start of the recording, by barometer, and `walk` if
-    the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg` and `roll_deg`
-    are of the upright image. Sigmas are standard deviations. `calibration`: of the upright image. `seconds`: after the
-    capture's start. `relative`: to the capture's first frame, to which all other values then belong.
+    `source`: of the values, for the user. `stamp`: exact, or without a zone by the device's clock; None: by EXIF.
+    `altitude`: above the WGS 84 ellipsoid if `ellipsoidal`, above sea level if not; None: not stated, probably above
+    sea level. `in_flight`: whether a drone took it. `climb`: above the start of the recording, by barometer, and `walk`
+    if the device was carried on foot. `azimuth_deg`, from true ("T") or magnetic ("M") north, `pitch_deg`, `roll_deg`
+    and `calibration` are of the upright image. Sigmas are standard deviations. `seconds`: after the capture's start.
+    `relative`: to the capture's first frame, to which all other values then belong.
     """
 
     source: str = "EXIF"
@@ -59,7 +60,8 @@ class Sensed:
     position_sigma: float | None = None
     altitude: float | None = None
     altitude_sigma: float | None = None
-    ellipsoidal: bool = False
+    ellipsoidal: bool | None = None
+    in_flight: bool = False
     climb: float | None = None
     walk: Walk | None = None
     azimuth_deg: float | None = None
@@ -104,8 +106,9 @@ _WALKING_SPEED = 1.4
 
 @dataclass(frozen=True, eq=False)
 class Fixes:
-    """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` above sea level, or above the ellipsoid where
-    `ellipsoidal`, and both sigmas in metres (N,), NaN where not known."""
+    """`stamp_ns` (N,) ascending; `lon`, `lat` WGS 84 degrees; `altitude` as in `Sensed` and both sigmas in metres (N,),
+    NaN if unknown.
+    """
 
     stamp_ns: Int64Array
     lon: Float64Array
@@ -113,7 +116,7 @@ class Fixes:
     altitude: Float64Array
     position_sigma: Float64Array
     altitude_sigma: Float64Array
-    ellipsoidal: bool = False
+    ellipsoidal: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,14 @@ import numpy as np
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import UInt8Array
-from ltm_core.cameras.camera_config import PartialCalibration
 from ltm_core.storage.image_io import MAX_PIXELS
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.recordings.importing.assumptions import Assumptions
-from ltm_ros.recordings.importing.dji import read_subtitles, subtitles_of
-from ltm_ros.recordings.importing.exif import FULL_FRAME_WIDTH_MM, ExifFacts
+from ltm_ros.recordings.importing.dji import Flight, read_subtitles, subtitles_of
+from ltm_ros.recordings.importing.exif import ExifFacts, positive
+from ltm_ros.recordings.importing.intrinsics import LensFacts, lens_of_video
 from ltm_ros.recordings.importing.photo import ImportedImage, Photo
-from ltm_ros.recordings.importing.sensor_track import Sensed, SensorTrack
+from ltm_ros.recordings.importing.sensor_track import Sensed
 
 SUFFIXES = (".mp4", ".mov", ".m4v")
 MOST_FRAMES = 20_000
@@ -41,7 +41,7 @@ _EPOCH_1904 = datetime(1971, 1, 1, tzinfo=UTC)
 class Video:
     """`begins`: its first frame's time, with its zone; None if not stated. `times`: seconds after it of the requested
     frames. `lat`, `lon`, `altitude`: one position for the whole video, above sea level; `position_sigma`: metres.
-    `focal_35mm`: 35 mm equivalent. `maker`: of the camera, empty if not stated.
+    `maker`: of the camera, empty if not stated.
     """
 
     path: Path
@@ -51,7 +51,7 @@ class Video:
     lon: float | None = None
     altitude: float | None = None
     position_sigma: float | None = None
-    focal_35mm: float | None = None
+    lens: LensFacts = field(default_factory=LensFacts)
     maker: str = ""
 
     def upright(self, seconds: float) -> UInt8Array:
@@ -118,8 +118,8 @@ def read_video(path: Path, every: float) -> Video:
         lat,
         lon,
         altitude,
-        _number(tags.get("com.apple.quicktime.location.accuracy.horizontal")),
-        _number(tags.get("com.apple.quicktime.camera.focal_length.35mm_equivalent")),
+        positive(tags.get("com.apple.quicktime.location.accuracy.horizontal")),
+        lens_of_video(tags),
         tags.get("com.apple.quicktime.make", tags.get("make", "")),
     )
 
@@ -168,14 +168,6 @@ def _begins(tags: dict[str, str]) -> datetime | None:
     return None
 
 
-def _number(text: str | None) -> float | None:
-    try:
-        number = float(text or "")
-    except ValueError:
-        return None
-    return number if math.isfinite(number) and number > 0 else None
-
-
 def later(begins: datetime, seconds: float) -> datetime:
     """Return a later time. Raises RecordingError for one outside the calendar."""
     try:
@@ -192,45 +184,42 @@ _GIMBAL = np.eye(3)
 def video_pictures(path: Path, assumed: Assumptions) -> list[ImportedImage]:
     """Return a frame every `assumed.every` seconds. Raises RecordingError for an unreadable video or telemetry."""
     video = read_video(path, assumed.every)
-    track, begins, focal = _telemetry(path, assumed)
-    begins = begins or video.begins
+    flight, missing = _telemetry(path, assumed)
 
     def picture(seconds: float) -> ImportedImage:
         name = f"{path.stem}_{round(seconds * 1000):07d}.jpg"
         place = path / name
 
         def read() -> Photo:
-            pixels = video.upright(seconds)
-            calibration = _calibration(focal or video.focal_35mm, pixels)
-            return frame_photo(pixels, place, _sensed(video, track, begins, seconds, calibration))
+            lens = (flight.lens_at(seconds) if flight is not None else None) or video.lens
+            return frame_photo(video.upright(seconds), place, _sensed(video, flight, missing, seconds), lens)
 
         return ImportedImage(name, place, read, capture=path.name)
 
     return [picture(seconds) for seconds in video.times]
 
 
-def frame_photo(pixels: UInt8Array, path: Path, sensed: Sensed) -> Photo:
+def frame_photo(pixels: UInt8Array, path: Path, sensed: Sensed, lens: LensFacts | None = None) -> Photo:
     """Return a photo of decoded pixels (H, W, 3)."""
     height, width = pixels.shape[:2]
-    return Photo(path, encode_rgb(pixels, "jpeg", QUALITY), "jpeg", width, height, ExifFacts(), sensed, reencoded=True)
+    data = encode_rgb(pixels, "jpeg", QUALITY)
+    return Photo(path, data, "jpeg", width, height, ExifFacts(), sensed, True, lens or LensFacts())
 
 
-def _telemetry(path: Path, assumed: Assumptions) -> tuple[SensorTrack | None, datetime | None, float | None]:
+def _telemetry(path: Path, assumed: Assumptions) -> tuple[Flight | None, str]:
+    """Return the flight, or the reason why its subtitles give none; then a pose file must place the frames."""
     subtitles = subtitles_of(path)
-    if subtitles is None:
-        return None, None, None
     try:
-        return read_subtitles(subtitles, assumed.time_zone)
-    except RecordingError:
-        if assumed.keep_unknown:  # subtitles of speech
-            return None, None, None
-        raise
+        return None if subtitles is None else read_subtitles(subtitles, assumed.covers), ""
+    except RecordingError as error:
+        return None, "" if assumed.keep_unknown else str(error)  # subtitles of speech
 
 
-def _sensed(
-    video: Video, track: SensorTrack | None, begins: datetime | None, seconds: float, calibration: PartialCalibration
-) -> Sensed:
+def _sensed(video: Video, flight: Flight | None, missing: str, seconds: float) -> Sensed:
+    begins = (flight.begins if flight is not None else None) or video.begins
     stamp = later(begins, seconds) if begins is not None else None
+    if missing:
+        return Sensed(source="its subtitles", missing=missing, stamp=stamp, seconds=seconds, in_flight=True)
     own = Sensed(
         source=f"the video's tags ({video.maker})" if video.maker else "the video's tags",
         lon=video.lon,
@@ -238,11 +227,5 @@ def _sensed(
         altitude=video.altitude,
         position_sigma=video.position_sigma,
     )
-    told = own if track is None else track.at(1 + round(seconds * 1e9), _GIMBAL).over(own)
-    return replace(told, stamp=stamp, seconds=seconds, calibration=calibration)
-
-
-def _calibration(focal_35mm: float | None, pixels: UInt8Array) -> PartialCalibration:
-    if focal_35mm is None:
-        return PartialCalibration()
-    return PartialCalibration(fx=focal_35mm / FULL_FRAME_WIDTH_MM * max(pixels.shape[:2]))
+    told = own if flight is None else flight.track.at(1 + round(seconds * 1e9), _GIMBAL).over(own)
+    return replace(told, stamp=stamp, seconds=seconds, in_flight=flight is not None)

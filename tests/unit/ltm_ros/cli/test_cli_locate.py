@@ -51,7 +51,7 @@ def marked(camera: str) -> str:
 
 
 def test_the_turned_one_of_three_is_named_with_its_angle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    locate(site=site(tmp_path, turned="east"), camera=list(TOWERS), pixel=[marked(name) for name in TOWERS])
+    locate(site=site(tmp_path, turned="east"), mark=[f"{name}={marked(name)}" for name in TOWERS])
     said = " ".join(capsys.readouterr().out.split())
     assert "The cameras disagree. east is probably misaligned (" in said
     assert "its stated azimuth is 2.0 degrees" in said
@@ -60,8 +60,8 @@ def test_the_turned_one_of_three_is_named_with_its_angle(tmp_path: Path, capsys:
 
 def test_two_cameras_say_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    pixels = [marked("north"), marked("east")]
-    locate(site=site(tmp_path), camera=["north", "east"], pixel=pixels, smoke=True, out=out, as_json=True)
+    marks = [f"{name}={marked(name)}" for name in ("north", "east")]
+    locate(site=site(tmp_path), mark=marks, smoke=True, out=out, as_json=True)
     said = json.loads(capsys.readouterr().out)
     assert (said["place"]["x"], said["place"]["y"]) == pytest.approx((399_900, 3_802_480), abs=15)
     assert said["place"]["mgrs"].startswith("11S")
@@ -93,7 +93,7 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "points.csv").write_text("id,x,y,z,u,v\nA,399900,3802480,64,900,500\nB,399000,3801100,90,1,1\n")
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8))
     out = tmp_path / "out"
-    locate(site=path, points=tmp_path / "points.csv", camera=["north"], photo=tmp_path / "photo.png", out=out)
+    locate(site=path, points=tmp_path / "points.csv", photo=f"north={tmp_path}/photo.png", out=out)
     drawn = cv2.imread(str(out / "places.png"))
     u, v = (round(float(x)) for x in marked("north").split(","))
     assert (drawn[v - 30 : v + 30, u - 30 : u + 30] != 90).any()
@@ -104,20 +104,19 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("options", "error", "said"),
     [
-        ({"pixel": ["1,2"], "camera": ["west"]}, ConfigError, "no camera 'west'; there are"),
-        ({"pixel": ["1,2"], "camera": ["far"]}, ConfigError, "--pose far=FILE"),
-        ({"pixel": ["1,2"]}, ConfigError, "need as many --camera"),
-        ({"pixel": ["1,b"], "camera": ["north"]}, ConfigError, "numbers separated by commas"),
-        ({"pixel": ["1,2,3"], "camera": ["north"]}, ConfigError, "a mark is u,v"),
-        ({"pixel": ["1,2"], "box": ["1,2,3,4"], "camera": ["north"]}, ConfigError, "marks of one kind"),
-        ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "outside the image"),
-        ({"pixel": ["960,5"], "camera": ["north"]}, RegionError, "shows sky"),
-        ({"pixel": ["60,20"], "camera": ["north"]}, RegionError, "is masked"),
-        ({}, ConfigError, "give a mark"),
-        ({"pixel": ["1,2"], "place": "1,2", "camera": ["north"]}, ConfigError, "give a mark"),
+        ({"mark": ["west=1,2"]}, ConfigError, "no camera 'west'; there are"),
+        ({"mark": ["far=1,2"]}, ConfigError, "--pose far=FILE"),
+        ({"mark": ["1,2"]}, ConfigError, "--mark NAME=1,2"),
+        ({"mark": ["north=1,b"]}, ConfigError, "numbers separated by commas"),
+        ({"mark": ["north=1,2,3"]}, ConfigError, "a mark is u,v"),
+        ({"mark": ["north=5000,2"]}, RegionError, "outside the image"),
+        ({"mark": ["north=960,5"]}, RegionError, "shows sky"),
+        ({"mark": ["north=60,20"]}, RegionError, "is masked"),
+        ({}, ConfigError, "give --mark"),
+        ({"mark": ["1,2"], "place": "1,2"}, ConfigError, "give --mark"),
         ({"place": "1"}, ConfigError, "needs 2 or 3"),
         ({"place": "1,2"}, RegionError, "the DEM covers"),
-        ({"pixel": ["1,2"], "camera": ["north"], "mask": ["mast.png"]}, ConfigError, "give the camera's name"),
+        ({"mark": ["north=1,2"], "mask": ["mast.png"]}, ConfigError, "give the camera's name"),
     ],
 )
 def test_what_cannot_be_is_told(tmp_path: Path, options: dict[str, Any], error: type[LtmError], said: str) -> None:

@@ -6,6 +6,7 @@ import errno
 import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,13 @@ def test_help_names_every_command() -> None:
     result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
     assert all(f" {command} " in result.output for command in COMMANDS)
+
+
+def test_short_help_and_version() -> None:
+    told = CliRunner().invoke(main.cli, ["export", "-h"], env={"COLUMNS": "200"})
+    assert told.exit_code == 0
+    assert "Usage: ltm export" in told.output
+    assert CliRunner().invoke(main.cli, ["--version"]).output == f"ltm {version('ltm')}\n"
 
 
 def test_no_command_stands_twice() -> None:

@@ -1,4 +1,4 @@
-"""`ltm pose --site --camera`: a PTZ head is calibrated from files, and the site file has it afterwards."""
+"""`ltm pose mount`: a PTZ head is calibrated from files, and the site file has it afterwards."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def landmarks(path: Path, pans: tuple[float, ...], lens_factor: float = 1.0) -> 
 
 
 def run(*arguments: object) -> str:
-    result = CliRunner().invoke(cli, ["pose", *map(str, arguments)], env={"COLUMNS": "200"})
+    result = CliRunner().invoke(cli, ["pose", "mount", *map(str, arguments)], env={"COLUMNS": "200"})
     if isinstance(result.exception, LtmError):
         raise result.exception
     assert result.exit_code == 0, result.output
@@ -94,7 +94,7 @@ def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_pa
     path = write_site(tmp_path)
     assert max(errors_deg(load_site(path))) > 1.0
     points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0), lens_factor=1.03)
-    said = run("--site", path, "--camera", "north", "--gcps", points)
+    said = run(path, "north", "--points", points)
     assert "azimuth at pan 0" in said
     assert path.read_text().startswith("# The ridge.")
     site = load_site(path)
@@ -105,8 +105,8 @@ def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_pa
     assert mount.calibrated
     assert mount.lens.lens().camera(1.0).fx == pytest.approx(1.03 * LENS.camera(1.0).fx, rel=1e-3)
     with pytest.raises(ConfigError, match="calibrated already"):
-        run("--site", path, "--camera", "north", "--gcps", points)
-    run("--site", path, "--camera", "north", "--gcps", points, "--overwrite")
+        run(path, "north", "--points", points)
+    run(path, "north", "--points", points, "--overwrite")
     assert max(errors_deg(load_site(path))) < 0.02
 
 
@@ -114,7 +114,7 @@ def test_with_out_the_site_file_stays(tmp_path: Path) -> None:
     path = write_site(tmp_path)
     before = path.read_text()
     points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0))
-    run("--site", path, "--camera", "north", "--gcps", points, "--out", tmp_path / "found/mount.yaml", "--free", "none")
+    run(path, "north", "--points", points, "--out", tmp_path / "found/mount.yaml", "--free", "none")
     assert path.read_text() == before
     section = yaml.safe_load((tmp_path / "found/mount.yaml").read_text())["mount"]
     assert section["azimuth_deg"] == pytest.approx(63.0, abs=0.02)
@@ -123,9 +123,7 @@ def test_with_out_the_site_file_stays(tmp_path: Path) -> None:
 
 def test_an_axis_that_runs_the_other_way_is_told_and_written(tmp_path: Path) -> None:
     path = write_site(tmp_path, pan_sign=-1)
-    said = run(
-        "--site", path, "--camera", "north", "--gcps", landmarks(tmp_path / "p.csv", (10.0, 100.0, 190.0, 280.0))
-    )
+    said = run(path, "north", "--points", landmarks(tmp_path / "p.csv", (10.0, 100.0, 190.0, 280.0)))
     assert "pan has the opposite sign" in said
     mount = load_site(path).camera("north").mount
     assert mount is not None
@@ -179,8 +177,7 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
         Image.fromarray(photo).save(tmp_path / f"preset{k}.png")
         lines.append(f"preset{k}.png,{pan},2.0,1")
     (tmp_path / "readings.csv").write_text("\n".join(lines))
-    files = ("--photo", tmp_path, "--readings", tmp_path / "readings.csv")
-    said = run("--site", path, "--camera", "north", *files)
+    said = run(path, "north", "--photos", tmp_path)
     assert "4 images agree" in said
     assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
 
@@ -188,30 +185,19 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--site", "{site}", "--gcps", "{points}"], "--site and --camera together"),
-        (["--site", "{site}", "--camera", "south", "--gcps", "{points}"], "no camera 'south'; it has north"),
-        (["--site", "{site}", "--camera", "north", "--photo", "{folder}"], "needs --readings"),
-        (
-            ["--site", "{site}", "--camera", "north", "--photo", "{folder}", "--canopy", "--free", "position"],
-            r"--site with --photo does not use --canopy, --free",
-        ),
-        (
-            ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--mask", "{folder}/mask.png"],
-            "--site with --gcps does not use --mask",
-        ),
-        (
-            ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--free", "k1"],
-            r"for a PTZ head, only focal .* and position",
-        ),
+        (["{site}", "south", "--points", "{points}"], "south"),
+        (["{site}", "north", "--photos", "{folder}"], "readings.csv"),
+        (["{site}", "north"], "--points .* or --photos"),
+        (["{site}", "north", "--points", "{points}", "--free", "k1"], "--free k1"),
     ],
 )
 def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> None:
     places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(LtmError, match=told):
         run(*(argument.format(**places) for argument in arguments))
 
 
 def test_points_without_readings_are_told(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("id,x,y,z,u,v\na,1,2,3,4,5\n")
     with pytest.raises(PoseError, match=r"no column 'pan'.*need id, x, y, z, u, v, pan, tilt, zoom"):
-        run("--site", write_site(tmp_path), "--camera", "north", "--gcps", tmp_path / "points.csv")
+        run(write_site(tmp_path), "north", "--points", tmp_path / "points.csv")

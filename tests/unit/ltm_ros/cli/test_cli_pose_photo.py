@@ -1,4 +1,4 @@
-"""`ltm pose --photo` from files to files, and the mistakes that users make with it."""
+"""`ltm pose photo` from files to files, and the mistakes that users make with it."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ def guess(**changed: object) -> dict[str, object]:
     return {"pose": known | changed, "calibration": calibration, "possible_ground": {"highest": -10000.0}}
 
 
-def run(files: Path, *arguments: str) -> str:
-    result = CliRunner().invoke(cli, ["pose", "--dem", str(files / "dem.tif"), *arguments])
+def run(files: Path, *arguments: str, code: int = 0) -> str:
+    result = CliRunner().invoke(cli, ["pose", "photo", "--dem", str(files / "dem.tif"), *arguments])
     if isinstance(result.exception, LtmError):
         raise result.exception
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == code, result.output
     return result.output
 
 
 def test_a_photo_gives_pose_picture_and_figures(files: Path, tmp_path: Path) -> None:
     out, picture, report = tmp_path / "found.yaml", tmp_path / "fit.png", tmp_path / "fit.json"
-    arguments = ["--photo", str(files / "photos/a.png"), "--pose-guess", str(files / "guess.yaml"), "-o", str(out)]
+    arguments = [str(files / "photos/a.png"), "--guess", str(files / "guess.yaml"), "-o", str(out)]
     arguments += ["--labels", str(files / "labels.png"), "--picture", str(picture), "--report", str(report)]
     assert "accepted" in run(files, *arguments)
     pose = load_picture_config(out).pose
@@ -77,14 +77,21 @@ def test_a_photo_gives_pose_picture_and_figures(files: Path, tmp_path: Path) -> 
         assert drawn.size == (CAMERA.width, 2 * CAMERA.height), "as given, and as found"
 
 
-def test_what_is_not_accepted_stays_as_given(files: Path, tmp_path: Path) -> None:
+def test_a_pose_that_is_not_accepted_is_the_given_one_or_none(files: Path, tmp_path: Path) -> None:
+    """Fog: the given pose is written; without a given azimuth there is nothing to write. Exit code 3 in both cases."""
     Image.fromarray(np.zeros((CAMERA.height, CAMERA.width), np.uint8)).save(tmp_path / "fog.png")
     Image.fromarray(np.full((CAMERA.height, CAMERA.width, 3), 190, np.uint8)).save(tmp_path / "a.png")
-    arguments = ["--photo", str(tmp_path / "a.png"), "--pose-guess", str(files / "guess.yaml")]
-    out = run(files, *arguments, "--labels", str(tmp_path / "fog.png"), "-o", str(tmp_path / "kept.yaml"))
-    assert "the given pose is kept" in out
+    arguments = [str(tmp_path / "a.png"), "--labels", str(tmp_path / "fog.png"), "--guess"]
+    run(files, *arguments, str(files / "guess.yaml"), "-o", str(tmp_path / "kept.yaml"), code=3)
     assert load_picture_config(tmp_path / "kept.yaml").pose.azimuth_deg == pytest.approx(65.5)
-    assert "The result was rejected" in (tmp_path / "kept.yaml").read_text()
+    unknown = guess()
+    del unknown["pose"]["azimuth_deg"]  # type: ignore[attr-defined]
+    (tmp_path / "unknown.yaml").write_text(yaml.safe_dump(unknown), encoding="utf-8")
+    report = tmp_path / "report.json"
+    arguments += [str(tmp_path / "unknown.yaml"), "-o", str(tmp_path / "none.yaml"), "--report", str(report)]
+    run(files, *arguments, code=3)
+    assert not (tmp_path / "none.yaml").exists()
+    assert json.loads(report.read_text())["verdict"] != "accepted"
 
 
 def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path) -> None:
@@ -95,7 +102,7 @@ def test_what_a_mask_hides_does_not_decide_the_pose(files: Path, tmp_path: Path)
     Image.fromarray(photo).save(tmp_path / "a.png")
     Image.fromarray(labels).save(tmp_path / "labels.png")
     Image.fromarray(hidden).save(tmp_path / "mask.png")
-    arguments = ["--photo", str(tmp_path / "a.png"), "--pose-guess", str(files / "guess.yaml")]
+    arguments = [str(tmp_path / "a.png"), "--guess", str(files / "guess.yaml")]
     arguments += ["--labels", str(tmp_path / "labels.png"), "-o", str(tmp_path / "found.yaml"), "--overwrite"]
     assert "accepted" in run(files, *arguments, "--mask", str(tmp_path / "mask.png"))
     assert load_picture_config(tmp_path / "found.yaml").pose.azimuth_deg == pytest.approx(63.0, abs=0.1)
@@ -110,7 +117,7 @@ def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
     table = row | {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
     lines = ["name," + ",".join(table), "a.png," + ",".join(map(str, table.values()))]
     (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    arguments = ["--photo", str(files / "photos"), "--poses", str(tmp_path / "poses.csv"), "--mount"]
+    arguments = [str(files / "photos"), "--guess", str(tmp_path / "poses.csv")]
     run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "out"))
     assert (tmp_path / "out" / "a.yaml").is_file()
 
@@ -121,34 +128,21 @@ def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
 )
 def test_a_place_that_cannot_be_is_told(files: Path, tmp_path: Path, changed: dict[str, float], told: str) -> None:
     (tmp_path / "bad.yaml").write_text(yaml.safe_dump(guess(**changed)), encoding="utf-8")
-    arguments = ["--photo", str(files / "photos/a.png"), "--pose-guess", str(tmp_path / "bad.yaml")]
+    arguments = [str(files / "photos/a.png"), "--guess", str(tmp_path / "bad.yaml")]
     with pytest.raises(LtmError, match=told):
         run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "o.yaml"))
 
 
-def test_what_is_missing_is_told(files: Path, tmp_path: Path) -> None:
-    out = ["-o", str(tmp_path / "o.yaml")]
-    with pytest.raises(LtmError, match="--photo"):
-        run(files, *out)
-    with pytest.raises(LtmError, match="--pose-guess"):
-        run(files, *out, "--photo", str(files / "photos/a.png"))
-    with pytest.raises(LtmError, match="k1 needs --gcps"):
-        run(
-            files,
-            *out,
-            "--photo",
-            str(files / "photos/a.png"),
-            "--pose-guess",
-            str(files / "guess.yaml"),
-            "--free",
-            "k1",
-        )
+def test_a_skyline_does_not_determine_k1(files: Path, tmp_path: Path) -> None:
+    arguments = [str(files / "photos/a.png"), "--guess", str(files / "guess.yaml"), "--free", "k1"]
+    with pytest.raises(LtmError, match="--free k1"):
+        run(files, *arguments, "-o", str(tmp_path / "o.yaml"))
 
 
 def test_a_photo_upside_down_is_refused(files: Path, tmp_path: Path) -> None:
     with Image.open(files / "labels.png") as labels, Image.open(files / "photos/a.png") as photo:
         labels.rotate(180).save(tmp_path / "l.png")
         photo.rotate(180).save(tmp_path / "p.png")
-    arguments = ["--photo", str(tmp_path / "p.png"), "--pose-guess", str(files / "guess.yaml")]
+    arguments = [str(tmp_path / "p.png"), "--guess", str(files / "guess.yaml")]
     with pytest.raises(LtmError, match="upside down"):
         run(files, *arguments, "--labels", str(tmp_path / "l.png"), "-o", str(tmp_path / "o.yaml"))

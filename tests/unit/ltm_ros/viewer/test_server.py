@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from scenes.free_port import free_port
@@ -18,7 +22,7 @@ from ltm_core.base.errors import ConfigError
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from ltm_ros.viewer import RerunView
-from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, web_url
+from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, rerun_binary, web_url
 
 
 @pytest.fixture
@@ -71,6 +75,63 @@ def test_server_ends_when_its_process_is_killed(ports: tuple[int, int]) -> None:
         os.kill(owner.pid, signal.SIGKILL)
         owner.wait()
     wait_for(lambda: not listens(grpc), "the server's end")
+
+
+def test_rerun_sends_no_statistics_and_the_page_asks_no_other_host(ports: tuple[int, int], tmp_path: Path) -> None:
+    """In a real browser: the page loads its program, draws, and requests nothing beyond the loopback."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'ltm[dev]'")
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("needs a browser: apt install chromium")
+    web, grpc = ports
+    process = RerunProcess.serve(web, grpc)
+    asked: list[str] = []
+    try:
+        with playwright.sync_playwright() as tools:
+            page = tools.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page()
+            page.on("request", lambda request: asked.append(request.url))
+            page.goto(web_url(web, grpc))
+            page.wait_for_selector("canvas.visible", state="attached", timeout=120_000)
+            page.wait_for_timeout(3000)
+    finally:
+        process.stop()
+    hosts = {urlsplit(url).netloc for url in asked if not url.startswith(("data:", "blob:"))}
+    assert f"127.0.0.1:{web}" in hosts
+    assert hosts <= {f"127.0.0.1:{web}", f"127.0.0.1:{grpc}"}
+
+
+def test_the_processes_have_statistics_switched_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Rerun's own command states what it read; the user's settings stay as they are."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    process = RerunProcess(["analytics", "config"])
+    environment = Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0")
+    (folder,) = (Path(os.fsdecode(v.partition(b"=")[2])) for v in environment if v.startswith(b"XDG_CONFIG_HOME="))
+    told = subprocess.run(
+        [str(rerun_binary()), "analytics", "config"],
+        env=os.environ | {"XDG_CONFIG_HOME": str(folder)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    process.stop()
+    assert json.loads(told.stdout)["analytics_enabled"] is False
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace: apt install strace")
+def test_a_window_connects_to_no_other_host(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ports: tuple[int, int]
+) -> None:
+    """Not even to a name server, which the search for new releases would need."""
+    calls, wrapper = tmp_path / "calls.txt", tmp_path / "rerun"
+    wrapper.write_text(f'#!/bin/sh\nexec strace -f -e trace=connect -o {calls} {rerun_binary()} "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setattr("ltm_ros.viewer.server.rerun_binary", lambda: wrapper)
+    process = RerunProcess(["--headless", "--port", str(ports[0])])
+    try:
+        process.wait_until_listening(ports[0], timeout=60)
+        wait_for(lambda: "htons(9)" in calls.read_text(), "the search for releases, which ends at our proxy")
+    finally:
+        process.stop()
+    reached = re.findall(r"sin_addr=inet_addr\(\"([\d.]+)\"\)", calls.read_text())
+    assert set(reached) == {"127.0.0.1"}
 
 
 def test_urls_name_the_loopback() -> None:

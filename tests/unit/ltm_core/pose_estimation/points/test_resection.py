@@ -112,6 +112,21 @@ def test_of_poses_that_explain_the_points_alike_the_nearest_is_taken() -> None:
         assert np.abs(found.pose.position - pose.position).max() < 1e-3
 
 
+def test_a_position_with_a_sigma_is_not_held_at_a_wrong_place() -> None:
+    """Points from 20 m on, and a place that is 3 m off: held, it turns the camera; free, it is corrected."""
+    rng = np.random.default_rng(5)
+    pixels = np.column_stack([rng.uniform(20, 1580, 12), rng.uniform(20, 1080, 12)])
+    points = marked(pixels, np.geomspace(20, 2000, 12))
+    off = POSE.position + np.array([2.0, 1.5, -1.7])
+    result = resect(points, CAMERA, off, free=("position",), bend=BEND, position_sigma=3.0)
+    assert result.used.all()
+    assert turn_between(result.pose, POSE) < 0.01
+    assert np.linalg.norm(result.pose.position - POSE.position) < 0.05
+    far = resect(marked(pixels, np.full(12, 4000.0)), CAMERA, off, free=("position",), bend=BEND, position_sigma=3.0)
+    assert far.fitted == ("position",), "far points do not determine the place; its sigma does"
+    assert far.sigmas["x"] <= 3.0
+
+
 def test_sigmas_are_those_that_noise_makes() -> None:
     # The mean normalised squared error of the fitted values is their number, 5; over 24 runs its sigma is 0.7.
     normalised = []
@@ -397,11 +412,11 @@ calibration: {width: 320, height: 200, fx: 260}
 
 
 def pose_command(**options: object) -> None:
-    """`ltm pose` with these options."""
-    given: list[str] = []
+    """`ltm pose points` with these options."""
+    given = [str(options.pop("points"))]
     for name, value in options.items():
         given += [f"--{name.replace('_', '-')}"] + ([] if value is True else [str(value)])
-    result = CliRunner().invoke(cli, ["pose", *given])
+    result = CliRunner().invoke(cli, ["pose", "points", *given])
     print(result.output)
     if result.exception is not None:
         raise result.exception
@@ -427,8 +442,8 @@ def test_the_command_writes_a_pose_that_trace_reads(
     (tmp_path / "guess.yaml").write_text(GUESS)
     fitted, dem = tmp_path / "pose.yaml", tmp_path / "dem.tif"
     pose_command(
-        gcps=tmp_path / "points.csv",
-        pose_guess=tmp_path / "guess.yaml",
+        points=tmp_path / "points.csv",
+        guess=tmp_path / "guess.yaml",
         out=fitted,
         dem=dem,
         first_pixel=1.0,
@@ -453,10 +468,36 @@ def test_the_command_writes_a_pose_that_trace_reads(
     assert (tmp_path / "traced" / "depth.tif").exists()
 
 
+def test_the_command_shows_the_residuals_of_a_camera_below_the_dem(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pose is written, with a warning that gives the place in the CRS and the depth below the DEM."""
+    monkeypatch.setenv("COLUMNS", "200")
+    x, y, z = np.add(POSE.position, (FRAME.x_origin, FRAME.y_origin, 0.0))
+    points = scattered()
+    ground = Dem(np.full((50, 50), z + 5.0, np.float32), GridGeometry(x - 2500, y + 2500, 100.0, 50, 50, "EPSG:32611"))
+    ground.save(tmp_path / "dem.tif")
+    lines = [
+        f"{name},{a + FRAME.x_origin},{b + FRAME.y_origin},{c},{u},{v}"
+        for name, (a, b, c), (u, v) in zip(points.names, points.places.tolist(), points.pixels.tolist(), strict=True)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    (tmp_path / "guess.yaml").write_text(
+        f"pose: {{x: {x}, y: {y}, z: {z}}}\ncalibration: {{width: 1600, height: 1100, fx: 1800, cx: 801, cy: 547}}\n"
+    )
+    files = {"points": tmp_path / "points.csv", "guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
+    pose_command(**files, dem=tmp_path / "dem.tif")
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"({x:.1f}, {y:.1f})" in said
+    assert "5.0 m below the DEM" in said
+    assert "p11" in said
+    assert load_picture_config(tmp_path / "pose.yaml").pose.azimuth_deg == pytest.approx(203.0, abs=0.01)
+
+
 def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
     (tmp_path / "guess.yaml").write_text("pose: {x: 1, y: 2, z: 3}\ncalibration: {width: 320, height: 200, fx: 260}\n")
     with pytest.raises(ConfigError, match="--crs"):
-        pose_command(gcps=tmp_path / "no.csv", pose_guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
+        pose_command(points=tmp_path / "no.csv", guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
 
 
 def test_the_command_tells_of_what_is_held_before_its_tables(
@@ -474,7 +515,7 @@ def test_the_command_tells_of_what_is_held_before_its_tables(
         f"pose: {{x: {x}, y: {y}, z: {z}, crs: EPSG:32611}}\n"
         "calibration: {width: 1600, height: 1100, fx: 1850, cx: 801, cy: 547, k1: -0.12}\ncurvature: true\n"
     )
-    files = {"gcps": tmp_path / "points.csv", "pose_guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
+    files = {"points": tmp_path / "points.csv", "guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
     pose_command(**files, free="position", report=tmp_path / "report.json")
     said = capsys.readouterr().out
     assert said.index("position is fixed") < said.index("parameter")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scenes.movie_file import movie
-from scenes.phone_site import FRAME, GROUND, LAT, LON, imported, phone_site, picture
+from scenes.phone_site import FRAME, FX, GROUND, LAT, LON, imported, phone_site, picture
 
 from ltm_core.base.errors import LtmError, PoseError, RecordingError
 from ltm_core.geometry.pose import pose_covariance
@@ -29,7 +29,7 @@ FACTS = {
     "GimbalYawDegree": "-128.30",
     "GimbalPitchDegree": "-21.50",
     "FlightYawDegree": "+12.00",
-    "CalibratedFocalLength": "55.5",
+    "CalibratedFocalLength": "43.5",
     "CalibratedOpticalCenterX": "31.0",
     "CalibratedOpticalCenterY": "20.5",
 }
@@ -67,7 +67,7 @@ def test_a_drones_photo_is_placed_by_its_gimbal(tmp_path: Path, site: Site, elem
     np.testing.assert_allclose(pose.position, [x, y, GROUND + 61.5], atol=1e-3)
     azimuth = FRAME.true_to_grid_deg(360 - 128.3, x, y)
     np.testing.assert_allclose(pose.angles_deg, [azimuth, -21.5, 0.4], atol=1e-6)
-    assert (camera.fx, camera.cx, camera.cy) == (55.5, 31.0, 20.5)
+    assert (camera.fx, camera.cx, camera.cy) == (43.5, 31.0, 20.5)
     np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 10.0, 8.2, 0.5, 0.5), atol=1e-9)
 
 
@@ -90,7 +90,7 @@ def test_a_height_above_the_take_off_needs_its_height(tmp_path: Path, site: Site
 
 def test_a_calibration_in_millimetres_is_left_to_exif(tmp_path: Path, site: Site) -> None:
     import_photos([photo(tmp_path / "DJI_0001.JPG", CalibratedFocalLength="8.6")], tmp_path / "bag", site=site)
-    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 36 * 64)
+    assert imported(tmp_path / "bag")[0][1].fx == pytest.approx(24 / 27 * FX)
 
 
 def test_a_drone_that_looks_straight_down(tmp_path: Path, site: Site) -> None:
@@ -131,7 +131,7 @@ def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, sit
     rows = imported(tmp_path / "bag")
     assert [stamp for stamp, *_ in rows] == [1_720_143_015_500_000_000 + s * 10**9 for s in range(3)]
     for s, (_, camera, pose, _) in enumerate(rows):
-        assert camera.fx == 48.0
+        assert camera.fx == pytest.approx(FX)
         x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT + 1e-5 * s))
         np.testing.assert_allclose(pose.position, [x, y, GROUND + 50 + s], atol=0.06)
         azimuth = FRAME.true_to_grid_deg(350.0 + 10 * s, x, y)
@@ -140,17 +140,110 @@ def test_a_drones_video_is_placed_by_the_subtitles_beside_it(tmp_path: Path, sit
 
 def test_older_subtitles_have_a_place_and_a_height_alone(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").write_text(flight(OLD))
-    track, begin, focal = read_subtitles(tmp_path / "a.SRT", None)
-    assert begin == datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC)
-    assert focal is None
-    sensed = track.at(1 + 1_500_000_000, np.eye(3))
+    found = read_subtitles(tmp_path / "a.SRT")
+    assert found.begins == datetime(2024, 7, 4, 18, 30, 15)
+    assert found.lens_at(1.0) is None
+    sensed = found.track.at(1 + 1_500_000_000, np.eye(3))
     assert sensed.lat == pytest.approx(LAT + 1.5e-5)
     assert (sensed.lon, sensed.climb, sensed.azimuth_deg) == (LON, 41.5, None)
 
 
+@pytest.mark.parametrize(
+    ("block", "position", "covered", "climb"),
+    [
+        ("GPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M", (36.6146, -6.112), None, 0.3),  # Matrice 300, in Spain
+        ("GPS(149.0251,-20.2533,16) Hb:1.9 Hs:1.9", (-20.2533, 149.0251), None, 1.9),  # Inspire
+        ("GPS (8.2090, 47.4692, 18), D 49.21m, H 45.60m, H.S 0.00m/s", (47.4692, 8.209), None, 45.6),  # Phantom 4 Pro
+        ("GPS (-58.85, -34.24, 15), HOME (-58.84, -34.23, -57.98m), H 85.80m", (-34.24, -58.85), None, 85.8),
+        ("GPS (8.2090, 47.4692, 18), D 161ft, H 150ft, H.S n/a", (47.4692, 8.209), None, 45.72),
+        ("GPS (-121.7458, 48.0771, 12.5)", (48.0771, -121.7458), None, None),  # only that is on the globe
+        ("GPS (36.6146, -6.1120)", (36.6146, -6.112), (36.6, -6.1), None),
+        ("GPS (36.6146, -6.1120)", (-6.112, 36.6146), (-6.1, 36.6), None),
+        ("GPS(36.6146,-6.1120,14) BAROMETER:0.3", (36.6146, -6.112), (36.6, -6.1), 0.3),  # against its format
+        ("[latitude: 34.2250] [longtitude: -118.0600] [altitude: 26.60]", (34.225, -118.06), None, 26.6),
+        ("[latitude: 34,2250] [longitude: -118,0600] [rel_alt: 1,300 abs_alt: 132,860]", (34.225, -118.06), None, 1.3),
+    ],
+)
+def test_the_order_of_coordinates_and_what_heights_count_from(
+    tmp_path: Path,
+    block: str,
+    position: tuple[float, float],
+    covered: tuple[float, float] | None,
+    climb: float | None,
+) -> None:
+    (tmp_path / "a.SRT").write_text(f"1\n00:00:00,000 --> 00:00:01,000\n\n2\n00:00:01,000 --> 00:00:02,000\n{block}\n")
+
+    def covers(lon: float, lat: float) -> bool:
+        return covered is not None and np.hypot(lat - covered[0], lon - covered[1]) < 1
+
+    found = read_subtitles(tmp_path / "a.SRT", covers).track.at(1 + 10**9, np.eye(3))
+    assert (found.lat, found.lon) == position
+    assert found.climb == (None if climb is None else pytest.approx(climb))
+    assert found.altitude == (132.86 if "abs_alt" in block else None)
+
+
+def test_an_order_that_nothing_decides_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "a.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nGPS (36.6146, -6.1120)\n")
+    with pytest.raises(RecordingError, match=r"36\.6146.*--site"):
+        read_subtitles(tmp_path / "a.SRT")
+
+
+def test_a_pose_file_places_frames_whose_subtitles_do_not(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    (tmp_path / "DJI_0002.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nGPS (36.6146, -6.1120)\n")
+    with pytest.raises(LtmError, match=r"36\.6146"):
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
+    with pytest.raises(RecordingError, match=r"36\.6146"):
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag")
+    row = f"DJI_0002.MP4,{LON},{LAT},{GROUND + 60},10,-5,0,50\n"
+    (tmp_path / "poses.csv").write_text(f"name,lon,lat,z,azimuth_deg,pitch_deg,roll_deg,fx\n{row}")
+    import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", tmp_path / "poses.csv", site)
+    assert imported(tmp_path / "bag")[0][2].position[2] == GROUND + 60
+
+
+def test_a_lens_that_zooms_during_the_video(tmp_path: Path) -> None:
+    text = flight(NEW)
+    (tmp_path / "a.SRT").write_text(text[: text.index("3\n00")] + text[text.index("3\n00") :].replace("27.00", "48.00"))
+    lenses = [read_subtitles(tmp_path / "a.SRT").lens_at(at) for at in (0.0, 1.9, 2.0, 60.0)]
+    assert [lens.focal_35mm for lens in lenses if lens is not None] == [27.0, 27.0, 48.0, 48.0]
+
+
+@pytest.mark.parametrize(
+    ("heights", "start", "z"),
+    [
+        ("[altitude: 1561.5]", None, None),  # above the take-off place or above sea level: nothing states it
+        ("[altitude: 61.5]", GROUND, GROUND + 61.5),
+        ("", None, None),
+        ("", GROUND, None),
+        ("[rel_alt: 61.5 abs_alt: 1561.5]", None, GROUND + 61.5),
+    ],
+)
+def test_a_height_of_unknown_origin_needs_the_take_offs(
+    tmp_path: Path, site: Site, heights: str, start: float | None, z: float | None
+) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    text = re.sub(r"\[rel_alt[^]]*\]", heights, flight(NEW))
+    (tmp_path / "DJI_0002.SRT").write_text(text)
+    assumed = Assumptions(start_height=start, time_zone=ZoneInfo("America/Los_Angeles"))
+    if z is None:
+        with pytest.raises(PoseError, match="--start-height" if heights else "pose file"):
+            import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
+    else:
+        import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site, assumed=assumed)
+        assert imported(tmp_path / "bag")[0][2].position[2] == pytest.approx(z)
+
+
+def test_a_date_without_a_zone_is_reported(tmp_path: Path, site: Site) -> None:
+    (tmp_path / "DJI_0002.MP4").write_bytes(movie([picture()] * 2, 2, datetime(2024, 7, 5, 1, tzinfo=UTC)))
+    (tmp_path / "DJI_0002.SRT").write_text(flight(NEW))
+    report = import_photos([tmp_path / "DJI_0002.MP4"], tmp_path / "bag", site=site)
+    assert any("--time-zone" in note for _, note in report.notes)
+    assert imported(tmp_path / "bag")[0][0] == 1_720_117_815_500_000_000  # 18:30:15.5 UTC
+
+
 def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").write_text(flight(NEW))
-    track, _, _ = read_subtitles(tmp_path / "a.SRT", None)
+    track = read_subtitles(tmp_path / "a.SRT").track
     sensed = track.at(1 + 500_000_000, np.eye(3))
     assert sensed.azimuth_deg == pytest.approx(355.0, abs=0.1)
 
@@ -168,7 +261,7 @@ def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
 def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint: str) -> None:
     (tmp_path / "a.SRT").write_text(text)
     with pytest.raises(RecordingError, match=rf"a\.SRT.*{complaint}"):
-        read_subtitles(tmp_path / "a.SRT", None)
+        read_subtitles(tmp_path / "a.SRT")
 
 
 def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:

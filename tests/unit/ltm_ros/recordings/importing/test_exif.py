@@ -32,13 +32,13 @@ def facts(**ifds: dict[int, Any]) -> ExifFacts:
 
 def test_a_phone_photo_tells_where_and_when() -> None:
     found = facts(
-        photo={0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00", 0x9291: "250", 0x920A: 6.86, 0xA405: 24},
+        photo={0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00", 0x9291: "250"},
         gps={1: "N", 2: (34.0, 13.0, 30.0), 3: "W", 4: (118.0, 3.0, 36.0), 5: b"\0", 6: 1742.5, 16: "T", 17: 231.25},
     )
     assert found.lat == pytest.approx(34 + 13 / 60 + 30 / 3600, abs=1e-9)
     assert found.lon == pytest.approx(-(118 + 3 / 60 + 36 / 3600), abs=1e-9)
     assert (found.altitude, found.direction_deg, found.direction_ref) == (1742.5, 231.25, "T")
-    assert (found.focal_35mm, found.orientation) == (24, 1)
+    assert found.orientation == 1
     assert found.taken == datetime(2024, 7, 4, 18, 30, 15, 250_000, timezone(timedelta(hours=-7)))
 
 
@@ -65,8 +65,8 @@ def test_a_fix_that_is_none_is_left_out(gps: dict[int, Any], known: float | None
 
 
 def test_fractions_over_zero_are_left_out() -> None:
-    found = facts(photo={0x920A: IFDRational(0, 0)}, gps={6: IFDRational(1, 0), 17: IFDRational(0, 0), 16: "T"})
-    assert (found.focal_mm, found.altitude, found.direction_deg) == (None, None, None)
+    found = facts(gps={6: IFDRational(1, 0), 17: IFDRational(0, 0), 16: "T"})
+    assert (found.altitude, found.direction_deg) == (None, None)
 
 
 @pytest.mark.parametrize(
@@ -103,27 +103,103 @@ def test_an_orientation_that_is_none_is_upright(orientation: int) -> None:
     assert facts(main={0x0112: orientation}).orientation == 1
 
 
-@pytest.mark.parametrize(("width", "height"), [(4000, 3000), (3000, 4000)])
-def test_focal_length_from_35_mm_is_over_the_long_side(width: int, height: int) -> None:
-    assert facts(photo={0xA405: 27}).focal_px(width, height) == pytest.approx(27 / 36 * 4000)
+ORIGINAL, DIGITIZED, CHANGED = "2024:07:04 18:30:15", "2024:07:05 09:00:00", "2025:01:02 03:04:05"
 
 
-def test_focal_length_from_a_stated_sensor() -> None:
-    """30 mm on a sensor of 22.0 mm over 4290 pixels; the 35 mm equivalent gives way."""
-    assert facts(photo={0x920A: 30.0, 0xA405: 99}).focal_px(4290, 2856, 22.0) == pytest.approx(5850.0)
+@pytest.mark.parametrize(
+    ("main", "photo", "taken"),
+    [
+        ({0x0132: CHANGED}, {0x9003: ORIGINAL, 0x9004: DIGITIZED}, "2024-07-04T18:30:15"),
+        ({0x0132: CHANGED}, {0x9004: DIGITIZED, 0x9292: "5"}, "2024-07-05T09:00:00.500000"),
+        ({0x0132: CHANGED}, {0x9003: "0000:00:00 00:00:00", 0x9004: DIGITIZED}, "2024-07-05T09:00:00"),
+        # The zone and the fraction of the last change are not those of the exposure,
+        ({0x0132: CHANGED}, {0x9003: ORIGINAL, 0x9010: "+09:00", 0x9290: "7"}, "2024-07-04T18:30:15"),
+        # unless both are the same time.
+        ({0x0132: ORIGINAL}, {0x9003: ORIGINAL, 0x9010: "-07:00"}, "2024-07-04T18:30:15-07:00"),
+        ({}, {0x9003: ORIGINAL, 0x9011: "+23:45"}, "2024-07-04T18:30:15"),
+        ({}, {0x9003: ORIGINAL, 0x9011: "   :  "}, "2024-07-04T18:30:15"),
+        ({}, {0x9003: "2024-07-04T18:30:15", 0x9011: "Z"}, "2024-07-04T18:30:15+00:00"),
+        ({}, {0x9003: "2024/07/04 18:30:15"}, "2024-07-04T18:30:15"),
+    ],
+)
+def test_the_date_of_the_exposure_precedes_those_of_later_steps(
+    main: dict[int, Any], photo: dict[int, Any], taken: str
+) -> None:
+    found = facts(main=main, photo=photo)
+    assert found.taken == datetime.fromisoformat(taken)
+    assert not found.changed
 
 
-def test_focal_length_from_the_focal_plane_follows_a_resized_image() -> None:
-    photo = {0x920A: 30.0, 0xA20E: 4272 / 22.3 * 25.4, 0xA210: 2, 0xA002: 4272}
-    assert facts(photo=photo).focal_px(4272, 2848) == pytest.approx(30 / 22.3 * 4272, rel=1e-6)
-    assert facts(photo=photo).focal_px(2136, 1424) == pytest.approx(30 / 22.3 * 2136, rel=1e-6)
+def test_a_date_of_the_last_change_is_marked() -> None:
+    assert facts(main={0x0132: CHANGED}).changed
 
 
-def test_a_focal_plane_that_contradicts_the_35_mm_equivalent_gives_way() -> None:
-    photo = {0x920A: 30.0, 0xA20E: 100.0, 0xA210: 2, 0xA405: 48}
-    assert facts(photo=photo).focal_px(4272, 2848) == pytest.approx(48 / 36 * 4272)
+@pytest.mark.parametrize(
+    ("date", "clock", "stamp"),
+    [
+        ("1980:01:06", ORIGINAL, None),
+        ("1970:01:01", "", None),
+        ("2004:11:18", ORIGINAL, "2024-07-04T01:30:15+00:00"),  # 1024 weeks early
+        ("1985:01:01", ORIGINAL, None),
+        ("9999:12:31", "", None),
+        ("2024:07:05", ORIGINAL, "2024-07-05T01:30:15+00:00"),
+        ("2024-07-05", "", "2024-07-05T01:30:15+00:00"),
+    ],
+)
+def test_gps_dates_are_checked_against_the_clock(date: str, clock: str, stamp: str | None) -> None:
+    found = facts(photo={0x9003: clock}, gps={7: (1.0, 30.0, 15.0), 29: date})
+    assert found.gps_time == (None if stamp is None else datetime.fromisoformat(stamp))
 
 
-def test_without_a_sensor_millimetres_tell_nothing() -> None:
-    assert facts(photo={0x920A: 30.0}).focal_px(4290, 2856) is None
-    assert facts().focal_px(4290, 2856, 22.0) is None
+@pytest.mark.parametrize(
+    ("version", "reference", "altitude", "above_sea"),
+    [
+        (b"0232", b"\0", 250.0, False),
+        (b"0232", b"\1", -250.0, False),
+        (b"0300", b"\2", 250.0, True),
+        (b"0300", b"\3", -250.0, True),
+        (b"0300", b"\1", -250.0, False),
+        (b"0232", b"1", -250.0, False),
+        (b"0232", b"2", 250.0, True),
+        (b"0232", b"\xff", 250.0, False),
+    ],
+)
+def test_altitude_references(version: bytes, reference: Any, altitude: float, above_sea: bool) -> None:
+    found = facts(photo={0x9000: version}, gps={5: reference, 6: 250.0})
+    assert (found.altitude, found.above_sea) == (altitude, above_sea)
+
+
+NORTH_WEST = {1: "N", 2: (34.5, 0, 0), 3: "W", 4: (118.25, 0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "position"),
+    [
+        ({}, (34.5, -118.25)),
+        ({3: None}, None),  # Los Angeles would be in China
+        ({1: ""}, None),
+        ({3: "w\0"}, (34.5, -118.25)),
+        ({3: "West"}, (34.5, -118.25)),
+        ({4: (118.0, 15.0, 3050.0)}, None),  # hundredths of a second
+        ({18: "TOKYO"}, None),
+        ({18: "WGS-84"}, (34.5, -118.25)),
+    ],
+)
+def test_positions_that_are_not_certain_are_left_out(
+    changes: dict[int, Any], position: tuple[float, float] | None
+) -> None:
+    found = facts(gps={tag: value for tag, value in (NORTH_WEST | changes).items() if value is not None})
+    assert (found.lat, found.lon) == (position or (found.lat, None))
+    assert position is not None or found.lat is None or found.lon is None
+
+
+@pytest.mark.parametrize(("letter", "lon"), [("W", -118.25), ("E", None), ("", None)])
+def test_a_longitude_with_a_sign_and_a_letter(letter: str, lon: float | None) -> None:
+    written = Exif()
+    written.get_ifd(GPS).update(NORTH_WEST | {3: letter, 4: (-118.25, 0, 0)})
+    assert exif_facts(written, "a.jpg").lon == lon
+
+
+@pytest.mark.parametrize(("value", "known"), [(360.0, 0.0), (359.99, 359.99), (655.35, None)])
+def test_directions(value: float, known: float | None) -> None:
+    assert facts(gps={16: "M", 17: value}).direction_deg == known

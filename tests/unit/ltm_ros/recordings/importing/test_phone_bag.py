@@ -20,7 +20,7 @@ WALK = project_path("bags/phone")
 def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
     site = load_site(WALK / "site.yaml")
     import_photos([WALK / "photos"], tmp_path / "true", WALK / "true_poses.csv", site)
-    lens = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
+    lens = Assumptions(focal_35mm=25.0, height_above_ground=1.6)
     report = import_photos([WALK / "sensor_logger.zip"], tmp_path / "log", site=site, assumed=lens)
     assert report.cameras == {"phone": 24}
     assert not report.notes

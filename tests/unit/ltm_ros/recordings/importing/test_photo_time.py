@@ -31,6 +31,13 @@ def test_exifs_own_offset_goes_before_everything_but_a_row() -> None:
     assert when(SUMMER.replace(tzinfo=WEST), stated=stated) == (stated.replace(tzinfo=UTC), [])
 
 
+def test_a_date_of_the_last_change_is_reported() -> None:
+    photo = Photo(Path("a.jpg"), b"", "jpeg", 4, 3, ExifFacts(taken=SUMMER, changed=True), Sensed(), False)
+    notes: list[str] = []
+    assert photo_time(photo, None, WEST, notes) == SUMMER.replace(tzinfo=WEST)
+    assert len(notes) == 1
+
+
 def test_a_zone_knows_its_summer_time() -> None:
     assert when(SUMMER, zone="Europe/Oslo") == (datetime(2024, 7, 4, 16, 30, 15, tzinfo=UTC), [])
     winter = SUMMER.replace(month=1)
@@ -49,7 +56,7 @@ def test_without_a_zone_the_gps_stamp_counts() -> None:
     assert when(None, gps) == (gps, [])
     taken, (note,) = when(SUMMER)
     assert taken == SUMMER.replace(tzinfo=UTC)
-    assert "has no time zone: UTC is assumed; give --time-zone" in note
+    assert "--time-zone" in note
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pillow_heif
 import pytest
 import yaml
 from PIL import Image
+from scenes.phone_site import FX
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import CameraError, ConfigError, ImageError, LtmError, PoseError, RecordingError
@@ -113,7 +114,7 @@ def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None
     report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((stamp, camera, pose, image),) = contents(tmp_path / "bag")
     assert stamp == 1_720_143_015 * 10**9  # 2024-07-05 01:30:15 UTC
-    assert camera == Camera(W, H, 48.0, 48.0, (W - 1) / 2, (H - 1) / 2)
+    assert camera == Camera(W, H, FX, FX, (W - 1) / 2, (H - 1) / 2)
     x, y = site.frame.from_lonlat(LON, LAT)
     np.testing.assert_allclose(pose.position, [x, y, GROUND + 12.0], atol=1e-6)
     # True north turns to grid north by the meridian convergence, here -0.6 deg: sin(lat) * (lon - central meridian).
@@ -158,7 +159,7 @@ def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str
     import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((_, camera, _, image),) = contents(tmp_path / "bag")
     assert (camera.height, camera.width) == upright.shape[:2]
-    assert camera.fx == 27 / 36 * W  # the long side stays the long side
+    assert camera.fx == FX
     assert np.abs(compressed_to_rgb(image).astype(int) - upright).mean() < 6
 
 
@@ -187,6 +188,16 @@ def test_ellipsoidal_altitudes_lose_the_geoid_undulation(tmp_path: Path, site: S
     import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     assert pose.position[2] == pytest.approx(GROUND + 12.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("reference", "removed"), [(b"\0", -35.4), (b"\2", 0.0)])
+def test_an_altitude_certainly_above_sea_level_keeps_the_undulation(
+    tmp_path: Path, site: Site, reference: bytes, removed: float
+) -> None:
+    save(tmp_path / "a.jpg", phone(gps_5=reference))
+    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    assert pose.position[2] == pytest.approx(GROUND + 12.0 - removed, abs=1e-3)
 
 
 def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, site: Site) -> None:
@@ -250,6 +261,9 @@ def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
         ({"photo_0x9003": None}, RecordingError, "has no date"),
         ({"photo_0x9003": "1969:07:04 18:30:15"}, RecordingError, "before 1970"),
         ({"gps_2": (35.0, 0.0, 0.0), "gps_6": None}, PoseError, "outside the DEM"),
+        ({"gps_2": (34.0, 14.0, 30.0)}, PoseError, "outside the DEM"),
+        ({"gps_3": None}, PoseError, "GPSLongitudeRef"),
+        ({"gps_18": "TOKYO"}, PoseError, "TOKYO"),
         ({"gps_2": (91.0, 0.0, 0.0)}, ImageError, "invalid EXIF position"),
     ],
 )

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -181,9 +182,13 @@ def test_the_same_photos_by_exif_alone_have_direction_and_place(tmp_path: Path, 
         )
 
 
-def test_without_a_barometer_altitudes_tell_the_height_with_their_own_sigma(tmp_path: Path, site: Site) -> None:
+@pytest.mark.parametrize("undulation", [None, -35.4])
+def test_without_a_barometer_altitudes_tell_the_height_with_their_own_sigma(
+    tmp_path: Path, site: Site, undulation: float | None
+) -> None:
+    """They are stated to be above sea level, so that the geoid's height changes nothing."""
     path = changed(recorded(tmp_path), {"Barometer.csv": None})
-    import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
+    import_photos([path], tmp_path / "bag", site=site, assumed=replace(LENS, geoid_undulation=undulation))
     (_, _, pose, covariance), *_ = imported(tmp_path / "bag")
     assert pose.position[2] == pytest.approx(WALK[0].pose.position[2], abs=0.01)
     assert math.sqrt(covariance[2, 2]) == pytest.approx(1.6 * 4.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes.movie_file import movie
-from scenes.phone_site import FRAME, GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
+from scenes.phone_site import FRAME, FX, GROUND, LAT, LON, STAMP, imported, phone_site, picture, taken
 
 from ltm_core.base.errors import CameraError, PoseError, RecordingError
 from ltm_core.base.types import UInt8Array
@@ -50,7 +50,7 @@ def test_a_phones_video_has_one_place_and_no_direction(tmp_path: Path, site: Sit
     rows = imported(tmp_path / "bag")
     assert [stamp for stamp, *_ in rows] == [BEGIN_NS, BEGIN_NS + 1_000_000_000]  # every second frame: one a second
     for _, camera, pose, covariance in rows:
-        assert (camera.width, camera.height, camera.fx) == (64, 40, 48.0)
+        assert (camera.width, camera.height, camera.fx) == (64, 40, FX)
         np.testing.assert_allclose(pose.position, [*FRAME.from_lonlat(LON, LAT), GROUND + 9], atol=0.05)
         expected = pose_covariance(pose, 5.0, 10.0, UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, 3.0)
         np.testing.assert_allclose(covariance, expected, atol=1e-9)
@@ -63,7 +63,7 @@ def test_a_video_that_is_to_be_turned_is_taken_upright(tmp_path: Path, site: Sit
     path.write_bytes(movie(frames(1), 2, BEGIN, location=f"+{LAT:.4f}{LON:.4f}/", turned=90))
     import_photos([path], tmp_path / "bag", site=site, assumed=KEPT)
     ((_, camera, _, _),) = imported(tmp_path / "bag")
-    assert (camera.width, camera.height, camera.fx) == (40, 64, 48.0)
+    assert (camera.width, camera.height, camera.fx) == (40, 64, FX)
     (image,) = images(tmp_path / "bag")
     assert np.abs(image.astype(int) - np.rot90(frames(1)[0], -1)).mean() < 3
 
