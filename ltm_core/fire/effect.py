@@ -26,11 +26,12 @@ from scipy.special import gammaincinv, ndtr
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.fuel.band_values_io import in_landfire_units, read_band
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, system_of_codes
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
-from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands, in_landfire_units, read_band
+from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import open_raster

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.special import betainc, entr
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array, UInt8Array, UInt32Array
-from ltm_core.fuel.change_regions import reach_of, supported_changes
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
 
 _GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5

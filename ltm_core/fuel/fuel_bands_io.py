@@ -1,39 +1,33 @@
-"""Find out what a raster band of terrain, fuel or canopy holds, and read it in LANDFIRE's unit.
+"""Find out what the bands of terrain, fuel and canopy files hold, and in which units.
 
-Attribute tables, band descriptions and file names decide what a band holds; positions count only in a landscape that
-names no band. Stated units, and without them the values, decide the unit.
+Attribute tables, band descriptions and file names decide; positions count only in a landscape that names no band.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 from xml.etree.ElementTree import ParseError, fromstring
 
-import numpy as np
-
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Float64Array, Int16Array
-from ltm_core.fuel.life_form import NODATA
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import check_size, open_raster
+from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import is_file
 
 CODES: Final = ("fbfm40", "fbfm13", "codes")
 _REVISION = r"(?P<revision>[a-z][0-9]{0,3})?"
 _WORDS: Final[Mapping[str, str]] = {
-    "fbfm40": rf"[0-9]*fbfm_?40{_REVISION}|[0-9]*f40|fm_?40|sb_?40|scott_(and_)?burgan(_40)?|fuel_models?_40",
-    "fbfm13": rf"[0-9]*fbfm_?13{_REVISION}|[0-9]*f13|fm_?13|anderson(_13)?|fuel_models?_13",
+    "fbfm40": rf"[0-9]*fbfm_?40{_REVISION}|[0-9]*f40|fm_?40|sb_?40|scott_(and_)?burgan(_?40)?|fuel_models?_?40",
+    "fbfm13": rf"[0-9]*fbfm_?13{_REVISION}|[0-9]*f13|fm_?13|anderson(_?13)?|fuel_models?_?13",
     "cover": r"[0-9]*cc|(canopy|crown|tree)_(cover|closure)",
     "height": r"[0-9]*ch|(canopy|crown|stand|tree)_(height|ht)",
     "base_height": r"[0-9]*cbh|((canopy|crown)_)?base_(height|ht)",
     "bulk_density": r"[0-9]*cbd|((canopy|crown)_)?bulk_density",
     "elevation": r"[0-9]*(dem|elev)[0-9]*|elevation",
-    "slope": r"[0-9]*slp[0-9]*(_?[dp])?|slope",
+    "slope": r"[0-9]*slp(_?[dp])?[0-9]*|slope",
     "aspect": r"[0-9]*asp[0-9]*|aspect",
     "vegetation": r"[0-9]*(evt|evc|evh|bps|nvc|fccs)",
     "other": r"duff|woody|adj|phi|ws|wd|m1|m10|m100|mlh|mlw",
@@ -49,25 +43,14 @@ _ALONE: Final[Mapping[str, str]] = {
 }
 """Words that identify a band only if nothing but numbers stands beside them."""
 POSITIONS: Final = ("elevation", "slope", "aspect", "codes", "cover", "height", "base_height", "bulk_density")
-_GROUND: Final = ("duff", "woody")
 _LAYOUTS: Final[Mapping[int, tuple[str, ...]]] = {
     5: POSITIONS[:5],
-    7: (*POSITIONS[:5], *_GROUND),
+    7: (*POSITIONS[:5], "other", "other"),
     8: POSITIONS,
-    10: (*POSITIONS, *_GROUND),
+    10: (*POSITIONS, "other", "other"),
 }
-_RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "elevation": (-500, 9000),
-    "slope": (0, 90),
-    "aspect": (-1, 360),
-    "cover": (0, 100),
-    "height": (0, 1200),
-    "base_height": (0, 1000),
-    "bulk_density": (0, 300),
-}
-"""Plausible values in LANDFIRE's units."""
 _LENGTHS: Final = {"m": 10.0, "ft": 3.048, "mx10": 1.0, "dm": 1.0, "ftx10": 0.3048, "cm": 0.1}
-_FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
+FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
     "elevation": {"m": 1.0, "ft": 0.3048, "dm": 0.1, "cm": 0.01},
     "cover": {"%": 1.0, "percent": 1.0, "pct": 1.0, "1": 100.0, "fraction": 100.0},
     "height": _LENGTHS,
@@ -82,7 +65,7 @@ _SPELLINGS: Final = (
     ("kgm-3", "kg/m3"),
     (r"\*", "x"),
 )
-_PHYSICAL: Final = {"cover": "%", "height": "m", "base_height": "m", "bulk_density": "kg/m3"}
+PHYSICAL: Final = {"cover": "%", "height": "m", "base_height": "m", "bulk_density": "kg/m3"}
 """Units of values with a scale factor, if no other is stated."""
 _LCP_UNITS: Final[Mapping[str, tuple[str, Mapping[str, str]]]] = {
     "elevation": ("ELEVATION_UNIT", {"0": "m", "1": "ft"}),
@@ -96,21 +79,17 @@ _LCP_UNITS: Final[Mapping[str, tuple[str, Mapping[str, str]]]] = {
 }
 """Unit codes of LCP headers as GDAL reports them. Codes of fuel options 2 and 3 need a conversion file, and aspects
 of units 0 and 1 are not azimuths."""
-_CLASSES: Final = np.array([0.0, 10.0, 35.0, 65.0, 90.0])
-"""Cover in % of FARSITE's classes 0 to 4: none, 1 to 20, 21 to 50, 51 to 80 and 81 to 100 %."""
-_STRAY: Final = 0.01
-"""Maximum share of cells with implausible values, which become unknown; a band with more is rejected."""
-STATE_UNIT: Final = "state its unit in the file, such as `rio edit-info --bidx 1 --units m FILE`"
 
 
 @dataclass(frozen=True)
 class FuelBand:
-    """A band and what it holds. `unit`: as stated, empty: unknown."""
+    """A band and what it holds. `unit`: as stated, empty: unknown. `by_position`: whether no name says what it is."""
 
     path: Path
     quantity: str
     index: int = 1
     unit: str = ""
+    by_position: bool = False
 
     @property
     def place(self) -> str:
@@ -179,26 +158,32 @@ def file_bands(source: Any, path: Path, default: str | None = None) -> list[Fuel
     """Return the bands of a landscape or single-band file that hold something known, `codes` of an unknown system, base
     height last. `default`: quantity of a single band that states none.
 
-    Raises RasterError: several bands of one quantity, names without fuel codes, or neither names nor a known number.
+    Names go before positions. Raises RasterError: several bands of one quantity, no fuel codes.
     """
     names = _band_names(source)
-    quantities: Sequence[str | None]
+    known = [found and found[0] for found in map(meaning, names)]
+    layout = _LAYOUTS.get(len(names), ())
     if len(names) == 1:
-        quantities = [quantity_of(path, names[0]) or default or "codes"]
-    elif any(quantities := [found and found[0] for found in map(meaning, names)]):
-        if not set(quantities) & set(CODES):
-            raise RasterError(f"{path}: no band is named as fuel codes ({', '.join(names)}); name it FBFM40 or FBFM13")
-    elif len(names) in _LAYOUTS:
-        quantities = _LAYOUTS[len(names)]
-    else:
+        known = [quantity_of(path, names[0]) or default or "codes"]
+    elif layout and all(k in (None, q) or (k in CODES and q == "codes") for k, q in zip(known, layout, strict=True)):
+        known = [k or q for k, q in zip(known, layout, strict=True)]
+    elif not set(known) & set(CODES):
+        listed = ", ".join(filter(None, names)) or "none"
         raise RasterError(
-            f"{path}: has {len(names)} bands without known names; a landscape has 5, 7, 8 or 10, a fuel map one. "
-            "Name the bands (FBFM40, CC, CH, CBH, CBD) in their descriptions"
+            f"{path}: none of its {len(names)} bands is named as fuel codes (names: {listed}); a landscape without "
+            "names has 5, 7, 8 or 10. Describe the bands as Elev, Slp, Asp, FBFM40, CC, CH, CBH, CBD"
         )
+    unnamed = len(names) > 1 and source.driver != "LCP"
     bands = [
-        FuelBand(path, quantity, index, _stated_unit(source, quantity, index, names[index - 1]))
-        for index, quantity in enumerate(quantities, start=1)
-        if quantity and (len(names) == 1 or quantity in _RANGES or quantity in CODES)
+        FuelBand(
+            path,
+            quantity,
+            index,
+            _stated_unit(source, quantity, index, names[index - 1]),
+            unnamed and not meaning(names[index - 1]),
+        )
+        for index, quantity in enumerate(known, start=1)
+        if quantity and (len(names) == 1 or quantity in CODES or quantity in POSITIONS)
     ]
     twice = {band.quantity for band in bands if sum(band.quantity == other.quantity for other in bands) > 1}
     if twice:
@@ -221,7 +206,7 @@ def _band_names(source: Any) -> list[str]:
 
 
 def _stated_unit(source: Any, quantity: str, index: int, name: str) -> str:
-    """Return a band's unit by LCP header, unit text, name or scale factor, as in `_FACTORS`. Raises RasterError for a
+    """Return a band's unit by LCP header, unit text, name or scale factor, as in `FACTORS`. Raises RasterError for a
     header's unit that cannot be converted."""
     if source.driver == "LCP" and quantity in _LCP_UNITS:
         key, units = _LCP_UNITS[quantity]
@@ -234,147 +219,11 @@ def _stated_unit(source: Any, quantity: str, index: int, name: str) -> str:
         text = re.sub(long, short, text.lower())
     if quantity == "slope":
         return "percent" if text in ("%", "percent", "pct") or re.search("slp_?p|percent", _words(name)) else ""
-    known = _FACTORS.get(quantity, {})
+    known = FACTORS.get(quantity, {})
     if text in known:
         return text
     words = [] if quantity == "elevation" else _words(f"{name}_{Path(source.name).stem}").split("_")
     spelled = {"feet": "ft", "meters": "m", "metres": "m"}
     by_name = [unit for word in words if (unit := spelled.get(word, word)) in known and not unit.isdigit()]
     scaled = (source.scales[index - 1], source.offsets[index - 1]) != (1.0, 0.0)
-    return by_name[0] if by_name else _PHYSICAL.get(quantity, "") if scaled else ""
-
-
-def read_band(band: FuelBand, geometry: GridGeometry | None = None, crs: str | None = None) -> Float64Array:
-    """Return a band's values (H, W) in its own unit, scaled, NaN for nodata, on its own grid or by nearest cell on
-    `geometry`. `crs`: of a file that states none.
-
-    Nodata is what the file declares or masks, and what common programs write without declaring it: values of -1000 and
-    below, 32767, 65535 and 1e9 and above, and but for elevation and aspect, negative values and 255 of uint8.
-    """
-    from rasterio.enums import Resampling
-    from rasterio.vrt import WarpedVRT
-
-    with open_raster(band.path) as source:
-        dtype = np.dtype(source.dtypes[band.index - 1])
-        if dtype.kind not in "iuf":
-            raise RasterError(f"{band.place}: values are {dtype}; they must be real numbers")
-        if geometry is None:
-            check_size(source, band.path, source.height, source.width)
-            values = source.read(band.index, masked=True).astype(np.float64).filled(np.nan)
-        else:
-            if source.crs is None and crs is None:
-                raise RasterError(f"{band.path}: the raster has no CRS; give it with `fuel: {{prior: {{crs: ...}}}}`")
-            options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
-            with WarpedVRT(
-                source,
-                crs=geometry.crs,
-                transform=geometry.transform(),
-                width=geometry.width,
-                height=geometry.height,
-                resampling=Resampling.nearest,
-                nodata=np.nan,
-                tolerance=0.001,
-                dtype="float64",
-                **options,
-            ) as warped:
-                values = warped.read(band.index)
-        scale, offset = source.scales[band.index - 1], source.offsets[band.index - 1]
-        declared = source.nodatavals[band.index - 1]
-    # The warper takes a cell for nodata only if all of its bands are.
-    unknown = ~np.isfinite(values) | (values <= -1000) | np.isin(values, (32767, 65535, declared)) | (values >= 1e9)
-    if band.quantity not in ("elevation", "aspect"):
-        unknown |= (values < 0) | ((dtype == np.uint8) & (values == 255))
-    return np.where(unknown, np.nan, values * scale + offset)
-
-
-def in_landfire_units(read: Iterable[tuple[FuelBand, Float64Array]]) -> tuple[dict[str, Int16Array], list[str]]:
-    """Return bands (H, W) by quantity in LANDFIRE's units, NODATA where unknown, and remarks about what was converted
-    or dropped. Raises RasterError for values that the quantity cannot have in any unit."""
-    found: dict[str, Int16Array] = {}
-    remarks: list[str] = []
-    length = ""
-    for band, values in read:
-        unit = band.unit or _unit_of_values(band, values, length)
-        if band.quantity == "height":
-            length = unit
-        turned = _converted(band, values, unit)
-        if unit != band.unit and unit not in ("", "%", "mx10", "kg/m3x100"):
-            remarks.append(f"{band.place}: read as {unit} by its values")
-        if band.quantity in CODES and (turned != np.round(turned))[np.isfinite(turned)].any():
-            raise RasterError(f"{band.place}: holds fractions; resample codes by nearest cell (gdalwarp -r near)")
-        low, high = _RANGES.get(band.quantity, (0, 32767))
-        out = (turned < low) | (turned > high)
-        if out.any():
-            strange = f"{int(out.sum())} cells hold values outside {low:g} to {high:g} such as {turned[out][0]:g}"
-            if out.sum() > _STRAY * np.isfinite(turned).sum():
-                raise RasterError(
-                    f"{band.place}: {strange}; if it holds something else, name it in the band's description (FBFM40, "
-                    f"CC, CH, CBH, CBD), otherwise {STATE_UNIT}"
-                )
-            remarks.append(f"{band.place}: {strange}; they are unknown")
-        keep = np.isfinite(turned) & ~out
-        found[band.quantity] = np.where(keep, np.round(np.where(keep, turned, 0)), NODATA).astype(np.int16)
-    _check_crown_base(found)
-    return found, remarks
-
-
-def _unit_of_values(band: FuelBand, values: Float64Array, length: str) -> str:
-    """Return the unit that the values show, empty for LANDFIRE's. `length`: of the canopy height beside a base height.
-    Raises RasterError where they show none."""
-    some = values[values > 0]
-    if some.size == 0 or band.quantity not in _PHYSICAL:
-        return ""
-    most, whole = float(some.max()), bool((np.abs(some - np.round(some)) < 1e-3).all())
-    if band.quantity == "cover":
-        if whole and 1 < most <= len(_CLASSES) - 1:
-            return "class"
-        if whole and most == 1:
-            raise RasterError(f"{band.place}: holds only 0 and 1, as %, as a fraction or as a class; {STATE_UNIT}")
-        # Fuel codes, of which a landscape may hold any in the wrong band, lie between.
-        evc = whole and (most > 204 or (most > 100 and some.min() < 91))
-        return "evc" if evc else "fraction" if most <= 1 else ""
-    if band.quantity == "bulk_density":
-        return "" if whole or most > 2 else "kg/m3"
-    if not whole:
-        return "m" if most <= (120 if band.quantity == "height" else 30) else ""
-    if band.quantity == "base_height":
-        return length if most <= 30 else ""
-    if most <= 60 and (some % 5 != 0).any():
-        raise RasterError(f"{band.place}: heights up to {most:g} are m or m x 10; {STATE_UNIT}")
-    return ""
-
-
-def _converted(band: FuelBand, values: Float64Array, unit: str) -> Float64Array:
-    if unit == "class":
-        index = np.where(np.isfinite(values) & (values < len(_CLASSES)), values, 0).astype(np.int64)
-        return np.where(np.isfinite(values), np.where(values == 99, 0.0, _CLASSES[index]), np.nan)
-    if unit == "evc":
-        return _tree_cover(band, values)
-    if unit == "percent" and band.quantity == "slope":
-        return np.asarray(np.degrees(np.arctan(values / 100)))
-    return values * _FACTORS.get(band.quantity, {}).get(unit, 1.0)
-
-
-def _tree_cover(band: FuelBand, values: Float64Array) -> Float64Array:
-    """Return the tree cover in % of LANDFIRE's existing vegetation cover: 101 to 199 are trees with 1 to 99 %, and
-    until 2016 101 to 109 trees with 10 to 99 % in tenths. Other cover has no trees."""
-    most = float(np.nanmax(values))
-    if most > 399:
-        raise RasterError(f"{band.place}: holds values up to {most:g}; a canopy cover is 0 to 100 %")
-    trees = (values > 100) & (values < (200 if most > 129 else 110))
-    cover = values - 100 if most > 129 else 10 * (values - 100) + 5
-    return np.where(np.isnan(values), np.nan, np.where(trees, np.minimum(cover, 100), 0.0))
-
-
-def _check_crown_base(bands: Mapping[str, Int16Array]) -> None:
-    """Raise RasterError if the crown bases of most stands are above their tops: units or bands are mixed up."""
-    if not {"height", "base_height"} <= bands.keys():
-        return
-    top, base = bands["height"], bands["base_height"]
-    both = (top > 0) & (base > 0)
-    above = int((both & (base > top)).sum())
-    if 2 * above > both.sum():
-        raise RasterError(
-            f"canopy base height is above canopy height in {above} of {int(both.sum())} cells: bands or units are "
-            f"mixed up; name the bands CH and CBH, and {STATE_UNIT}"
-        )
+    return by_name[0] if by_name else PHYSICAL.get(quantity, "") if scaled else ""

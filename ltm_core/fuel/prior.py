@@ -107,8 +107,8 @@ class FuelPrior:
     `codes`: (H, W) int16 fuel codes of `system`, NODATA where none is known. `canopy`: (4, H, W) int16 in LANDFIRE's
     units: cover %, height m x 10, base height m x 10, bulk density kg/m3 x 100; NODATA where unknown; None: not given.
     `fbfm13`: (H, W) int16, the FBFM13 map that came beside FBFM40 codes, NODATA where exports do not keep
-    it. `contradicting`: cells in which it came with another fuel type than theirs. `remarks`: what was converted, dropped
-    or not used of its files. Raises RasterError where shapes disagree.
+    it. `contradicting`: cells in which it came with another fuel type than theirs. `remarks`: what was
+    converted, dropped or not used of its files. Raises RasterError where shapes disagree.
     """
 
     codes: Int16Array

@@ -8,16 +8,9 @@ import numpy as np
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Int16Array
+from ltm_core.fuel.band_values_io import in_landfire_units, read_band
 from ltm_core.fuel.codes import CUSTOM, FuelSystem, fuel_models, is_custom, of_one_fuel_type, system_of_codes
-from ltm_core.fuel.fuel_bands_io import (
-    CODES,
-    FuelBand,
-    in_landfire_units,
-    meaning,
-    open_bands,
-    quantity_of,
-    read_band,
-)
+from ltm_core.fuel.fuel_bands_io import CODES, FuelBand, meaning, open_bands, quantity_of
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
 from ltm_core.fuel.overlays_io import barrier_codes, with_barriers
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior, PriorConfig
@@ -93,7 +86,7 @@ def _bands_of(config: PriorConfig) -> tuple[list[FuelBand], list[str]]:
     bands = open_bands(config.path)
     if not any(band.quantity in CODES for band in bands):
         raise RasterError(
-            f"{config.path}: holds {', '.join(band.quantity for band in bands)} and no fuel codes; give a fuel map such "
+            f"{config.path}: holds {', '.join(band.quantity for band in bands)}, no fuel codes; give a fuel map such "
             "as LANDFIRE's FBFM40, or name this one's band so (`rio edit-info --bidx 1 --description FBFM40 FILE`)"
         )
     return bands, []
