@@ -171,8 +171,8 @@ def drawn_codes(
 
 
 def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """Return the layers with other codes, which are changes where they differ from the prior's."""
-    return replace(layers, code=codes, changed=codes != layers.prior)
+    """Return the layers with other codes."""
+    return replace(layers, code=codes)
 
 
 def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
@@ -254,7 +254,7 @@ BANDS: Mapping[str, str] = {
     "flame_before": "m",
     "flame_after": "m",
     "flame_difference": "m, positive: longer on the updated map",
-    "changed": "0 no, 1 yes",
+    "changed": "fuel or canopy changed: 0 no, 1 yes",
     "burn_probability": "1",
 }
 """Name and unit of each band; the last one exists only for ensembles."""

@@ -198,7 +198,7 @@ def write_layers(
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
-    for name, layer in vars(layers).items():
+    for name, layer in {**vars(layers), "changed": layers.changed}.items():
         # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
         stored = layer.astype("uint8") if layer.dtype == bool else layer
         stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
