@@ -232,8 +232,8 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
         more = last.after - last.before
         word, now = "more" if more > 0 else "less", f"{last.after:.0f} ha on the updated map"
         said.append(
-            f"The fire reaches changed fuel or canopy after {contact:.1f} h. After {last.hours:g} h it has burned {now}, "
-            f"{abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
+            f"The fire reaches changed fuel or canopy after {contact:.1f} h. After {last.hours:g} h it has burned "
+            f"{now}, {abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
         )
     if edge is not None:
         said.append(
