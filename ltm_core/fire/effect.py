@@ -1,8 +1,4 @@
-"""Compare fires on the previous and the updated map, and read and write their rasters.
-
-Compare fires on the previous and the updated map, with fuel maps drawn from what is uncertain.
-
-Draws fuel maps from the probabilities of each cell, to propagate the uncertainty of fuel to a fire.
+"""Compare fires on the previous and the updated map and on drawn ones, and read and write their rasters.
 
 The shares of life forms in a cell have a Dirichlet distribution (`docs/how/fuel.md`); a draw takes them from it, and
 the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees
@@ -206,6 +202,8 @@ def read_landscape(path: Path) -> Landscape:
                 f"{path}: has no {', '.join(missing)}; a fire needs a landscape of {len(LANDSCAPE_BANDS)} bands: write "
                 "one with `ltm export --format landscape` or `--format lcp`"
             )
+        if bands["aspect"].unit:
+            raise RasterError(f"{path}: its aspects are {bands['aspect'].unit}; write it again with azimuths")
         t = source.transform
         if t.b or t.d or t.a <= 0 or abs(t.a + t.e) > 1e-6 * t.a:
             raise RasterError(f"{path}: a landscape is north-up with square cells, this has {tuple(t)[:6]}")

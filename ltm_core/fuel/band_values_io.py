@@ -15,14 +15,9 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import check_size, open_raster
 
 _RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "elevation": (-500, 9000),
-    "slope": (0, 90),
-    "aspect": (-1, 360),
-    "cover": (0, 100),
-    "height": (0, 1200),
-    "base_height": (0, 1000),
-    "bulk_density": (0, 300),
-}
+    "elevation": (-500, 9000), "slope": (0, 90), "aspect": (-1, 360),
+    "cover": (0, 100), "height": (0, 1200), "base_height": (0, 1000), "bulk_density": (0, 300),
+}  # fmt: skip
 """Plausible values in LANDFIRE's units."""
 _CLASSES: Final = np.array([0.0, 10.0, 35.0, 65.0, 90.0])
 """Cover in % of FARSITE's classes 0 to 4: none, 1 to 20, 21 to 50, 51 to 80 and 81 to 100 %."""
@@ -67,7 +62,7 @@ def read_band(band: FuelBand, geometry: GridGeometry | None = None, crs: str | N
             ) as warped:
                 values = warped.read(band.index)
         scale, offset = source.scales[band.index - 1], source.offsets[band.index - 1]
-        declared = source.nodatavals[band.index - 1]
+        declared = np.nan if (nodata := source.nodatavals[band.index - 1]) is None else nodata
     # The warper takes a cell for nodata only if all of its bands are.
     unknown = ~np.isfinite(values) | (values <= -1000) | np.isin(values, (32767, 65535, declared)) | (values >= 1e9)
     if band.quantity not in ("elevation", "aspect"):
@@ -134,9 +129,10 @@ def _unit_of_values(band: FuelBand, values: Float64Array, length: str) -> str:
 
 
 def _converted(band: FuelBand, values: Float64Array, unit: str) -> Float64Array:
-    if unit == "class":
-        index = np.where(np.isfinite(values) & (values < len(_CLASSES)), values, 0).astype(np.int64)
-        return np.where(np.isfinite(values), np.where(values == 99, 0.0, _CLASSES[index]), np.nan)
+    if unit == "class" and band.quantity == "cover":  # headers state it of % too
+        plain = np.where(np.isnan(values) | (values == 99), 0, values)
+        classes = _CLASSES[plain.astype(np.int64)] if plain.max() < len(_CLASSES) else plain
+        return np.where(np.isnan(values), np.nan, classes)
     if unit == "evc":
         return _tree_cover(band, values)
     if unit == "percent" and band.quantity == "slope":

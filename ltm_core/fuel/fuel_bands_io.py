@@ -36,19 +36,12 @@ _WORDS: Final[Mapping[str, str]] = {
 US_200FBFM40 (its older downloads), fbfm40r5 (ELMFIRE), CanopyBaseHeight. `other` are further inputs of fire models."""
 _ALONE: Final[Mapping[str, str]] = {
     "codes": r"(surface_)?fuels?(_(models?|codes?))?|fbfm",
-    "cover": "cover",
-    "height": "height",
-    "base_height": "base",
-    "bulk_density": "density",
-}
+    "cover": "cover", "height": "height", "base_height": "base", "bulk_density": "density",
+}  # fmt: skip
 """Words that identify a band only if nothing but numbers stands beside them."""
 POSITIONS: Final = ("elevation", "slope", "aspect", "codes", "cover", "height", "base_height", "bulk_density")
-_LAYOUTS: Final[Mapping[int, tuple[str, ...]]] = {
-    5: POSITIONS[:5],
-    7: (*POSITIONS[:5], "other", "other"),
-    8: POSITIONS,
-    10: (*POSITIONS, "other", "other"),
-}
+_GROUND: Final = ("other", "other")
+_LAYOUTS: Final = {5: POSITIONS[:5], 7: (*POSITIONS[:5], *_GROUND), 8: POSITIONS, 10: (*POSITIONS, *_GROUND)}
 _LENGTHS: Final = {"m": 10.0, "ft": 3.048, "mx10": 1.0, "dm": 1.0, "ftx10": 0.3048, "cm": 0.1}
 FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
     "elevation": {"m": 1.0, "ft": 0.3048, "dm": 0.1, "cm": 0.01},
@@ -59,26 +52,22 @@ FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 """Factors from a stated unit to LANDFIRE's: m, %, m x 10, kg/m3 x 100."""
 _SPELLINGS: Final = (
-    (r"us.?survey|international|\*\*|[\s^()]", ""),
-    ("met(er|re)s?", "m"),
-    ("feet|foot", "ft"),
-    ("kgm-3", "kg/m3"),
+    (r"us.?survey|international|\*\*|[\s^()]", ""), ("met(er|re)s?", "m"), ("feet|foot", "ft"), ("kgm-3", "kg/m3"),
     (r"\*", "x"),
-)
+)  # fmt: skip
 PHYSICAL: Final = {"cover": "%", "height": "m", "base_height": "m", "bulk_density": "kg/m3"}
 """Units of values with a scale factor, if no other is stated."""
 _LCP_UNITS: Final[Mapping[str, tuple[str, Mapping[str, str]]]] = {
     "elevation": ("ELEVATION_UNIT", {"0": "m", "1": "ft"}),
     "slope": ("SLOPE_UNIT", {"0": "degrees", "1": "percent"}),
-    "aspect": ("ASPECT_UNIT", {"2": "degrees"}),
+    "aspect": ("ASPECT_UNIT", {"0": "class", "1": "counterclockwise", "2": ""}),
     "codes": ("FUEL_MODEL_OPTION", {"0": "code", "1": "code"}),
     "cover": ("CANOPY_COV_UNIT", {"0": "class", "1": "%"}),
     "height": ("CANOPY_HT_UNIT", {"1": "m", "2": "ft", "3": "mx10", "4": "ftx10"}),
     "base_height": ("CBH_UNIT", {"1": "m", "2": "ft", "3": "mx10", "4": "ftx10"}),
     "bulk_density": ("CBD_UNIT", {"1": "kg/m3", "2": "lb/ft3", "3": "kg/m3x100", "4": "lb/ft3x1000"}),
 }
-"""Unit codes of LCP headers as GDAL reports them. Codes of fuel options 2 and 3 need a conversion file, and aspects
-of units 0 and 1 are not azimuths."""
+"""Unit codes of LCP headers as GDAL reports them. Codes of fuel options 2 and 3 need a conversion file."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +97,8 @@ def meaning(text: str) -> tuple[str, bool] | None:
     for quantity, pattern in _WORDS.items():
         if match := re.search(rf"(?:^|_)(?:{pattern})(?=_|$)", words):
             found[quantity] = bool(match.groupdict().get("revision"))
+    if re.search("(^|_)(fuels?|fbfm)(_|$)", words) and not found.keys() & set(CODES):
+        found = {}  # a fuel map of CH, Switzerland
     if not found:
         plain = re.sub(r"(^|_)[0-9]+(?=_|$)", "", words).strip("_")
         found = {quantity: False for quantity, pattern in _ALONE.items() if re.fullmatch(pattern, plain)}
@@ -175,15 +166,9 @@ def file_bands(source: Any, path: Path, default: str | None = None) -> list[Fuel
         )
     unnamed = len(names) > 1 and source.driver != "LCP"
     bands = [
-        FuelBand(
-            path,
-            quantity,
-            index,
-            _stated_unit(source, quantity, index, names[index - 1]),
-            unnamed and not meaning(names[index - 1]),
-        )
-        for index, quantity in enumerate(known, start=1)
-        if quantity and (len(names) == 1 or quantity in CODES or quantity in POSITIONS)
+        FuelBand(path, kind, k, _stated_unit(source, kind, k, name), unnamed and not meaning(name))
+        for k, (kind, name) in enumerate(zip(known, names, strict=True), start=1)
+        if kind and (len(names) == 1 or kind in CODES or kind in POSITIONS)
     ]
     twice = {band.quantity for band in bands if sum(band.quantity == other.quantity for other in bands) > 1}
     if twice:
@@ -214,16 +199,12 @@ def _stated_unit(source: Any, quantity: str, index: int, name: str) -> str:
         if code and code not in units:
             raise RasterError(f"{source.name}: {key} of its {quantity} is {code}; use {', '.join(units)}")
         return units.get(code, "")
-    text = source.units[index - 1] or ""
+    text = source.units[index - 1] or "".join(re.findall(r"[(\[](.*)[)\]]", name))
     for long, short in _SPELLINGS:
         text = re.sub(long, short, text.lower())
     if quantity == "slope":
-        return "percent" if text in ("%", "percent", "pct") or re.search("slp_?p|percent", _words(name)) else ""
-    known = FACTORS.get(quantity, {})
-    if text in known:
+        return "percent" if text in FACTORS["cover"] or re.search("slp_?p|percent", _words(name)) else ""
+    if text in FACTORS.get(quantity, {}):
         return text
-    words = [] if quantity == "elevation" else _words(f"{name}_{Path(source.name).stem}").split("_")
-    spelled = {"feet": "ft", "meters": "m", "metres": "m"}
-    by_name = [unit for word in words if (unit := spelled.get(word, word)) in known and not unit.isdigit()]
     scaled = (source.scales[index - 1], source.offsets[index - 1]) != (1.0, 0.0)
-    return by_name[0] if by_name else PHYSICAL.get(quantity, "") if scaled else ""
+    return PHYSICAL.get(quantity, "") if scaled else ""

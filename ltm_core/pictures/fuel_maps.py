@@ -1,6 +1,4 @@
-"""Draw the layers of the fuel map over relief, alone and side by side.
-
-Maps of the fuel map's layers over relief: life forms, fuel models, certainty, changes and coverage by cameras.
+"""Draw the fuel map over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes; fuel models have
 LANDFIRE's colours.

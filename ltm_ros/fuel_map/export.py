@@ -92,7 +92,8 @@ def _write_landscape(
         write_elmfire(out, landscape, tags)
         files = sorted(out.glob("*.tif"))
     write_item(out, files, target, made)
-    return [_about(made, landscape), *(note for note in (terrain.note, canopy.note) if note)]
+    remarks = () if map_.prior is None else map_.prior.remarks
+    return [_about(made, landscape), *remarks, *(note for note in (terrain.note, canopy.note) if note)]
 
 
 def _about(made: Provenance, landscape: Landscape) -> str:

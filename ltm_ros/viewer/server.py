@@ -1,7 +1,5 @@
 """Start the viewer and server processes of Rerun, on loopback only; take a screenshot without a screen.
 
-Take a screenshot of an .rrd file in the Rerun viewer, without a screen.
-
 The front tab is selected in the blueprint that a running viewer reports: a nested mapping entity path -> archetype ->
 field.
 """

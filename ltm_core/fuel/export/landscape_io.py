@@ -1,10 +1,8 @@
 """Write landscapes of fire models: LCP, GeoTIFF, and the folder of rasters that ELMFIRE reads.
 
-Writes LCP files, the landscape format of FARSITE and FlamMap.
-
-Layout: a header of 7316 bytes, then int16 cells, row by row from the north, all bands of a cell together; all
-little-endian. The CRS stands beside it in a .prj file. Source: FlamMap's file format documentation, and GDAL's reader
-as a check. GDAL's own writer is not used: it swaps the east edges and writes class lists 32768 too high.
+Layout of LCP files (FARSITE, FlamMap): a header of 7316 bytes, then int16 cells, row by row from the north, all bands
+of a cell together; little-endian. The CRS is in a .prj file. Source: FlamMap's file format documentation, and GDAL's
+reader as a check. GDAL's own writer swaps the east edges and writes class lists 32768 too high.
 """
 
 from __future__ import annotations

@@ -76,6 +76,8 @@ def canopy(folder: Path, quantity: str, path: Path) -> list[int]:
         ("height", [0, 15, 3, 31], "uint8", None, {"unit": "m"}, [0, 150, 30, 310]),
         ("height", [0, 50, 10, 100], "int16", None, {"unit": "feet"}, [0, 152, 30, 305]),
         ("height", [0, 155, 32, 310], "int16", None, {"unit": "Meters * 10"}, [0, 155, 32, 310]),
+        ("height", [0, 15, 3, 31], "int16", None, {"description": "Stand Height (m)"}, [0, 150, 30, 310]),
+        ("height", [0, 155, 32, 31], "int16", None, {"description": "CH (meters * 10)"}, [0, 155, 32, 31]),
         ("height", [0, 50, 30, 55], "int16", None, {}, [0, 50, 30, 55]),
         ("base_height", [0, 1.5, 0.3, 4], "float32", None, {}, [0, 15, 3, 40]),
         ("base_height", [0, 15, 3, 40], "int16", None, {}, [0, 15, 3, 40]),
@@ -199,6 +201,7 @@ def test_codes(tmp_path: Path, values: list[int], dtype: str, nodata: float | No
     [
         (4232, 0, 4, [0, 1, 3, 4], [0, 10, 65, 90]),  # cover in classes
         (4232, 1, 4, [1, 1, 3, 4], [1, 1, 3, 4]),
+        (4232, 0, 4, [0, 15, 45, 75], [0, 15, 45, 75]),  # % in spite of the header
         (4234, 1, 5, [0, 15, 3, 31], [0, 150, 30, 310]),  # height in m
         (4234, 2, 5, [0, 50, 10, 100], [0, 152, 30, 305]),
         (4236, 4, 6, [0, 50, 10, 100], [0, 15, 3, 30]),  # base height in ft x 10

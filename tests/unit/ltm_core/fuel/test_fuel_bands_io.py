@@ -59,6 +59,7 @@ def write(
         ("LC20_SlpP_220", "slope"), ("US_ASP2020", "aspect"), ("fuel", "codes"), ("Fuel Model", "codes"),
         ("LC22_EVT_230", "vegetation"), ("Layer_1", None), ("band 40", None), ("13", None), ("road_density", None),
         ("base_map", None), ("fuel_moisture", None), ("cc_ch", None),
+        ("fuel_map_ch", None),
     ],
 )  # fmt: skip
 def test_names(name: str, quantity: str | None) -> None:
