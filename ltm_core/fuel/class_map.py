@@ -20,6 +20,8 @@ from ltm_core.vision.labels import LabelSet
 
 UNSEEN = 255
 """Class of a cell without votes."""
+_CLASSES = 8
+"""Number of classes of a map that does not name its own: sky and the life forms."""
 
 
 class MajorityFuelMap:
@@ -142,6 +144,12 @@ def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
         classes = source.read(1)
         if source.nodata is not None:
             classes = np.where(classes == source.nodata, np.uint8(UNSEEN), classes)
+        most = int(classes[classes != UNSEEN].max(initial=0))
+        if source.count > 1 or (most >= _CLASSES and "classes" not in source.tags()):
+            raise RasterError(
+                f"{path}: has {source.count} bands with values up to {most}; a fuel map has one of classes below "
+                f"{_CLASSES}: give a map of `ltm export`"
+            )
     return classes, geometry
 
 

@@ -1,6 +1,7 @@
 """Merge the evidence of disjoint sets of frames into one map, with the bits of a map that has counted all of them.
 
-Merging is commutative and associative. A frame that two parts hold is rejected: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
+Merging is commutative and associative. A frame that two parts hold is rejected: it would count twice. Of each field of
+a cell's state (`evidence.EVIDENCE_FIELDS`):
 
 | field | of two |
 |---|---|
