@@ -29,7 +29,7 @@ _WORDS: Final[Mapping[str, str]] = {
     "elevation": r"[0-9]*(dem|elev)[0-9]*|elevation",
     "slope": r"[0-9]*slp(_?[dp])?[0-9]*|slope",
     "aspect": r"[0-9]*asp[0-9]*|aspect",
-    "vegetation": r"[0-9]*(evt|evc|evh|bps|nvc|fccs)",
+    "vegetation": r"[0-9]*(evt|evc|evh|fvt|fvc|fvh|bps|nvc|fccs)",
     "other": r"duff|woody|adj|phi|ws|wd|m1|m10|m100|mlh|mlw",
 }
 """Words that identify a band between characters that are neither letters nor digits: CC, LC22_CC_230 (LANDFIRE),
@@ -193,12 +193,11 @@ def _band_names(source: Any) -> list[str]:
 def _stated_unit(source: Any, quantity: str, index: int, name: str) -> str:
     """Return a band's unit by LCP header, unit text, name or scale factor, as in `FACTORS`. Raises RasterError for a
     header's unit that cannot be converted."""
-    if source.driver == "LCP" and quantity in _LCP_UNITS:
-        key, units = _LCP_UNITS[quantity]
-        code = str(source.tags(index).get(key, ""))
-        if code and code not in units:
+    key, units = _LCP_UNITS.get("codes" if quantity in CODES else quantity, ("", {}))
+    if code := source.tags(index).get(key):  # a GeoTIFF that GDAL made of an LCP has it too
+        if code not in units:
             raise RasterError(f"{source.name}: {key} of its {quantity} is {code}; use {', '.join(units)}")
-        return units.get(code, "")
+        return units[code]
     text = source.units[index - 1] or "".join(re.findall(r"[(\[](.*)[)\]]", name))
     for long, short in _SPELLINGS:
         text = re.sub(long, short, text.lower())

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 
 from ltm_core.base.errors import RasterError
 from ltm_core.fuel.codes import FuelSystem
@@ -217,9 +218,11 @@ def test_units_of_lcp_headers(
     content = bytearray(path.read_bytes())
     struct.pack_into("<h", content, offset, unit)
     path.write_bytes(content)
-    prior = load_prior(PriorConfig(path=path), GRID)
-    assert prior.canopy is not None
-    assert prior.canopy[band - 4, 0].tolist() == expected
+    rasterio.shutil.copy(path, tmp_path / "converted.tif", driver="GTiff")
+    for file in (path, tmp_path / "converted.tif"):
+        prior = load_prior(PriorConfig(path=file), GRID)
+        assert prior.canopy is not None
+        assert prior.canopy[band - 4, 0].tolist() == expected
 
 
 def test_codes_of_an_lcp_that_need_a_conversion_file_are_rejected(tmp_path: Path) -> None:
