@@ -16,6 +16,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
+from ltm_core.storage.disk_io import written_whole
 from ltm_core.vision.labels import LabelSet
 
 UNSEEN = 255
@@ -114,8 +115,7 @@ def write_fuel_map(
     path = Path(path)
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         write_geotiff(
             partial,
             classes,
@@ -124,10 +124,6 @@ def write_fuel_map(
             colormap=dict(enumerate(labels.colors)),
             tags={"classes": json.dumps(labels.names), **(tags or {})},
         )
-        partial.replace(path)
-    except OSError as error:  # rasterio's own errors of opening a file among them
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot write the fuel map ({error})") from error
     return path
 
 

@@ -10,12 +10,12 @@ from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, i
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Int16Array
 from ltm_core.fuel.codes import Color, code_color, fuel_models
 from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.disk_io import written_whole
 
 _MARK: Final = b"<!-- by ltm export -->"
 """Marker of style files that may be overwritten."""
@@ -86,13 +86,8 @@ def _write(raster: Path, renderer: Element) -> Path:
     root = Element("qgis", version="3.22", styleCategories="Symbology", raster=raster.name)
     SubElement(root, "pipe").append(renderer)
     indent(root)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         partial.write_bytes(b"<!DOCTYPE qgis>\n" + _MARK + b"\n" + tostring(root, encoding="utf-8") + b"\n")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path
 
 
@@ -166,11 +161,6 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
 def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
     """Write the item of an export. Raises ConfigError if it cannot be written."""
     path = item_path(export)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         partial.write_text(json.dumps(stac_item(files, geometry, made), indent=1) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path

@@ -53,7 +53,7 @@ def test_no_place_to_write(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent does not exist; create it first"):
         write_fuel_map(tmp_path / "absent/fuel.tif", CLASSES, GRID, LABELS)
     (tmp_path / "folder.tif").mkdir()
-    with pytest.raises(ConfigError, match=r"folder\.tif: cannot write the fuel map"):
+    with pytest.raises(ConfigError, match=r"folder\.tif: cannot be written"):
         write_fuel_map(tmp_path / "folder.tif", CLASSES, GRID, LABELS)
     assert [p.name for p in tmp_path.iterdir()] == ["folder.tif"]
 
