@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -44,6 +45,7 @@ _BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (For
 _BY_SUFFIX |= {".las": (Format.las,), ".png": (Format.png, Format.change, Format.coverage)}
 """Formats of a suffix; the first one is written if none is requested."""
 _OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
+_FOLDERS = (Format.elmfire, Format.layers)
 
 
 def export(
@@ -72,7 +74,7 @@ def export(
         ),
     ] = Format.auto,
     system: Annotated[
-        Codes | None, typer.Option(help="Fuel models of a landscape, which .tif then is. Default: fbfm40.")
+        Codes | None, typer.Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
     ] = None,
     as_of: Annotated[
         str | None, typer.Option("--as-of", help="Store only: export the map at this date or time (UTC).")
@@ -88,16 +90,16 @@ def export(
     from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.fuel_map.export import export_site, sidecars
 
+    if not out.parent.is_dir():
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     if source.suffix == ".sqlite":
-        geometry = _export_terrain(source, out, site, format_, [crs, as_of, since], overwrite)
+        geometry = _export_terrain(source, out, site, format_, [crs, as_of, since, system], overwrite)
         _echo_written(out, format_, geometry)
         return
     if format_ is Format.surface:
         raise ConfigError(f"{source} is not a terrain store: surface needs a terrain.sqlite")
     kind = _kind_of(out, format_, system)
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
-    if kind in (Format.elmfire, Format.layers):
+    if kind in _FOLDERS:
         require_folder(out)
         if out.is_dir() and any(out.iterdir()) and not overwrite:
             raise ConfigError(f"{out}: contains files already; give another folder, or --overwrite")
@@ -106,9 +108,9 @@ def export(
     if since is not None and kind is not Format.change:
         raise ConfigError("--since is the earlier date of a change image: give --format change")
     require_files(sidecars(out, kind.value), overwrite)
-    remove_item(out)
     if kind is Format.classes:
         geometry = _export_classes(source, out, site, crs, as_of)
+        remove_item(out)
     else:
         if site is None:
             raise ConfigError(
@@ -135,12 +137,7 @@ def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
     usual = _BY_SUFFIX.get(out.suffix.lower(), ())
     if requested is Format.auto and not usual:
         raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
-    if (
-        requested is not Format.auto
-        and usual
-        and requested not in usual
-        and requested not in (Format.elmfire, Format.layers)
-    ):
+    if usual and requested not in (Format.auto, *usual, *_FOLDERS):
         raise ConfigError(f"{out}: {out.suffix} is not written as {requested}; use {' or '.join(usual)}, or rename it")
     kind = requested if requested is not Format.auto else usual[0] if system is None else usual[-1]
     if system is not None and kind not in _OF_MODELS:
@@ -153,7 +150,7 @@ def _echo_written(out: Path, kind: Format, g: GridGeometry) -> None:
 
 
 def _export_terrain(
-    source: Path, out: Path, site: Path | None, kind: Format, unfit: list[str | None], overwrite: bool
+    source: Path, out: Path, site: Path | None, kind: Format, unfit: Sequence[str | None], overwrite: bool
 ) -> GridGeometry:
     """Write a terrain. `unfit`: given options that do not apply to a terrain."""
     from ltm_core.base.errors import ConfigError
@@ -166,13 +163,11 @@ def _export_terrain(
         raise ConfigError(f"{source} holds differences from its site's terrain: give the site file with --site")
     if any(unfit):
         raise ConfigError(
-            "a terrain is exported in its current state, in its site's CRS: remove --crs, --as-of and --since"
+            "a terrain is exported in its current state and CRS, without fuel: remove --crs, --as-of, --since, --system"
         )
     what = next((name for name in BANDS if name == kind.value), None)
     if what is None or out.suffix.lower() not in (".tif", ".tiff"):
         raise ConfigError(f"{out}: a terrain is written as GeoTIFF (.tif); give --format change or --format surface")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     require_files([out], overwrite)
     loaded = load_site(site)
     surface = open_stored_surface(source, loaded)

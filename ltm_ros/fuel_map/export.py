@@ -25,7 +25,7 @@ PICTURES = ("png", "change", "coverage")
 
 
 def sidecars(out: Path, kind: str) -> list[Path]:
-    """Write the files beside `out`; existing QGIS styles are replaced only if we wrote them."""
+    """Return the files beside `out`, except QGIS styles, which are replaced only if they are of `out`."""
     beside = {"landscape": [item_path(out)], "kmz": [item_path(out)]}
     beside["lcp"] = [item_path(out), out.with_suffix(".prj")]
     return beside.get(kind, [])

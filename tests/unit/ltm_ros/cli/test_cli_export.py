@@ -140,6 +140,9 @@ def test_exports_of_one_name_keep_their_style_and_say_what_they_are(bag: Path, s
     assert (tmp_path / "map.qml").read_bytes() != style
     export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--format", "landscape", "--overwrite")
     assert (tmp_path / "map.tif.stac.json").is_file()
+    with pytest.raises(ConfigError, match="--site"):
+        export(bag, "--out", tmp_path / "map.tif", "--overwrite")
+    assert (tmp_path / "map.tif.stac.json").is_file()
     export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--overwrite")
     assert not (tmp_path / "map.tif.stac.json").exists()
 
