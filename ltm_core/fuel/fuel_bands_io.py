@@ -119,7 +119,7 @@ def _table_columns(path: Path) -> list[str]:
     try:
         if is_file(table):
             with table.open("rb") as file:
-                head = file.read(struct.unpack("<H", file.read(32)[8:10])[0] - 32)
+                head = file.read(max(0, struct.unpack("<H", file.read(32)[8:10])[0] - 32))
             return [head[k : k + 11].split(b"\0")[0].decode("ascii", "replace") for k in range(0, len(head) - 31, 32)]
         if is_file(aux) and aux.stat().st_size < 1 << 20:
             return [str(node.text) for node in fromstring(aux.read_bytes()).iterfind(".//FieldDefn/Name")]
