@@ -94,7 +94,7 @@ def run_job(job: Job, side: Path, checkout: Path, python: str) -> tuple[float, s
     environment = os.environ | {"PYTHONPATH": str(checkout), "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
     started = _children_time()
     for number, command in enumerate(job.commands):
-        if not (checkout / "ltm_ros/cli/pose_points.py").exists():
+        if (checkout / "ltm_ros/cli/pose.py").exists():
             for now, then in FORMER:
                 command = re.sub(now, then, command)  # as this checkout spells it
         words = shlex.split(command)

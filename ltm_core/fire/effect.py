@@ -1,8 +1,4 @@
-"""Compare fires on the previous and the updated map, and read and write their rasters.
-
-Compare fires on the previous and the updated map, with fuel maps drawn from what is uncertain.
-
-Draws fuel maps from the probabilities of each cell, to propagate the uncertainty of fuel to a fire.
+"""Compare fires on the previous and the updated map and on drawn ones, and read and write their rasters.
 
 The shares of life forms in a cell have a Dirichlet distribution (`docs/how/fuel.md`); a draw takes them from it, and
 the cell is of the form that is the commonest in the draw. The prior's form stands for all forms that its code agrees
@@ -26,13 +22,15 @@ from scipy.special import gammaincinv, ndtr
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.fuel.band_values_io import in_landfire_units, read_band
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, system_of_codes
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
+from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.raster.raster_io import check_size, open_raster
+from ltm_core.raster.raster_io import open_raster
 
 USUAL_HOURS = (1.0, 3.0, 6.0)
 
@@ -169,8 +167,8 @@ def drawn_codes(
 
 
 def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
-    """Return the layers with other codes, which are changes where they differ from the prior's."""
-    return replace(layers, code=codes, changed=codes != layers.prior)
+    """Return the layers with other codes."""
+    return replace(layers, code=codes)
 
 
 def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
@@ -194,23 +192,18 @@ def _smoothed_deviation(shape: tuple[int, ...], width: float) -> float:
     return float(np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum()))
 
 
-_NODATA_VALUES: Final = (-9999, 32767)
-_LCP_UNITS: Final[Mapping[str, str]] = {
-    "ELEVATION_UNIT": "0", "SLOPE_UNIT": "0", "ASPECT_UNIT": "2", "CANOPY_HT_UNIT": "3", "CBH_UNIT": "3",
-    "CBD_UNIT": "3",
-}  # fmt: skip
-"""Units of the LCP header as reported by GDAL: m, degrees, azimuth, m x 10, m x 10, kg/m3 x 100."""
-
-
 def read_landscape(path: Path) -> Landscape:
-    """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS, square cells or LANDFIRE's
-    units."""
+    """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS or square cells."""
     with open_raster(path) as source:
-        if source.count < len(LANDSCAPE_BANDS):
+        bands = {"codes" if band.quantity in CODES else band.quantity: band for band in _without_fbfm13(source, path)}
+        missing = [name for name in POSITIONS if name not in bands]
+        if missing:
             raise RasterError(
-                f"{path}: has {source.count} bands; a fire needs a landscape of {len(LANDSCAPE_BANDS)}: write one with "
-                "`ltm export --format landscape` or `--format lcp`"
+                f"{path}: has no {', '.join(missing)}; a fire needs a landscape of {len(LANDSCAPE_BANDS)} bands: write "
+                "one with `ltm export --format landscape` or `--format lcp`"
             )
+        if bands["aspect"].unit:
+            raise RasterError(f"{path}: its aspects are {bands['aspect'].unit}; write it again with azimuths")
         t = source.transform
         if t.b or t.d or t.a <= 0 or abs(t.a + t.e) > 1e-6 * t.a:
             raise RasterError(f"{path}: a landscape is north-up with square cells, this has {tuple(t)[:6]}")
@@ -220,17 +213,18 @@ def read_landscape(path: Path) -> Landscape:
                 "it again with "
                 "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
-        _check_units(source, path)
-        check_size(source, path, source.height, source.width)
         geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
-        bands = np.empty((len(LANDSCAPE_BANDS), source.height, source.width), np.int16)
-        for number, band in enumerate(bands, start=1):  # one after the other: whole numbers need room
-            values = source.read(number).astype(np.int64)
-            unknown = np.isin(values, _NODATA_VALUES) | (np.abs(values) > 32767)
-            if source.nodata is not None:
-                unknown |= values == source.nodata
-            band[:] = np.where(unknown, NODATA, values)
-    return Landscape(bands, geometry, system_of_codes(bands[LANDSCAPE_BANDS.index("fuel")]))
+    read, _ = in_landfire_units((band, read_band(band)) for band in bands.values())
+    codes = read.pop(bands["codes"].quantity)
+    stack = np.stack([codes if name == "codes" else read[name] for name in POSITIONS])
+    return Landscape(stack, geometry, system_of_codes(codes))
+
+
+def _without_fbfm13(source: Any, path: Path) -> list[FuelBand]:
+    """Return the bands of a landscape, of two fuel maps that of FBFM40."""
+    bands = file_bands(source, path)
+    both = {"fbfm40", "fbfm13"} <= {band.quantity for band in bands}
+    return [band for band in bands if not (both and band.quantity == "fbfm13")]
 
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
@@ -251,20 +245,6 @@ def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str
         )
 
 
-def _check_units(source: Any, path: Path) -> None:
-    if source.driver != "LCP":
-        return
-    told: dict[str, str] = {}
-    for band in range(1, len(LANDSCAPE_BANDS) + 1):
-        told |= source.tags(band)
-    wrong = [f"{name} {told[name]}" for name, unit in _LCP_UNITS.items() if told.get(name, unit) != unit]
-    if wrong:
-        raise RasterError(
-            f"{path}: the header has units other than LANDFIRE's ({', '.join(wrong)}); write it again with elevation "
-            "in m, slope in degrees, heights in m x 10 and density in kg/m3 x 100"
-        )
-
-
 BANDS: Mapping[str, str] = {
     "arrival_before": "hours after ignition",
     "arrival_after": "hours after ignition",
@@ -272,7 +252,7 @@ BANDS: Mapping[str, str] = {
     "flame_before": "m",
     "flame_after": "m",
     "flame_difference": "m, positive: longer on the updated map",
-    "changed": "0 no, 1 yes",
+    "changed": "fuel or canopy changed: 0 no, 1 yes",
     "burn_probability": "1",
 }
 """Name and unit of each band; the last one exists only for ensembles."""

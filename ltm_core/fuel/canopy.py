@@ -1,19 +1,11 @@
-"""Estimate the canopy of fuel cells: heights of stands, and what remains after change.
+"""Estimate the canopy of fuel cells: cover and height by what cameras have seen, then crown base and density.
 
-Canopy of fuel cells by what cameras have seen: its cover and height, and what follows for crown base and density.
+A confirmed change of the surface gives both from heights over bare earth (if a raster of tree tops says what stood
+there before) and from labels (`label_cover`). New trees, and trees without canopy in the prior, get cover from labels
+and height from depth against bare earth (`stand_heights`). Other cells keep the canopy of the prior or the climate.
 
-Where the surface was confirmed to have changed, from that over bare earth (only where a raster of tree tops says what
-stood there before), and from labels (`label_cover`); where trees are new or the prior has no canopy, cover from
-labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and in unseen cells, the canopy
-is that of the prior or the region.
-
-Heights of stands from depth against bare earth, for sites without a raster of tree tops.
-
-There the terrain map takes what the first agreeing views measured in a cell for its canopy. A cell that a sight meets
-half at a crown and half through a gap has a mean of both, which is the height of neither. So of a fuel cell the height
-follows from the mean of what stands with each cell's own height as its weight (as Lorey's mean height of a stand has
-it): of cells p h high, p the share that crowns had in them, that is the mean of h where p is 0 or 1, and little less
-where it is not. It is above that of the canopy from above, since of crowns beside each other the higher are seen.
+Heights of stands are means weighted by height (Lorey's mean): a terrain cell that shows crowns and gaps has a height
+between both, which counts less so.
 """
 
 from __future__ import annotations

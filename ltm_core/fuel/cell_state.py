@@ -1,6 +1,4 @@
-"""Define the state that the fuel map keeps of each cell, and its tree cover.
-
-Tree cover of fuel cells from the labels of their pixels, corrected for sight that is oblique.
+"""Define the state that the fuel map keeps of each cell, and compute tree cover from it.
 
 A pixel is counted in the cell where its ray meets the ground. It shows a plant where a crown stands before that ground,
 so the share of pixels without trees and shrubs is the *gap fraction* P of the stand in that direction, and crowns hide

@@ -16,10 +16,13 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
+from ltm_core.storage.disk_io import written_whole
 from ltm_core.vision.labels import LabelSet
 
 UNSEEN = 255
 """Class of a cell without votes."""
+_CLASSES = 8
+"""Number of classes of a map that does not name its own: sky and the life forms."""
 
 
 class MajorityFuelMap:
@@ -112,8 +115,7 @@ def write_fuel_map(
     path = Path(path)
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: the folder {path.parent} does not exist; create it first")
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         write_geotiff(
             partial,
             classes,
@@ -122,10 +124,6 @@ def write_fuel_map(
             colormap=dict(enumerate(labels.colors)),
             tags={"classes": json.dumps(labels.names), **(tags or {})},
         )
-        partial.replace(path)
-    except OSError as error:  # rasterio's own errors of opening a file among them
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot write the fuel map ({error})") from error
     return path
 
 
@@ -142,6 +140,12 @@ def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
         classes = source.read(1)
         if source.nodata is not None:
             classes = np.where(classes == source.nodata, np.uint8(UNSEEN), classes)
+        most = int(classes[classes != UNSEEN].max(initial=0))
+        if source.count > 1 or (most >= _CLASSES and "classes" not in source.tags()):
+            raise RasterError(
+                f"{path}: has {source.count} bands with values up to {most}; a fuel map has one of classes below "
+                f"{_CLASSES}: give a map of `ltm export`"
+            )
     return classes, geometry
 
 

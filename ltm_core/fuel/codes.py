@@ -1,12 +1,9 @@
-"""Define the standard fuel models, the rules by which changed cells get one, and the crosswalk of FBFM40 and FBFM13.
+"""Define the standard fuel models with their colours, the codes of changed cells, and the crosswalk to FBFM13.
 
-Relates the two systems of fuel models, FBFM40 and FBFM13, within the fuel type that carries the fire.
-
-Scott and Burgan (2005, RMRS-GTR-153) order their models by the fuel type that carries the fire, and relate them to
-Anderson's (1982) within that type: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to 13, and
-grass with shrubs to either of the first two. Which model within the type is no function of the code: LANDFIRE derives
-both maps from vegetation. So a table gives it for a climate, may tell cells under trees from open ones, and gives way
-to a map's own pairs where it has both systems.
+Scott and Burgan (2005, RMRS-GTR-153) relate their models to Anderson's (1982) within the fuel type that carries the
+fire: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to 13, and grass with shrubs to either of
+the first two. Which model within the type is no function of the code: LANDFIRE derives both maps from vegetation. So a
+table gives it for a climate, and a map that has both systems gives its own pairs.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from pydantic import Field, model_validator
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import BoolArray, Int16Array, Int64Array
+from ltm_core.base.types import BoolArray, Int16Array, Int64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
 from ltm_core.fuel.stand_allometry import ForestType
 from ltm_core.storage.config_io import load_yaml
@@ -309,3 +306,45 @@ class FuelClimate(StrictModel):
 
 def _listed(codes: range) -> str:
     return ", ".join(map(str, codes)) or "none"
+
+
+Color = tuple[int, int, int]
+
+_LANDFIRE: Final[dict[int, Color]] = {
+    91: (104, 104, 104), 93: (255, 237, 237), 98: (0, 14, 214), 99: (77, 110, 112),
+    101: (255, 235, 190), 102: (255, 211, 115), 103: (255, 236, 139), 106: (230, 230, 64),
+    121: (255, 170, 0), 122: (255, 167, 127), 123: (255, 99, 0),
+    141: (215, 194, 158), 142: (215, 176, 158), 143: (205, 137, 102), 144: (137, 90, 68), 146: (237, 112, 68),
+    161: (233, 255, 190), 162: (170, 255, 0), 163: (180, 215, 158), 165: (38, 115, 0),
+    181: (190, 255, 232), 182: (0, 255, 197), 183: (190, 210, 255), 184: (123, 104, 238), 185: (190, 232, 255),
+    186: (0, 197, 255), 188: (0, 92, 230), 189: (77, 110, 145),
+    2: (255, 255, 0), 3: (230, 197, 11), 5: (255, 170, 102), 7: (137, 112, 68), 8: (211, 255, 190), 9: (112, 168, 0),
+    10: (38, 115, 0),
+}  # fmt: skip
+"""Colours of the attribute tables of LANDFIRE 2022 (from a tile of Vermont, which has these codes)."""
+_OURS: Final[dict[int, Color]] = {
+    92: (225, 240, 255), 104: (240, 200, 60), 105: (215, 190, 90), 107: (200, 170, 20), 108: (180, 150, 60),
+    109: (150, 125, 20), 124: (200, 60, 20), 145: (176, 74, 40), 147: (150, 40, 40), 148: (110, 60, 40),
+    149: (80, 35, 30), 164: (115, 160, 80), 187: (60, 150, 190),
+    201: (230, 190, 255), 202: (200, 120, 220), 203: (160, 60, 190), 204: (110, 0, 140),
+    1: (255, 255, 190), 4: (168, 56, 0), 6: (255, 127, 80), 11: (230, 190, 255), 12: (180, 90, 210), 13: (110, 0, 140),
+}  # fmt: skip
+"""Colours of codes that this tile lacks, similar to those of their group."""
+_UNKNOWN: Final[Color] = (222, 222, 220)
+
+
+def code_color(code: int) -> Color:
+    """Return the colour of a fuel code of either system; grey where it is none."""
+    return _LANDFIRE.get(code) or _OURS.get(code) or _UNKNOWN
+
+
+def code_colors(codes: Int16Array) -> UInt8Array:
+    """Return (..., 3) colours of codes (...)."""
+    table = np.array([code_color(code) for code in range(256)], np.uint8)
+    return table[np.where((codes >= 0) & (codes < 256), codes, 0)]
+
+
+def code_names(codes: Int16Array) -> list[tuple[str, Color]]:
+    """Return the name and colour of each code that occurs, the commonest first."""
+    found, counts = np.unique(codes[codes != NODATA], return_counts=True)
+    return [(fuel_models().name(int(code)), code_color(int(code))) for code in found[np.argsort(-counts)]]

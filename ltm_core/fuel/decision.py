@@ -9,12 +9,11 @@ import numpy as np
 from scipy.special import betainc, entr
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array, UInt8Array, UInt32Array
-from ltm_core.fuel.change_regions import reach_of, supported_changes
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
 
 _GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5
@@ -35,6 +34,12 @@ class CellEvidence:
     burned_at: UInt32Array
 
 
+def changed_cells(before: Int16Array, now: Int16Array) -> BoolArray:
+    """Return (H, W) whether a cell has changed: its fuel code differs from the known one of an earlier map. This is the
+    definition for maps, exports, images and reports; a life form within the same code is no change."""
+    return np.asarray((now != before) & (before != NODATA), np.bool_)
+
+
 @dataclass(frozen=True, eq=False)
 class FuelLayers:
     """Layers of the fuel map, (H, W) each.
@@ -42,8 +47,8 @@ class FuelLayers:
     `prior`, `code`: int16 fuel codes, NODATA where none. `life_form`: uint8 ids of `LifeForm`, 255 unknown; that of
     the code. `p_max`: float32 probability that the commonest life form is the one that evidence and prior favour; NaN
     where nothing is known. `entropy`: float32 of the shares of life forms, 0 certain to 1 nothing known. `evidence`:
-    float32, of all frames; 0 where only the prior speaks. `last_seen`: int64 ns, 0 never. `changed`: bool, the code is
-    not the prior's. `seen_by`: uint8 cameras, 8 for more.
+    float32, of all frames; 0 where only the prior speaks. `last_seen`: int64 ns, 0 never. `seen_by`: uint8 cameras, 8
+    for more.
     """
 
     prior: Int16Array
@@ -53,8 +58,12 @@ class FuelLayers:
     entropy: Float32Array
     evidence: Float32Array
     last_seen: Int64Array
-    changed: BoolArray
     seen_by: UInt8Array
+
+    @property
+    def changed(self) -> BoolArray:
+        """Return (H, W) whether a cell has changed since the prior map."""
+        return changed_cells(self.prior, self.code)
 
     def part(self, row: int, col: int, height: int, width: int) -> FuelLayers:
         """Return a rectangle of the layers, as views."""
@@ -92,7 +101,6 @@ class _Decided:
 
     code: Int16Array
     form: Int64Array
-    changed: BoolArray
     p_max: Float64Array
     entropy: Float64Array
 
@@ -141,7 +149,6 @@ class ChangeDecision:
             entropy=np.where(known, plain.entropy[index], 1.0).astype(np.float32),
             evidence=np.zeros(codes.shape, np.float32),
             last_seen=np.zeros(codes.shape, np.int64),
-            changed=np.zeros(codes.shape, np.bool_),
             seen_by=np.zeros(codes.shape, np.uint8),
         )
         if touched.any():
@@ -158,7 +165,6 @@ class ChangeDecision:
             layers.p_max[touched] = decided.p_max
             layers.entropy[touched] = decided.entropy
             layers.evidence[touched] = cells.evidence.sum(axis=1)
-            layers.changed[touched] = decided.changed
         return layers
 
     def alpha(self, codes: Int16Array, touched: BoolArray, cells: CellEvidence, now_s: float) -> Float64Array:
@@ -217,10 +223,8 @@ class ChangeDecision:
         code = np.where(back, codes, code)
         shares = judged.alpha / judged.alpha.sum(axis=1, keepdims=True)
         entropy = entr(shares).sum(axis=1) / np.log(FORMS)
-        own = held(codes, rules.mask)
-        code = np.where(own, codes, code)
-        changed = (changes | judged.fresh | judged.regrown) & ~back & ~own
-        return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
+        code = np.where(held(codes, rules.mask), codes, code)
+        return _Decided(code.astype(np.int16), form, judged.p_max, entropy)
 
     def _prior_evidence(self, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
         """Return (N, FORMS): kappa pi."""

@@ -1,10 +1,7 @@
-"""Merge the evidence of disjoint sets of frames into one map.
+"""Merge the evidence of disjoint sets of frames into one map, with the bits of a map that has counted all of them.
 
-Merges evidence that was counted apart: the map of all frames from the maps of some of them, to the last bit.
-
-Partial evidence is what a set of frames says. Merging is the union of disjoint sets: it is commutative and associative,
-nothing is its neutral element, and the result is that of one map which has counted all frames in any order. A frame
-that two parts hold is rejected: it would count twice. Of each field of a cell's state (`evidence.EVIDENCE_FIELDS`):
+Merging is commutative and associative. A frame that two parts hold is rejected: it would count twice. Of each field of
+a cell's state (`evidence.EVIDENCE_FIELDS`):
 
 | field | of two |
 |---|---|

@@ -1,9 +1,6 @@
-"""Compute the evidence for the life form of each cell from the votes of one frame.
+"""Compute the evidence for the life form of each cell from the votes of one frame, in compiled loops.
 
-Compiled loops over the cells of one frame: the life form by appearance, and the one that it shows.
-
-A frame has some hundred cells of seven forms: of the same as NumPy expressions, most of the time goes by between them.
-`cell_appearance_model` has the looks as such expressions, which teach the model.
+A frame has some hundred cells, for which NumPy expressions as in `cell_appearance_model` are too slow.
 """
 
 from __future__ import annotations

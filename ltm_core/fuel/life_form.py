@@ -1,9 +1,6 @@
-"""Define life forms (grass, shrub, tree, bare), and terrain on which plants cannot stand.
+"""Define life forms (grass, shrub, tree, bare), and terrain without plants: rock walls, and trees above the tree line.
 
-Terrain on which plants cannot stand: rock walls, and trees above the tree line.
-
-A pixel that shows a plant there is taken for a network's error. It is withdrawn from the vote, and never called
-anything else: that nothing grows on a wall is no measurement of what the wall is of.
+A pixel that shows a plant there is a network's error: it does not vote, for this form or another.
 """
 
 from __future__ import annotations

@@ -46,13 +46,13 @@ class PriorConfig(StrictModel):
     fbfm40: Path | None = None
     fbfm13: Path | None = None
     cover: Path | None = None
-    """Path of the canopy cover in %."""
+    """Path of the canopy cover in %, as a fraction, in FARSITE's classes, or of LANDFIRE's EVC."""
     height: Path | None = None
-    """Path of the canopy height in m x 10."""
+    """Path of the canopy height in LANDFIRE's m x 10, or in the unit that the file states or its values show."""
     base_height: Path | None = None
-    """Path of the canopy base height in m x 10."""
+    """Path of the canopy base height, likewise."""
     bulk_density: Path | None = None
-    """Path of the canopy bulk density in kg/m3 x 100."""
+    """Path of the canopy bulk density in LANDFIRE's kg/m3 x 100, or likewise."""
     crs: str | None = None
     """CRS of files that do not state one."""
     unknown_codes: Literal["refuse", "nodata", "built", "keep"] = "refuse"
@@ -107,8 +107,8 @@ class FuelPrior:
     `codes`: (H, W) int16 fuel codes of `system`, NODATA where none is known. `canopy`: (4, H, W) int16 in LANDFIRE's
     units: cover %, height m x 10, base height m x 10, bulk density kg/m3 x 100; NODATA where unknown; None: not given.
     `fbfm13`: (H, W) int16, the FBFM13 map that came beside FBFM40 codes, NODATA where exports do not keep
-    it. `contradicting`: cells in which it came with another fuel type than theirs. Raises RasterError where shapes
-    disagree.
+    it. `contradicting`: cells in which it came with another fuel type than theirs. `remarks`: what was
+    converted, dropped or not used of its files. Raises RasterError where shapes disagree.
     """
 
     codes: Int16Array
@@ -117,6 +117,7 @@ class FuelPrior:
     canopy: Int16Array | None = None
     fbfm13: Int16Array | None = None
     contradicting: int = 0
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         shape = self.geometry.shape

@@ -80,8 +80,7 @@ class LivingFuelMap(EvidenceMap):
         return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """Return the layers as `EvidenceMap`; `prior` is the site's initial map, and `changed` means that the code
-        differs from it."""
+        """Return the layers as `EvidenceMap`; `prior` is the site's initial map."""
         found = super().layers(window, at_ns)
         row, col, height, width = window or (0, 0, *self.geometry.shape)
         part = slice(row, row + height), slice(col, col + width)
@@ -89,7 +88,7 @@ class LivingFuelMap(EvidenceMap):
         if not other.any():
             return found
         given = np.full(found.code.shape, NODATA, np.int16) if self._given is None else self._given.codes[part].copy()
-        return replace(found, prior=given, changed=np.where(other, found.code != given, found.changed))
+        return replace(found, prior=given)
 
 
 @dataclass(frozen=True, eq=False)

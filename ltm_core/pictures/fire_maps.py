@@ -82,7 +82,7 @@ def terrain_of(landscape: Landscape) -> Dem:
 
 def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
     """Return the arrival and flame length before and after, their differences, and the burn probability of an ensemble;
-    cells whose fuel has changed are outlined. `cell`: where it starts."""
+    cells whose fuel or canopy has changed are outlined. `cell`: where it starts."""
     canvas = _canvas(effect, landscape, cell, width)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
@@ -90,7 +90,7 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], 
     both = _flames(was) & _flames(now)
     maps = {
         "Fire arrival time with the previous map": _drawn(canvas, was.arrival, was.burned, arrival, effect),
-        "Fire arrival time with the updated map. Outlined: cells whose fuel changed.": _drawn(
+        "Fire arrival time with the updated map. Outlined: cells whose fuel or canopy changed.": _drawn(
             canvas, now.arrival, now.burned, arrival, effect
         ),
         "Flame length with the previous map": _drawn(canvas, was.flame, _flames(was), FLAME, effect),

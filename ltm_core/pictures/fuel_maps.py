@@ -1,6 +1,4 @@
-"""Draw the layers of the fuel map over relief, alone and side by side.
-
-Maps of the fuel map's layers over relief: life forms, fuel models, certainty, changes and coverage by cameras.
+"""Draw the fuel map over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes; fuel models have
 LANDFIRE's colours.
@@ -20,9 +18,8 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Int16Array, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
-from ltm_core.fuel.codes import FuelSystem, fuel_models
-from ltm_core.fuel.colors import code_colors, code_names
-from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.codes import FuelSystem, code_colors, code_names, fuel_models
+from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, Anchor, ClassPalette, draw_texts, label_legend, with_legend
@@ -149,7 +146,7 @@ class FuelCanvas:
         return self.finished(picture, label_legend(picture.shape[1], legend))
 
     def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
-        """Return a map of life forms, paler where they are less sure, cells that are not the prior's outlined."""
+        """Return a map of life forms, paler where they are less sure, changed cells outlined."""
         colors = faded(layers, palette)
         picture = self.map(colors, layers.life_form != UNLABELLED, layers.changed)
         return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(layers.life_form).tolist()))
@@ -236,8 +233,8 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) ->
     which the last two are not known, as of an earlier date, the first two alone."""
     known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
     maps = {
-        "Life form. Paler: less certain. Outlined: differs from the prior map.": canvas.life_forms(layers, palette),
-        "Surface fuel model. Outlined: differs from the prior map.": canvas.codes(layers.code, layers.changed),
+        "Life form. Paler: less certain. Outlined: changed cells.": canvas.life_forms(layers, palette),
+        "Surface fuel model. Outlined: changed cells.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():
         maps |= {
@@ -252,13 +249,16 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) ->
 def change_sheet(
     canvas: FuelCanvas, before: FuelLayers, after: FuelLayers, palette: ClassPalette, names: tuple[str, str]
 ) -> RgbImage:
-    """Return the life forms and fuel models at two dates, cells whose code differs outlined; `names`: of the dates."""
-    changed = before.code != after.code
+    """Return the life forms and fuel models at two dates, changed cells outlined; `names`: of the dates. A code may
+    stand for several life forms: that of an unchanged cell is the one last seen, in both."""
+    changed = changed_cells(before.code, after.code)
     then, now = names
-    told = f"{int(changed.sum()):,} cells have changed"
+    told = f"{int(changed.sum()):,} changed cells"
+    stayed = (before.code == after.code) & (before.life_form != UNLABELLED)
+    forms = np.where(stayed, after.life_form, before.life_form)
     return _sheet(
         {
-            f"life form, {then}": canvas.classes(before.life_form, palette, changed),
+            f"life form, {then}": canvas.classes(forms, palette, changed),
             f"life form, {now}; outlined: {told}": canvas.classes(after.life_form, palette, changed),
             f"fuel model, {then}": canvas.codes(before.code, changed),
             f"fuel model, {now}": canvas.codes(after.code, changed),

@@ -100,18 +100,6 @@ class MapScore:
         """Return the share of cells whose true form is not the prior's."""
         return self.found.of / (self.found.of + self.false_flips.of) if self.right.of else float("nan")
 
-    def users_accuracy(self, prevalence: float | None = None) -> float:
-        """Return the share of reported changes that are right if this share of cells has changed and changes are
-        reported as often as here; None: as many as here. NaN without reports or truth.
-
-        Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change.
-        """
-        changed = self.prevalence if prevalence is None else prevalence
-        right = changed * self.found.value
-        false = (1 - changed) * self.false_flips.value if changed < 1 else 0.0
-        reported = right + changed * self.mistaken.value + false
-        return right / reported if reported > 0 else float("nan")
-
 
 def score_map(
     name: str,

@@ -177,6 +177,7 @@ def _prior(prior: FuelPrior, grid: GridGeometry) -> SiteFinding:
     found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
     if prior.contradicting:
         found += f"; in {prior.contradicting} cells its FBFM13 has another fuel type (`own_fbfm13` of the prior)"
+    found = "; ".join((found, *prior.remarks))
     if share < 0.5:
         return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: check that it covers the site")
     return SiteFinding("fuel", "prior", SiteVerdict.OK, found)

@@ -140,6 +140,21 @@ class DiskReserve:
             return
 
 
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give the name of a file beside `path` which replaces it at the end of the block: it appears whole or not at all.
+
+    Raises ConfigError if it cannot be written.
+    """
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:  # rasterio's own errors of opening a file among them
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
 def require_folder(folder: Path, what: str = "results") -> None:
     """Raise ConfigError unless files can be written to `folder`, which need not exist; creates nothing."""
     reason = _why_not_into(folder)

@@ -15,6 +15,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float32Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.storage.disk_io import written_whole
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.confirmed_surface import ConfirmedSurface
 from ltm_core.surface.layers import SurfaceLayers
@@ -82,34 +83,27 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
     Raises ConfigError where it cannot be written.
     """
     import rasterio
-    from rasterio.errors import RasterioIOError
     from rasterio.windows import Window
 
     path, bands = Path(path), BANDS[what]
-    partial = path.with_name(f".{path.name}.partial")
     height, width = geometry.shape
     profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": "float32"}
     profile |= {"crs": geometry.crs, "transform": geometry.transform(), "nodata": float("nan"), "bigtiff": "if_safer"}
     profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "predictor": 3}
-    try:
-        with rasterio.open(partial, "w", **profile) as sink:
-            for row in range(0, height, _STRIP):
-                rows = min(_STRIP, height - row)
-                for number, values in enumerate(_bands(surface, what, (row, 0, rows, width)), start=1):
-                    sink.write(values, number, window=Window(0, row, width, rows))
-            for number, (name, unit) in enumerate(bands.items(), start=1):
-                sink.set_band_description(number, name)
-                sink.set_band_unit(number, unit)
-            sink.update_tags(
-                as_of=_moment(surface.newest_ns),
-                kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
-                cameras=json.dumps(surface.cameras),
-                heights="metres in the vertical datum of the DEM",
-            )
-        partial.replace(path)
-    except (OSError, RasterioIOError) as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error}); name another file") from error
+    with written_whole(path) as partial, rasterio.open(partial, "w", **profile) as sink:
+        for row in range(0, height, _STRIP):
+            rows = min(_STRIP, height - row)
+            for number, values in enumerate(_bands(surface, what, (row, 0, rows, width)), start=1):
+                sink.write(values, number, window=Window(0, row, width, rows))
+        for number, (name, unit) in enumerate(bands.items(), start=1):
+            sink.set_band_description(number, name)
+            sink.set_band_unit(number, unit)
+        sink.update_tags(
+            as_of=_moment(surface.newest_ns),
+            kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
+            cameras=json.dumps(surface.cameras),
+            heights="metres in the vertical datum of the DEM",
+        )
 
 
 def _bands(surface: SurfaceMap, what: Exported, window: tuple[int, int, int, int]) -> list[Float32Array]:
@@ -156,13 +150,8 @@ def write_surface(
         ("since", np.stack([layers.since, layers.by]), 0, named),
     ):
         path = folder / f"terrain_{name}.tif"
-        partial = path.with_name(f".{path.name}.partial")
         colors = {int(k): v for k, v in CHANGE_COLORS.items()} if name == "change" else None
-        try:
+        with written_whole(path) as partial:
             write_geotiff(partial, array, geometry, nodata=nodata, colormap=colors, tags=tags)
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise ConfigError(f"{path}: cannot be written ({error})") from error
         files.append(path)
     return files

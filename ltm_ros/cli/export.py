@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -39,8 +40,12 @@ class Codes(StrEnum):
     fbfm13 = "fbfm13"
 
 
-_BY_SUFFIX = {".tif": Format.classes, ".tiff": Format.classes, ".lcp": Format.lcp, ".png": Format.png}
-_BY_SUFFIX |= {".kmz": Format.kmz, ".ply": Format.ply, ".las": Format.las}
+_TIFF = (Format.classes, Format.landscape)
+_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,), ".ply": (Format.ply,)}
+_BY_SUFFIX |= {".las": (Format.las,), ".png": (Format.png, Format.change, Format.coverage)}
+"""Formats of a suffix; the first one is written if none is requested."""
+_OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
+_FOLDERS = (Format.elmfire, Format.layers)
 
 
 def export(
@@ -68,7 +73,9 @@ def export(
             "surface (height, sigma).",
         ),
     ] = Format.auto,
-    system: Annotated[Codes, typer.Option(help="Fuel models of a landscape.")] = Codes.fbfm40,
+    system: Annotated[
+        Codes | None, typer.Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
+    ] = None,
     as_of: Annotated[
         str | None, typer.Option("--as-of", help="Store only: export the map at this date or time (UTC).")
     ] = None,
@@ -79,23 +86,20 @@ def export(
 ) -> None:
     """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
     from ltm_core.base.errors import ConfigError
+    from ltm_core.fuel.export.companion_files_io import remove_item, style_owner
     from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_ros.fuel_map.export import export_site, sidecars
 
+    if not out.parent.is_dir():
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     if source.suffix == ".sqlite":
-        geometry = _export_terrain(source, out, site, format_, [crs, as_of, since])
-        typer.echo(
-            f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}"
-        )
+        geometry = _export_terrain(source, out, site, format_, [crs, as_of, since, system], overwrite)
+        _echo_written(out, format_, geometry)
         return
     if format_ is Format.surface:
         raise ConfigError(f"{source} is not a terrain store: surface needs a terrain.sqlite")
-    kind = _BY_SUFFIX.get(out.suffix.lower()) if format_ is Format.auto else format_
-    if kind is None:
-        raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
-    if kind in (Format.elmfire, Format.layers):
+    kind = _kind_of(out, format_, system)
+    if kind in _FOLDERS:
         require_folder(out)
         if out.is_dir() and any(out.iterdir()) and not overwrite:
             raise ConfigError(f"{out}: contains files already; give another folder, or --overwrite")
@@ -106,6 +110,7 @@ def export(
     require_files(sidecars(out, kind.value), overwrite)
     if kind is Format.classes:
         geometry = _export_classes(source, out, site, crs, as_of)
+        remove_item(out)
     else:
         if site is None:
             raise ConfigError(
@@ -115,30 +120,55 @@ def export(
         from ltm_ros.fuel_map.source import FuelSource
 
         with FuelSource.open(source, load_site(site)) as map_:
-            geometry, notes = export_site(map_, out, crs, kind.value, system.value, as_of, since)
+            geometry, notes = export_site(map_, out, crs, kind.value, (system or Codes.fbfm40).value, as_of, since)
         for note in notes:
             typer.echo(note)
-    typer.echo(f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}")
+    _echo_written(out, kind, geometry)
+    if kind is Format.classes and format_ is Format.auto:
+        typer.echo(f"{out} has one band of life forms; for a fire model, give --format landscape")
+    if owner := style_owner(out):
+        typer.echo(f"{out.with_suffix('.qml')} is the style of {owner} and was kept; QGIS shows {out.name} with it")
 
 
-def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, unfit: list[str | None]) -> GridGeometry:
+def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
+    """Return the format to write. Raises ConfigError for a suffix of another format, and `--system` without use."""
+    from ltm_core.base.errors import ConfigError
+
+    usual = _BY_SUFFIX.get(out.suffix.lower(), ())
+    if requested is Format.auto and not usual:
+        raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
+    if usual and requested not in (Format.auto, *usual, *_FOLDERS):
+        raise ConfigError(f"{out}: {out.suffix} is not written as {requested}; use {' or '.join(usual)}, or rename it")
+    kind = requested if requested is not Format.auto else usual[0] if system is None else usual[-1]
+    if system is not None and kind not in _OF_MODELS:
+        raise ConfigError(f"{out}: --system {system} is of landscapes; give --format {', '.join(_OF_MODELS)}")
+    return kind
+
+
+def _echo_written(out: Path, kind: Format, g: GridGeometry) -> None:
+    typer.echo(f"wrote {out} as {kind}: {g.width} x {g.height} cells of {g.resolution:g} m, {g.crs}")
+
+
+def _export_terrain(
+    source: Path, out: Path, site: Path | None, kind: Format, unfit: Sequence[str | None], overwrite: bool
+) -> GridGeometry:
     """Write a terrain. `unfit`: given options that do not apply to a terrain."""
     from ltm_core.base.errors import ConfigError
     from ltm_core.pipeline.site_surface import open_stored_surface
     from ltm_core.site.site_io import load_site
+    from ltm_core.storage.disk_io import require_files
     from ltm_core.surface.surface_io import BANDS, write_export
 
     if site is None:
         raise ConfigError(f"{source} holds differences from its site's terrain: give the site file with --site")
     if any(unfit):
         raise ConfigError(
-            "a terrain is exported in its current state, in its site's CRS: remove --crs, --as-of and --since"
+            "a terrain is exported in its current state and CRS, without fuel: remove --crs, --as-of, --since, --system"
         )
     what = next((name for name in BANDS if name == kind.value), None)
     if what is None or out.suffix.lower() not in (".tif", ".tiff"):
         raise ConfigError(f"{out}: a terrain is written as GeoTIFF (.tif); give --format change or --format surface")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
+    require_files([out], overwrite)
     loaded = load_site(site)
     surface = open_stored_surface(source, loaded)
     geometry = loaded.in_crs(surface.reference.geometry)

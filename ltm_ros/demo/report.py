@@ -248,7 +248,7 @@ def fuel_maps_table(score: RunScore) -> Table | None:
     if (changes := score.fuel_changes) is not None:
         found, false = changes.found, changes.false_flips
         note += (
-            f"Of {found.of:,} cells that differ from the prior, the map detected {found.count:,}; of {false.of:,} "
-            f"unchanged cells it changed {false.count:,}."
+            f" Of {found.of:,} cells whose true life form is not the prior's, the map detected {found.count:,}; of "
+            f"{false.of:,} others it changed {false.count:,}."
         )
     return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)

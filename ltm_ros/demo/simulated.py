@@ -95,7 +95,7 @@ def run_demo(
     after = evidence.layers()
     fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels), after.changed)
     scale = range_scale(shown)
-    outlined = "Fuel map from all cameras. Outlined: cells that differ from the prior map."
+    outlined = "Fuel map from all cameras. Outlined: changed cells."
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
     coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))

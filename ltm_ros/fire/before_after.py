@@ -197,7 +197,7 @@ def facts(pair: MapPair, scenario: FireScenario, result: FireResult) -> dict[str
         "hours": f"{scenario.hours:g}",
         "fire model": f"{result.model}, surface and crown fire (Rothermel; Cruz, Alexander and Wakimoto), no spotting",
         "fuel models": pair.after.system.value.upper(),
-        "cells that changed": f"{int(result.effect.changed.sum()):,}".replace(",", " "),
+        "cells with changed fuel or canopy": f"{int(result.effect.changed.sum()):,}".replace(",", " "),
         "previous map": pair.was,
     }
     if result.effect.members:
@@ -225,15 +225,15 @@ def sentences(pair: MapPair, result: FireResult) -> list[str]:
     contact, edge = effect.first_contact(), effect.after.reaches_edge()
     said = []
     if not effect.changed.any():
-        said.append("The map has not changed: both fires are the same.")
+        said.append("Fuel and canopy have not changed: both fires are the same.")
     elif contact is None:
-        said.append("The fire does not reach any changed cell, so the update has no effect on it.")
+        said.append("The fire does not reach changed fuel or canopy, so the update has no effect on it.")
     else:
         more = last.after - last.before
         word, now = "more" if more > 0 else "less", f"{last.after:.0f} ha on the updated map"
         said.append(
-            f"The fire reaches changed fuel after {contact:.1f} h. After {last.hours:g} h it has burned {now}, "
-            f"{abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
+            f"The fire reaches changed fuel or canopy after {contact:.1f} h. After {last.hours:g} h it has burned "
+            f"{now}, {abs(more):.0f} ha {word} than on the earlier map ({last.before:.0f} ha)."
         )
     if edge is not None:
         said.append(

@@ -25,7 +25,7 @@ PICTURES = ("png", "change", "coverage")
 
 
 def sidecars(out: Path, kind: str) -> list[Path]:
-    """Write the files beside `out`; existing QGIS styles are replaced only if we wrote them."""
+    """Return the files beside `out`, except QGIS styles, which are replaced only if they are of `out`."""
     beside = {"landscape": [item_path(out)], "kmz": [item_path(out)]}
     beside["lcp"] = [item_path(out), out.with_suffix(".prj")]
     return beside.get(kind, [])
@@ -92,7 +92,8 @@ def _write_landscape(
         write_elmfire(out, landscape, tags)
         files = sorted(out.glob("*.tif"))
     write_item(out, files, target, made)
-    return [_about(made, landscape), *(note for note in (terrain.note, canopy.note) if note)]
+    remarks = () if map_.prior is None else map_.prior.remarks
+    return [_about(made, landscape), *remarks, *(note for note in (terrain.note, canopy.note) if note)]
 
 
 def _about(made: Provenance, landscape: Landscape) -> str:

@@ -33,7 +33,7 @@ class ShownLayers:
         layers = evidence.layers()
         self.life_form: UInt8Array = layers.life_form
         self.code: Int16Array = layers.code
-        self._seen, self._changed = layers.evidence > 0, layers.changed.copy()
+        self._seen, self._changed = layers.evidence > 0, layers.changed
 
     @property
     def seen_cells(self) -> int:
@@ -42,7 +42,7 @@ class ShownLayers:
 
     @property
     def changed_cells(self) -> int:
-        """Return the number of cells whose code differs from the prior."""
+        """Return the number of changed cells (`changed_cells`)."""
         return int(self._changed.sum())
 
     def tells(self, window: Window) -> bool:
@@ -154,7 +154,7 @@ def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLaye
     """
     found = {name: store.as_of(name, getattr(empty, name), until_ns) for name in JOURNALED}
     unknown: Float32Array = np.full(empty.code.shape, np.nan, np.float32)
-    return replace(empty, **found, changed=found["code"] != empty.prior, p_max=unknown, entropy=unknown.copy())
+    return replace(empty, **found, p_max=unknown, entropy=unknown.copy())
 
 
 def seen_window(

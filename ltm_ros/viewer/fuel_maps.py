@@ -114,7 +114,7 @@ def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
 
 
 TITLES = {
-    "life_form": "Life form. Outlined: cells that differ from the prior map.",
+    "life_form": "Life form. Outlined: changed cells.",
     "code": "Fuel model",
     "entropy": "Doubt: entropy",
     "seen_by": "Number of cameras that see a cell",

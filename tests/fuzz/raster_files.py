@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from scenes.rasters import rough_terrain
 from fuzz.target import Target
 from ltm_core.fire.effect import read_landscape
 from ltm_core.fuel.class_map import read_fuel_map, write_fuel_map
+from ltm_core.fuel.fuel_bands_io import quantity_of
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.overlays_io import barrier_codes
 from ltm_core.fuel.prior import BarrierConfig, PriorConfig
@@ -60,6 +62,10 @@ def _read_dem(name: str) -> Callable[[Path], None]:
     return read
 
 
+_PLAUSIBLE = (700, 20, 90, 0, 50, 200, 40, 12)
+"""Values of the bands of a landscape, other than of codes."""
+
+
 def _codes(bands: int) -> bytes:
     codes = np.random.default_rng(4).choice([101, 122, 145, 165, 91, -9999], GRID.shape).astype(np.int16)
     with rasterio.io.MemoryFile() as memory:
@@ -68,7 +74,7 @@ def _codes(bands: int) -> bytes:
             width=GRID.width, height=GRID.height, compress="deflate",
         ) as sink:  # fmt: skip
             for band in range(1, bands + 1):
-                sink.write(codes if band in (1, 4) else np.full_like(codes, 20 * band), band)
+                sink.write(codes if band in (1, 4) else np.full_like(codes, _PLAUSIBLE[band - 1]), band)
         return bytes(memory.read())
 
 
@@ -85,6 +91,16 @@ def _lcp_with_crs(folder: Path) -> list[bytes]:
 
 def _read_prior(name: str) -> Callable[[Path], object]:
     return lambda folder: load_prior(PriorConfig(path=folder / name, crs="EPSG:26911"), GRID)
+
+
+def _tables(folder: Path) -> list[bytes]:
+    fields = b"".join(struct.pack("<11sc4xB15x", name, b"N", 10) for name in (b"VALUE", b"FBFM40"))
+    return [struct.pack("<4BIHH20x", 3, 124, 4, 23, 0, 97, 21) + fields + b"\r"]
+
+
+def _metadata(folder: Path) -> list[bytes]:
+    table = b"<GDALRasterAttributeTable><FieldDefn><Name>FBFM40</Name></FieldDefn></GDALRasterAttributeTable>"
+    return [b'<PAMDataset><PAMRasterBand band="1">' + table + b"</PAMRasterBand></PAMDataset>"]
 
 
 def _fuel_map(folder: Path) -> list[bytes]:
@@ -117,5 +133,7 @@ RASTER_FILES = (
     Target("barriers", "b.gpkg", _barriers, _read_barriers),
     Target("landscape_tif", "land.tif", lambda folder: [_codes(8)], lambda f: read_landscape(f / "land.tif")),
     Target("landscape_lcp", "land.lcp", _lcp_with_crs, lambda f: read_landscape(f / "land.lcp")),
+    Target("attribute_table", "x.tif.vat.dbf", _tables, lambda folder: quantity_of(folder / "x.tif")),
+    Target("raster_metadata", "x.tif.aux.xml", _metadata, lambda folder: quantity_of(folder / "x.tif")),
     Target("fuel_map", "map.tif", _fuel_map, lambda folder: read_fuel_map(folder / "map.tif")),
 )

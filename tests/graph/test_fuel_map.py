@@ -16,9 +16,8 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 from scenes.waiting import wait_for
 
-from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE
 from ltm_core.raster.raster_io import write_geotiff

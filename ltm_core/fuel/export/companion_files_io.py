@@ -6,17 +6,16 @@ import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, indent, tostring
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Int16Array
-from ltm_core.fuel.codes import fuel_models
-from ltm_core.fuel.colors import Color, code_color
+from ltm_core.fuel.codes import Color, code_color, fuel_models
 from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.disk_io import written_whole
 
 _MARK: Final = b"<!-- by ltm export -->"
 """Marker of style files that may be overwritten."""
@@ -27,6 +26,16 @@ Entry = tuple[int, str, Color]
 def style_path(raster: Path) -> Path:
     """Return the path at which QGIS looks for the style of a raster."""
     return raster.with_suffix(".qml")
+
+
+def style_owner(raster: Path) -> str | None:
+    """Return the name of the export whose style is at the `style_path` of another of the same stem, as a.lcp and a.tif;
+    None: this raster's own."""
+    try:
+        named = fromstring(style_path(raster).read_bytes()).get("raster", raster.name)
+    except (OSError, ParseError):
+        return None
+    return named if named != raster.name and raster.with_name(named).exists() else None
 
 
 def code_entries(codes: Int16Array) -> list[Entry]:
@@ -49,7 +58,7 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
             color="#{:02x}{:02x}{:02x}".format(*color),
             alpha="255",
         )
-    return _write(style_path(raster), renderer)
+    return _write(raster, renderer)
 
 
 def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> Path:
@@ -62,26 +71,23 @@ def write_grey_style(raster: Path, least: float, most: float, band: int = 1) -> 
         ("algorithm", "StretchToMinimumMaximum"),
     ):
         SubElement(stretch, name).text = text
-    return _write(style_path(raster), renderer)
+    return _write(raster, renderer)
 
 
 def _renderer(kind: str, **attributes: str) -> Element:
     return Element("rasterrenderer", {"type": kind, "opacity": "1", "alphaBand": "-1", **attributes})
 
 
-def _write(path: Path, renderer: Element) -> Path:
-    if path.is_file() and _MARK not in path.read_bytes()[:500]:
-        return path  # the user's own style
-    root = Element("qgis", version="3.22", styleCategories="Symbology")
+def _write(raster: Path, renderer: Element) -> Path:
+    path = style_path(raster)
+    own = path.is_file() and _MARK not in path.read_bytes()[:500]
+    if own or style_owner(raster) is not None:
+        return path
+    root = Element("qgis", version="3.22", styleCategories="Symbology", raster=raster.name)
     SubElement(root, "pipe").append(renderer)
     indent(root)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         partial.write_bytes(b"<!DOCTYPE qgis>\n" + _MARK + b"\n" + tostring(root, encoding="utf-8") + b"\n")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path
 
 
@@ -99,6 +105,12 @@ _NEVER: Final = "1970-01-01T00:00:00Z"
 def item_path(export: Path) -> Path:
     """Return the path of the STAC item of an export: beside a file, inside a folder."""
     return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
+
+
+def remove_item(export: Path) -> None:
+    """Remove the item of an earlier export of the same name, which would describe the new one wrongly."""
+    if export.is_file():
+        item_path(export).unlink(missing_ok=True)
 
 
 def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> dict[str, Any]:
@@ -149,11 +161,6 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
 def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
     """Write the item of an export. Raises ConfigError if it cannot be written."""
     path = item_path(export)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as partial:
         partial.write_text(json.dumps(stac_item(files, geometry, made), indent=1) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
     return path

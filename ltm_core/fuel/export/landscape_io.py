@@ -1,10 +1,8 @@
 """Write landscapes of fire models: LCP, GeoTIFF, and the folder of rasters that ELMFIRE reads.
 
-Writes LCP files, the landscape format of FARSITE and FlamMap.
-
-Layout: a header of 7316 bytes, then int16 cells, row by row from the north, all bands of a cell together; all
-little-endian. The CRS stands beside it in a .prj file. Source: FlamMap's file format documentation, and GDAL's reader
-as a check. GDAL's own writer is not used: it swaps the east edges and writes class lists 32768 too high.
+Layout of LCP files (FARSITE, FlamMap): a header of 7316 bytes, then int16 cells, row by row from the north, all bands
+of a cell together; little-endian. The CRS is in a .prj file. Source: FlamMap's file format documentation, and GDAL's
+reader as a check. GDAL's own writer swaps the east edges and writes class lists 32768 too high.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from ltm_core.base.errors import ConfigError, RasterError
+from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Int16Array
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
@@ -27,6 +25,7 @@ from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Lan
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.storage.disk_io import make_folder, written_whole
 from ltm_core.vision.labels import LabelSet
 
 HEADER_BYTES: Final = 7316
@@ -47,17 +46,10 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
     Raises ConfigError where it cannot be written.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.partial")
     cells = np.ascontiguousarray(np.moveaxis(landscape.bands, 0, -1), "<i2")
-    try:
-        with partial.open("wb") as sink:
-            sink.write(lcp_header(landscape, description))
-            sink.write(cells.tobytes())
+    with written_whole(path) as partial:
+        partial.write_bytes(lcp_header(landscape, description) + cells.tobytes())
         path.with_suffix(".prj").write_text(CRS(landscape.geometry.crs).to_wkt("WKT1_ESRI"), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot write the landscape ({error.strerror})") from error
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
@@ -140,10 +132,7 @@ def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, s
     Raises ConfigError where the folder cannot be made.
     """
     folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
+    make_folder(folder)
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
     for name, band in {**_ELMFIRE, fuel: "fuel"}.items():
         unit = LANDSCAPE_UNITS[LANDSCAPE_BANDS.index(band)]
@@ -169,16 +158,11 @@ def write_raster(
     """Write a GeoTIFF atomically, with named bands. Raises ConfigError if it cannot be written."""
     import rasterio
 
-    partial = path.with_name(f".{path.stem}.partial.tif")
-    try:
+    with written_whole(path) as partial:
         write_geotiff(partial, array, geometry, nodata, colormap, tags)
         if names:
             with rasterio.open(partial, "r+") as sink:
                 sink.descriptions, sink.units = names, units
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error})") from error
 
 
 def write_layers(
@@ -193,12 +177,9 @@ def write_layers(
 
     Raises ConfigError where it cannot be written.
     """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from error
+    make_folder(folder)
     nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
-    for name, layer in vars(layers).items():
+    for name, layer in {**vars(layers), "changed": layers.changed}.items():
         # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
         stored = layer.astype("uint8") if layer.dtype == bool else layer
         stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
@@ -230,25 +211,12 @@ def write_cog(
     from rasterio.io import MemoryFile
     from rasterio.shutil import copy
 
-    partial = path.with_name(f".{path.stem}.partial.tif")
-    try:
-        with MemoryFile() as memory:
-            with memory.open(
-                driver="GTiff",
-                width=geometry.width,
-                height=geometry.height,
-                count=1,
-                dtype=array.dtype,
-                crs=geometry.crs,
-                transform=geometry.transform(),
-                nodata=nodata,
-            ) as sink:
-                sink.write(array, 1)
-                sink.update_tags(**(tags or {}))
-                sink.set_band_description(1, name)
-            with memory.open() as source:
-                copy(source, partial, driver="COG", compress="deflate", resampling="nearest")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error})") from error
+    profile = {"driver": "GTiff", "width": geometry.width, "height": geometry.height, "count": 1, "dtype": array.dtype}
+    profile |= {"crs": geometry.crs, "transform": geometry.transform(), "nodata": nodata}
+    with written_whole(path) as partial, MemoryFile() as memory:
+        with memory.open(**profile) as sink:
+            sink.write(array, 1)
+            sink.update_tags(**(tags or {}))
+            sink.set_band_description(1, name)
+        with memory.open() as source:
+            copy(source, partial, driver="COG", compress="deflate", resampling="nearest")

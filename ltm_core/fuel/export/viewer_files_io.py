@@ -17,6 +17,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.storage.disk_io import written_whole
 from ltm_core.vision.labels import LabelSet
 
 
@@ -66,18 +67,12 @@ def write_kmz(
         '<overlayXY x="0" y="0" xunits="fraction" yunits="fraction"/>'
         '<screenXY x="0.02" y="0.05" xunits="fraction" yunits="fraction"/></ScreenOverlay></Document></kml>\n'
     )
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("doc.kml", document)
-            for file, pixels in images.items():
-                image = io.BytesIO()
-                Image.fromarray(pixels).save(image, "PNG")
-                archive.writestr(file, image.getvalue())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
+    with written_whole(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("doc.kml", document)
+        for file, pixels in images.items():
+            image = io.BytesIO()
+            Image.fromarray(pixels).save(image, "PNG")
+            archive.writestr(file, image.getvalue())
 
 
 def _told(made: Provenance | None) -> str:
@@ -148,7 +143,8 @@ def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) ->
     header = ["ply", "format binary_little_endian 1.0", f"comment crs {points.crs.splitlines()[0]}"]
     header += [] if made is None else [f"comment {name} {value}" for name, value in as_rows(made.tags())]
     header += [f"element vertex {len(table)}", *(f"property {name}" for name in names), "property short fuel_code"]
-    _write(path, ("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace") + table.tobytes())
+    with written_whole(path) as partial:
+        partial.write_bytes(("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace") + table.tobytes())
 
 
 def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
@@ -174,20 +170,5 @@ def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) ->
     cloud.classification = classes[points.life_form]
     cloud.red, cloud.green, cloud.blue = (points.rgb.astype(np.uint16) * 257).T
     cloud.fuel_code = points.code
-    partial = path.with_name(f".{path.stem}.partial.las")
-    try:
+    with written_whole(path) as partial:
         cloud.write(str(partial))
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
-
-
-def _write(path: Path, content: bytes) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error

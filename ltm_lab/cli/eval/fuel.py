@@ -172,11 +172,13 @@ def _score_recording(
 
 
 def _accuracy(changes: MapScore) -> dict[str, float]:
+    from ltm_lab.evaluation.fuel.trial_score import users_accuracy
+
     return {
         "prevalence": changes.prevalence,
         "producers": changes.found.value,
-        "users": changes.users_accuracy(),
-        "users_at_0.01": changes.users_accuracy(0.01),
+        "users": users_accuracy(changes),
+        "users_at_0.01": users_accuracy(changes, 0.01),
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.fuel.cell_appearance_model import CellAppearanceModel
+from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
 from ltm_core.fuel.label_errors import LabelCorrelation
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.rules import FusionRules
@@ -67,10 +67,16 @@ def learn_cell_appearance(sites: Sequence[SimulatedVotes], labels: LabelSet) -> 
 
 def write_cell_appearance(file: Path, learnt: LearntLook, source: str) -> None:
     """As a file of `LabelErrors`. Raises ConfigError where it cannot be written."""
+    model = learnt.appearance
+    known = {form.name.lower(): model.weights[form - 1] for form in LifeForm if model.known[form - 1]}
+    appearance = CellAppearanceFile(
+        incidence=model.incidence.tolist(),
+        weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
+    )
     content = {
         "source": source,
         "correlation": learnt.correlation.model_dump(),
-        "appearance": learnt.appearance.as_file().model_dump(),
+        "appearance": appearance.model_dump(),
     }
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
     try:

@@ -16,13 +16,26 @@ from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.dem import Dem
-from ltm_core.scoring.fuel import score_map
+from ltm_core.scoring.fuel import MapScore, score_map
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.fuel.trial import Trial, frames
 from ltm_lab.evaluation.fuel.trial_country import make_world
 
 RARE = 0.01
 """Share of cells that truly change in a year or two, at which reports of change are judged too."""
+
+
+def users_accuracy(score: MapScore, prevalence: float | None = None) -> float:
+    """Return the share of reported changes that are right if this share of cells has changed and changes are reported
+    as often as here; None: as many as here. NaN without reports or truth.
+
+    Source: Olofsson et al. (2014), Good practices for estimating area and assessing accuracy of land change.
+    """
+    changed = score.prevalence if prevalence is None else prevalence
+    right = changed * score.found.value
+    false = (1 - changed) * score.false_flips.value if changed < 1 else 0.0
+    reported = right + changed * score.mistaken.value + false
+    return right / reported if reported > 0 else float("nan")
 
 
 @dataclass(frozen=True)
@@ -88,7 +101,7 @@ def run_fuel_job(job: FuelJob) -> list[TrialScore]:
     flipped = layers.changed & (layers.life_form == LifeForm.TREE)
     kept = (layers.code == layers.prior)[~layers.changed] if trial.has_prior else np.ones(1, bool)
     score = score_map(trial.name, layers.life_form, world.truth, None if prior is None else prior.codes, seen)
-    accuracy = score.prevalence, score.found.value, score.users_accuracy(), score.users_accuracy(RARE)
+    accuracy = score.prevalence, score.found.value, users_accuracy(score), users_accuracy(score, RARE)
     changed, found, users, users_rare = accuracy if prior is not None else [float("nan")] * 4
     right, vote_right, prior_right = (_share(forms == world.truth, seen) for forms in (layers.life_form, voted, before))
     return [

@@ -28,7 +28,7 @@ def layers() -> FuelLayers:
         plain,
         last_seen=np.where(seen, 10**18, 0),
         seen_by=np.where(seen, 3, 0).astype(np.uint8),
-        changed=~seen & (classes == 3),
+        prior=np.where(~seen & (classes == 3), 99, plain.code).astype(np.int16),
         entropy=rng.random(GRID.shape).astype(np.float32),
     )
 

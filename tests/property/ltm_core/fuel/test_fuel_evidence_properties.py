@@ -137,7 +137,7 @@ def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile:
         np.testing.assert_array_equal(after[elsewhere], before[elsewhere], err_msg=name)
     at = max(quiet.newest_ns, disturbed.newest_ns)
     one, other = quiet.layers(at_ns=at), disturbed.layers(at_ns=at)
-    for name in ("code", "life_form", "evidence", "changed", "p_max"):
+    for name in ("code", "life_form", "evidence", "p_max"):
         np.testing.assert_array_equal(vars(other)[name][elsewhere], vars(one)[name][elsewhere], err_msg=name)
 
 

@@ -12,7 +12,7 @@ import rasterio
 from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.fire.effect import read_landscape, require_same_grid
 from ltm_core.fuel.codes import FuelSystem
-from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp, write_raster
 from ltm_core.geometry.grid import GridGeometry
 
@@ -43,13 +43,13 @@ def test_what_we_write_comes_back(tmp_path: Path, name: str) -> None:
 def test_landfires_nodata(tmp_path: Path) -> None:
     bands = landscape().bands.copy()
     bands[:, 2, 3] = 32767
-    write_raster(tmp_path / "a.tif", bands, GRID, None)
+    write_raster(tmp_path / "a.tif", bands, GRID, None, LANDSCAPE_BANDS, LANDSCAPE_UNITS)
     assert (read_landscape(tmp_path / "a.tif").bands[:, 2, 3] == -9999).all()
 
 
 def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:
     write_raster(tmp_path / "one.tif", landscape().bands[0], GRID, -9999)
-    with pytest.raises(RasterError, match=r"has 1 bands.*ltm export --format landscape"):
+    with pytest.raises(RasterError, match=r"no elevation, .*ltm export --format landscape"):
         read_landscape(tmp_path / "one.tif")
     degrees = GridGeometry(-118.0, 34.0, 0.0003, 9, 7, "EPSG:4326")
     write_raster(tmp_path / "degrees.tif", landscape(geometry=degrees).bands, degrees, -9999)
@@ -59,11 +59,11 @@ def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:
     path.with_suffix(".prj").unlink()
     with pytest.raises(RasterError, match=r"CRS is missing; .*\.prj"):
         read_landscape(path)
-    path = write_lcp(tmp_path / "percent.lcp", landscape())
+    path = write_lcp(tmp_path / "cartesian.lcp", landscape())
     content = bytearray(path.read_bytes())
-    struct.pack_into("<h", content, 4226, 1)
+    struct.pack_into("<h", content, 4228, 1)
     path.write_bytes(content)
-    with pytest.raises(RasterError, match=r"units .*\(SLOPE_UNIT 1\)"):
+    with pytest.raises(RasterError, match="counterclockwise"):
         read_landscape(path)
     with rasterio.open(
         tmp_path / "wide.tif", "w", driver="GTiff", width=9, height=7, count=8, dtype="int16", crs="EPSG:32611",

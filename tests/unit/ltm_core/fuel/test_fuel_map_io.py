@@ -53,7 +53,7 @@ def test_no_place_to_write(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent does not exist; create it first"):
         write_fuel_map(tmp_path / "absent/fuel.tif", CLASSES, GRID, LABELS)
     (tmp_path / "folder.tif").mkdir()
-    with pytest.raises(ConfigError, match=r"folder\.tif: cannot write the fuel map"):
+    with pytest.raises(ConfigError, match=r"folder\.tif: cannot be written"):
         write_fuel_map(tmp_path / "folder.tif", CLASSES, GRID, LABELS)
     assert [p.name for p in tmp_path.iterdir()] == ["folder.tif"]
 
@@ -86,6 +86,18 @@ def write(path: Path, array: np.ndarray, **options: Any) -> None:
 def test_other_rasters_are_refused(tmp_path: Path, dtype: str, options: dict[str, Any], message: str) -> None:
     write(tmp_path / "f.tif", CLASSES.astype(dtype), **options)
     with pytest.raises(RasterError, match=message):
+        read_fuel_map(tmp_path / "f.tif")
+
+
+@pytest.mark.parametrize(("count", "most", "found"), [(1, 75, "75"), (3, 6, "3 bands")])
+def test_a_raster_of_another_quantity_is_no_map(tmp_path: Path, count: int, most: int, found: str) -> None:
+    """Such as LANDFIRE's cover as uint8, or a photo."""
+    with rasterio.open(
+        tmp_path / "f.tif", "w", driver="GTiff", width=5, height=3, count=count, dtype="uint8", crs=GRID.crs,
+        transform=GRID.transform(),
+    ) as sink:  # fmt: skip
+        sink.write(np.full((count, 3, 5), most, np.uint8))
+    with pytest.raises(RasterError, match=found):
         read_fuel_map(tmp_path / "f.tif")
 
 

@@ -25,6 +25,7 @@ from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_lab.cli.main import cli
 from ltm_lab.evaluation.fuel.label_correlation import label_correlation
+from ltm_lab.evaluation.fuel.trial_score import users_accuracy
 from ltm_lab.evaluation.fuel_score import score_fuel_bag
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.pointcloud import votes_to_msg
@@ -59,10 +60,10 @@ def test_the_accuracy_of_reported_changes_at_any_prevalence() -> None:
     score = score_map("ours", mapped, truth, prior, np.ones((2, 5), bool))
     assert (score.found.count, score.mistaken.count, score.false_flips.of) == (2, 1, 6)
     assert score.prevalence == 0.4
-    assert score.users_accuracy() == pytest.approx(2 / 4)
-    assert score.users_accuracy(0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
+    assert users_accuracy(score) == pytest.approx(2 / 4)
+    assert users_accuracy(score, 0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
     silent = score_map("prior", np.full((2, 5), 2, np.uint8), truth, prior, np.ones((2, 5), bool))
-    assert np.isnan(silent.users_accuracy(0.01))
+    assert np.isnan(users_accuracy(silent, 0.01))
 
 
 def drawn(wrong: np.ndarray, camera: str, second: int) -> CellVotes:

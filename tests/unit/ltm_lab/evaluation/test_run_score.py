@@ -142,7 +142,7 @@ def test_changes_of_the_prior_map(tmp_path: Path) -> None:
     score = score_bag(Recorded.find(tmp_path / "run/recording"))
     assert score.fuel_changes is not None, score.lacking
     assert (score.fuel_changes.found, score.fuel_changes.false_flips) == (Share(2, 6), Share(1, 9))
-    assert "Of 6 cells that differ from the prior, the map detected 2" in str(tables(score))
+    assert "Of 6 cells whose true life form is not the prior's, the map detected 2" in str(tables(score))
     assert as_json(score)["fuel"]["changes"]["false_flips"] == {"count": 1, "of": 9}
 
 

@@ -120,6 +120,65 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
     assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "legend.png", "map.png"]
 
 
+def terrain(folder: Path) -> None:
+    around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
+    wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
+    Dem(np.full((8, 9), 500, np.float32), wide).save(folder / "dem.tif")
+
+
+def test_exports_of_one_name_keep_their_style_and_say_what_they_are(bag: Path, site_file: Path, tmp_path: Path) -> None:
+    """A class map beside a landscape took its style; as a landscape of the same name, it left a wrong description."""
+    terrain(tmp_path)
+    export(bag, "--site", site_file, "--out", tmp_path / "map.lcp")
+    style = (tmp_path / "map.qml").read_bytes()
+    output = export(bag, "--site", site_file, "--out", tmp_path / "map.tif")
+    assert "classes" in output
+    assert "map.lcp" in output
+    assert (tmp_path / "map.qml").read_bytes() == style
+    (tmp_path / "map.lcp").unlink()
+    assert "map.lcp" not in export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--overwrite")
+    assert (tmp_path / "map.qml").read_bytes() != style
+    export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--format", "landscape", "--overwrite")
+    assert (tmp_path / "map.tif.stac.json").is_file()
+    with pytest.raises(ConfigError, match="--site"):
+        export(bag, "--out", tmp_path / "map.tif", "--overwrite")
+    assert (tmp_path / "map.tif.stac.json").is_file()
+    export(bag, "--site", site_file, "--out", tmp_path / "map.tif", "--overwrite")
+    assert not (tmp_path / "map.tif.stac.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "bands"),
+    [
+        ("map.tif", (), 1),
+        ("map.tif", ("--system", "fbfm13"), 8),
+        ("map.tif", ("--format", "landscape"), 8),
+        ("map.tiff", ("--format", "classes"), 1),
+        ("map.lcp", ("--system", "fbfm13"), 8),
+        ("map.bin", ("--format", "landscape"), 8),
+        ("map.lcp", ("--format", "landscape"), "landscape"),
+        ("map.tif", ("--format", "lcp"), "lcp"),
+        ("map.png", ("--format", "kmz"), "kmz"),
+        ("map.png", ("--system", "fbfm13"), "fbfm13"),
+        ("map.tif", ("--format", "classes", "--system", "fbfm13"), "fbfm13"),
+    ],
+)
+def test_the_requested_format_decides(
+    bag: Path, site_file: Path, tmp_path: Path, name: str, options: tuple[str, ...], bands: int | str
+) -> None:
+    terrain(tmp_path)
+    out = tmp_path / name
+    if isinstance(bands, str):
+        with pytest.raises(ConfigError, match=bands):
+            export(bag, "--site", site_file, "--out", out, *options)
+        assert not out.exists()
+        return
+    export(bag, "--site", site_file, "--out", out, *options)
+    with rasterio.open(out) as source:
+        assert source.count == bands
+        assert source.dtypes[0] == ("uint8" if bands == 1 else "int16")
+
+
 def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"give --format, or one of \.tif"):
         export(bag, "--out", tmp_path / "map.doc")

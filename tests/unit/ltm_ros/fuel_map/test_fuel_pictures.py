@@ -28,10 +28,10 @@ from typer.testing import CliRunner
 import ltm_ros.fuel_map.export
 from ltm_core.base.errors import ConfigError, ImageError
 from ltm_core.fuel.class_map import CoverageMap
-from ltm_core.fuel.codes import FuelClimate, fuel_models
-from ltm_core.fuel.colors import code_color, code_colors, code_names
-from ltm_core.fuel.decision import FuelLayers, layers_of_classes
+from ltm_core.fuel.codes import FuelClimate, code_color, code_colors, code_names, fuel_models
+from ltm_core.fuel.decision import FuelLayers, changed_cells, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
+from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fuel_maps import (
     CAMERAS,
@@ -175,6 +175,39 @@ def test_sheets_hold_what_they_name() -> None:
     )
     with pytest.raises(ImageError, match="no camera has seen"):
         coverage_sheet(canvas, CoverageMap(GRID))
+
+
+def test_the_panels_of_a_change_sheet_differ_in_changed_cells_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Codes of grass with shrubs stand for both: their life form may flip without a change of fuel."""
+    prior = FuelPrior(np.full(GRID.shape, 122, np.int16), GRID)
+    prior.codes[12:] = 98
+    classes = np.full(GRID.shape, 255, np.uint8)
+    before = layers_of_classes(classes, prior, FuelClimate.named("dry"))
+    classes[2:10, 3:20] = LifeForm.SHRUB
+    classes[4, 4:9] = LifeForm.TREE
+    after = layers_of_classes(classes, prior, FuelClimate.named("dry"))
+    drawn: list[tuple[np.ndarray, np.ndarray]] = []
+    whole = FuelCanvas.classes
+
+    def spied(canvas: FuelCanvas, forms: np.ndarray, palette: Any, outlined: np.ndarray) -> Any:
+        drawn.append((forms, outlined))
+        return whole(canvas, forms, palette, outlined)
+
+    monkeypatch.setattr(FuelCanvas, "classes", spied)
+    change_sheet(FuelCanvas(GRID, flat(), [], GRID.bounds, width=300), before, after, PALETTE, ("then", "now"))
+    (then, outlined), (now, _) = drawn
+    assert (before.life_form != after.life_form).sum() == 8 * 17
+    assert outlined.sum() == after.changed.sum() == 5
+    np.testing.assert_array_equal(then != now, outlined)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "changed"),
+    [(102, 145, True), (102, 102, False), (-9999, 102, False), (102, -9999, True), (99, 99, False)],
+)
+def test_changed(before: int, now: int, changed: bool) -> None:
+    found = changed_cells(np.array([[before]], np.int16), np.array([[now]], np.int16))
+    assert found.tolist() == [[changed]]
 
 
 def test_coverage_counts_frames_and_keeps_the_best_footprint(tmp_path: Path) -> None:

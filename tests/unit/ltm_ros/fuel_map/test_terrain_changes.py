@@ -15,9 +15,8 @@ from scenes.outlets import Kept
 from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
-from ltm_core.fuel.change_regions import reach_of
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.raster.raster_io import write_geotiff

@@ -147,7 +147,7 @@ def test_the_prior_is_shown_under_what_cameras_have_touched(tmp_path: Path, monk
     layers = layers_of_classes(np.full(grid.shape, LifeForm.SHRUB, np.uint8), None, FuelClimate.named("dry"))
     touched = np.zeros(grid.shape, np.bool_)
     touched[1:3, 2:5] = True
-    seen = replace(layers, last_seen=np.where(touched, STAMP, 0), changed=touched, seen_by=touched.astype(np.uint8))
+    seen = replace(layers, last_seen=np.where(touched, STAMP, 0), seen_by=touched.astype(np.uint8))
     take[site_topic(small.site.name, FUEL_MAP_CELLS)](fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP))
     node.finish()
     (rasters,) = drawn

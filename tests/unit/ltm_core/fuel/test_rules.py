@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scenes.evidence_scene import ASSUMED, HOUR, INDEPENDENT, LABELS, NOW, TRUSTED, visibility, votes
 
-from ltm_core.fuel.change_regions import reach_of, supported_changes
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import FusionRules, reach_of, supported_changes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.vision.labels import Label
 
