@@ -35,8 +35,8 @@ def commands(folder: Path) -> dict[str, tuple[str, ...]]:
     """Return the arguments of `ltm` by name, in an order in which each finds its input, for the site in `folder`."""
     site, bag = str(folder / "site.yaml"), str(folder / "bag")
     one = ("--dem", str(folder / "dem.tif"), "--pose", str(folder / "pose.yaml"))
-    photos = ("--images", str(folder / "photos"), "--poses", str(folder / "poses.csv"))
-    points = ("--gcps", str(folder / "points.csv"), "--pose-guess", str(folder / "pose.yaml"))
+    photos = (str(folder / "photos"), "--poses", str(folder / "poses.csv"))
+    points = (str(folder / "points.csv"), "--guess", str(folder / "pose.yaml"))
     store = str(folder / "state/fuel_map.ltm")
     return {
         "check, with an image": ("check", site, "--out", str(folder / "check.png")),
@@ -50,7 +50,7 @@ def commands(folder: Path) -> dict[str, tuple[str, ...]]:
             str(folder / "photos/east.jpg"),
         ),
         "viewshed": ("viewshed", "--site", site, "--out", str(folder / "viewshed.tif")),
-        "pose": ("pose", *points, "--dem", str(folder / "dem.tif"), "--out", str(folder / "fitted.yaml")),
+        "pose": ("pose", "points", *points, "--dem", str(folder / "dem.tif"), "--out", str(folder / "fitted.yaml")),
         "import": ("import", *photos, "--site", site, "--out", bag),
         "replay --offline": ("replay", bag, "--site", site, "--offline", "--out", str(folder / "replay")),
         "export of a landscape": ("export", store, "--site", site, "--out", str(folder / "landscape.tif")),

@@ -13,9 +13,9 @@ from ltm_ros.cli.output import print_table
 def import_(
     images: Annotated[
         list[Path],
-        typer.Option(
-            "--images",
-            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D recording. Repeatable.",
+        typer.Argument(
+            metavar="PHOTOS...",
+            help="Photo, video, folder, or Sensor Logger, Stray Scanner or Record3D recording.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
@@ -32,14 +32,6 @@ def import_(
     pitch_deg: Annotated[
         float | None, typer.Option(help="Pitch in degrees of photos without one. Default: reject them.")
     ] = None,
-    keep_unknown: Annotated[
-        bool,
-        typer.Option(
-            "--keep-unknown",
-            help="Accept photos without direction or pitch; they are placed once a pose is found.",
-        ),
-    ] = False,
-    roll_deg: Annotated[float, typer.Option(help="Roll in degrees of photos without one.")] = 0.0,
     height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
         float | None,
@@ -49,9 +41,6 @@ def import_(
         float | None,
         typer.Option(help="Geoid height above ellipsoid in metres, for ellipsoidal altitudes (then also EXIF's)."),
     ] = None,
-    sensor_width_mm: Annotated[
-        float | None, typer.Option(min=0.1, help="Long side of the sensor in mm, for EXIF focal lengths.")
-    ] = None,
     focal_35mm: Annotated[
         float | None,
         typer.Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
@@ -60,18 +49,6 @@ def import_(
     time_zone: Annotated[
         str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
     ] = None,
-    gps_sigma: Annotated[
-        float, typer.Option(min=0.01, help="Standard deviation in metres of positions that state none.")
-    ] = 5.0,
-    compass_sigma_deg: Annotated[
-        float,
-        typer.Option(
-            min=0.01, help="Standard deviation in degrees of directions without one (phone compass: median error 5.5)."
-        ),
-    ] = 8.2,
-    tilt_sigma_deg: Annotated[
-        float, typer.Option(min=0.01, help="Standard deviation in degrees of an assumed pitch or roll.")
-    ] = 3.0,
     write_photos: Annotated[
         Path | None,
         typer.Option(help="Also write upright photos and poses.csv for `ltm pose photo`."),
@@ -113,15 +90,10 @@ def import_(
             camera,
             Assumptions(
                 pitch_deg,
-                roll_deg,
-                height_above_ground,
-                geoid_undulation_m,
-                sensor_width_mm,
-                zone,
-                gps_sigma,
-                compass_sigma_deg=compass_sigma_deg,
-                tilt_sigma_deg=tilt_sigma_deg,
-                keep_unknown=keep_unknown,
+                height_above_ground=height_above_ground,
+                geoid_undulation=geoid_undulation_m,
+                time_zone=zone,
+                keep_unknown=refine or write_photos is not None,
                 start_height=start_height,
                 focal_35mm=focal_35mm,
                 every=every,

@@ -113,10 +113,8 @@ class Assumptions:
     """
 
     pitch_deg: float | None = None
-    roll_deg: float = 0.0
     height_above_ground: float = 2.0
     geoid_undulation: float | None = None
-    sensor_width_mm: float | None = None
     time_zone: tzinfo | None = None
     gps_sigma: float = 5.0
     altitude_sigma: float = 10.0

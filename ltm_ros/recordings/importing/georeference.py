@@ -89,11 +89,11 @@ def _tilt(
     if pitch is None:
         raise PoseError(
             f"{photo.path}: its pitch is unknown ({sensed.source} has none): give pitch_deg in a pose file "
-            "(--poses), --pitch-deg for all photos, or --keep-unknown"
+            "(--poses), --pitch-deg for all photos, or --refine"
         )
     if roll is None:
-        roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
-        notes.append(f"roll is unknown: {roll:g} +- {assumed.tilt_sigma_deg:g} deg is assumed")
+        roll, found["roll_sigma_deg"] = 0.0, assumed.tilt_sigma_deg
+        notes.append(f"roll is unknown: 0 +- {assumed.tilt_sigma_deg:g} deg is assumed")
     return pitch, roll
 
 
@@ -161,8 +161,7 @@ def _azimuth_deg(
         return 0.0
     if azimuth is None:
         raise PoseError(
-            f"{photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or "
-            "--keep-unknown"
+            f"{photo.path} has no direction in {sensed.source}: give azimuth_deg in a pose file (--poses), or --refine"
         )
     found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
     if sensed.azimuth_ref == "M":
@@ -195,5 +194,5 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         )
     if stated.fx is not None or stated.hfov_deg is not None:
         return stated.camera_of(width, height, 0.0)
-    read = intrinsics(photo.lens, width, height, str(photo.path), assumed.sensor_width_mm, assumed.focal_35mm)
+    read = intrinsics(photo.lens, width, height, str(photo.path), assumed.focal_35mm)
     return (read if stated == PartialCalibration() else stated).camera_of(width, height, read.fx or 0.0)

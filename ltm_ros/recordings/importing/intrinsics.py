@@ -66,12 +66,10 @@ def intrinsics(
     width: int,
     height: int,
     what: str,
-    sensor_width_mm: float | None = None,
     focal_35mm: float | None = None,
 ) -> PartialCalibration:
     """Return the calibration of the upright image `what` of `width` x `height` pixels.
 
-    `sensor_width_mm`: long side of the sensor; it replaces what the metadata states besides the focal length.
     `focal_35mm`: applies if the metadata states none. Raises CameraError if the image is not of a pinhole camera, is
     cropped, or its field of view is unknown, outside 5 to 120 degrees, or differs between sources by more than 10 %.
     """
@@ -88,14 +86,11 @@ def intrinsics(
                 f"{what}: the camera recorded {lens.size[0]:g} x {lens.size[1]:g} pixels, but the image has {width} x "
                 f"{height}, so that it is cropped: use the original, or {remedy} with cx and cy"
             )
-    sources = _sources(lens, long, math.hypot(width, height), scale, sensor_width_mm)
+    sources = _sources(lens, long, math.hypot(width, height), scale)
     if not sources and focal_35mm is not None:
         sources = {"--focal-35mm": [focal_35mm / FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)]}
     if not sources:
-        remedy += ", --focal-35mm"
-        if lens.focal_mm is not None:
-            remedy += f" or, as EXIF has a focal length of {lens.focal_mm:g} mm, --sensor-width-mm"
-        raise CameraError(f"{what}: its metadata does not give the focal length in pixels: {remedy}")
+        raise CameraError(f"{what}: its metadata does not give the focal length in pixels: {remedy}, or --focal-35mm")
     values = "; ".join(
         f"{name}: {' or '.join(f'{_fov_deg(f, long):.1f}' for f in focals)} deg" for name, focals in sources.items()
     )
@@ -111,7 +106,7 @@ def intrinsics(
     if all(name.startswith("FocalPlane") for name in sources) and not (lens.untouched and exists):
         raise CameraError(
             f"{what}: only the focal plane resolution gives the field of view ({values}), and software that resizes an "
-            f"image leaves it unchanged: {remedy}, or --sensor-width-mm"
+            f"image leaves it unchanged: {remedy}"
         )
     stated = lens.calibration
     if stated.fx is None or agreed[0] != stated.fx * scale:
@@ -121,14 +116,10 @@ def intrinsics(
     return stated.model_copy(update={name: value * scale - _OFFSETS[name] for name, value in known.items()})
 
 
-def _sources(
-    lens: LensFacts, long: int, diagonal: float, scale: float, sensor_width_mm: float | None
-) -> dict[str, list[float]]:
+def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[str, list[float]]:
     """Return possible focal lengths in pixels by source, the most accurate first. There are two if it is unknown
     whether a source includes the digital zoom.
     """
-    if sensor_width_mm is not None and lens.focal_mm is not None:
-        return {"--sensor-width-mm": [lens.focal_mm / sensor_width_mm * long * lens.zoom]}
     stated: dict[str, float] = {}
     if lens.calibration.fx is not None:
         stated["calibration in XMP"] = lens.calibration.fx * scale

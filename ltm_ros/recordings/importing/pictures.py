@@ -78,7 +78,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> tuple[list[Imp
     if not found and tracks:
         raise RecordingError(
             f"{paths[0]}: a sensor recording without photos: record the app's sensor `Camera`, too, or add the "
-            "photos taken meanwhile with another --images"
+            "photos taken meanwhile"
         )
     if not found:
         others = f" ({skipped[0].path.name}: {skipped[0].why})" if skipped else ""

@@ -205,7 +205,7 @@ MISTAKES = [
     Mistake(
         "a photo that EXIF turns, imported",
         portrait,
-        "import --images photos --poses poses.csv --site site.yaml --camera mast --out bag",
+        "import photos --poses poses.csv --site site.yaml --camera mast --out bag",
         ("144 x 256 pixels", "turns it by 90 degrees", "camera mast", "256 x 144", "exiftool"),
     ),
     Mistake("a former result", former_result, TRACE, ("depth.tif: exists already", "--overwrite")),
@@ -214,12 +214,12 @@ MISTAKES = [
         for command in (
             "trace --dem dem.tif --pose pose.yaml --out file/out",
             "replay recording --site site.yaml --out file/out --offline",
-            "pose --gcps points.csv --pose-guess pose.yaml --out file/fitted.yaml",
+            "pose points points.csv --guess pose.yaml --out file/fitted.yaml",
             "viewshed --site site.yaml --out file/coverage.tif",
             "run site.yaml --state file/map",
             "run site.yaml --logs file/logs",
             "record --site site.yaml --out file/bag",
-            "import --images photos --site site.yaml --out file/bag",
+            "import photos --site site.yaml --out file/bag",
             "check site.yaml --out file/check.png",
         )
     ),

@@ -174,11 +174,9 @@ def test_parrot_states_millimetres_on_the_focal_plane() -> None:
 
 
 def test_what_the_user_states_replaces_what_is_unknown() -> None:
-    """30 mm on a sensor of 22.0 mm over 4290 pixels; the 35 mm equivalent gives way."""
-    assert read(4290, 2856, {0x920A: 30.0, 0xA405: 99}, sensor_width_mm=22.0).fx == pytest.approx(5850.0)
     assert read(4000, 3000, {}, focal_35mm=27.0).fx == pytest.approx(27 / FULL_FRAME * 5000)
     assert read(4000, 3000, {0xA405: 50}, focal_35mm=27.0).fx == pytest.approx(50 / FULL_FRAME * 5000)
-    with pytest.raises(CameraError, match="30 mm, --sensor-width-mm"):
+    with pytest.raises(CameraError, match="--focal-35mm"):
         read(4290, 2856, {0x920A: 30.0})
 
 

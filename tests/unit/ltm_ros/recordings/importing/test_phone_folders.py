@@ -121,7 +121,7 @@ def test_the_command_ends_with_a_table_of_all_files(tmp_path: Path) -> None:
     (folder / "cut.jpg").write_bytes(whole[: len(whole) * 2 // 3] + b"\xff\xd9")
     app = typer.Typer()
     app.command()(import_)
-    arguments = ["--images", str(folder), "--out", str(tmp_path / "bag"), "--skip-bad", "--pitch-deg", "0"]
+    arguments = [str(folder), "--out", str(tmp_path / "bag"), "--skip-bad", "--pitch-deg", "0"]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "300"}, catch_exceptions=False)
     assert result.exit_code == 0
     rows = re.findall(r"(imported|rejected|skipped)\W+(\d+)\W+?(\S[^│\n]*)", result.output)

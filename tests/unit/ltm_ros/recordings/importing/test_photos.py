@@ -257,7 +257,7 @@ def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
         ({"gps_2": None}, PoseError, "no position in EXIF"),
         ({"gps_17": None}, PoseError, "no direction in EXIF"),
         ({"photo_0xA405": None}, CameraError, "no focal length|does not give the focal length"),
-        ({"photo_0xA405": None, "photo_0x920A": 6.86}, CameraError, "focal length of 6.86 mm, --sensor-width-mm"),
+        ({"photo_0xA405": None, "photo_0x920A": 6.86}, CameraError, "--focal-35mm"),
         ({"photo_0x9003": None}, RecordingError, "has no date"),
         ({"photo_0x9003": "1969:07:04 18:30:15"}, RecordingError, "before 1970"),
         ({"gps_2": (35.0, 0.0, 0.0), "gps_6": None}, PoseError, "outside the DEM"),
@@ -362,7 +362,7 @@ def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site)
     app.command()(import_)
     save(tmp_path / "a.jpg", phone())
     save(tmp_path / "b.jpg", phone(gps_17=None))
-    arguments = ["--images", str(tmp_path / "a.jpg"), "--images", str(tmp_path / "b.jpg"), "--skip-bad"]
+    arguments = [str(tmp_path / "a.jpg"), str(tmp_path / "b.jpg"), "--skip-bad"]
     arguments += [
         "--site",
         str(tmp_path / "site.yaml"),

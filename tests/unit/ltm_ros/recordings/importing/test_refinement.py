@@ -165,7 +165,7 @@ def test_network_and_mask_are_the_camera_s_own(
 
 
 def test_it_needs_a_site(tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["import", "--images", str(tmp_path), "--out", str(tmp_path / "bag"), "--refine"])
+    result = CliRunner().invoke(cli, ["import", str(tmp_path), "--out", str(tmp_path / "bag"), "--refine"])
     assert isinstance(result.exception, ConfigError)
     assert "--site" in str(result.exception)
 

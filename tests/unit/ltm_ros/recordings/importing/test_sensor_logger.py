@@ -225,7 +225,7 @@ def test_pressure_alone_tells_the_climb(tmp_path: Path, site: Site) -> None:
 
 def test_what_the_sensors_do_not_tell_is_unknown_and_never_zero(tmp_path: Path, site: Site) -> None:
     path = changed(recorded(tmp_path), {"Orientation.csv": None})
-    with pytest.raises(PoseError, match=r"\.jpg has no direction in Sensor Logger.*azimuth_deg.*--keep-unknown"):
+    with pytest.raises(PoseError, match=r"\.jpg has no direction in Sensor Logger.*azimuth_deg.*--refine"):
         import_photos([path], tmp_path / "bag", site=site, assumed=LENS)
     kept = Assumptions(focal_35mm=27.0, height_above_ground=1.6, keep_unknown=True)
     report = import_photos([path], tmp_path / "bag", site=site, assumed=kept)

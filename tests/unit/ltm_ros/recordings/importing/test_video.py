@@ -44,7 +44,7 @@ def site(tmp_path: Path) -> Site:
 def test_a_phones_video_has_one_place_and_no_direction(tmp_path: Path, site: Site) -> None:
     path = tmp_path / "clip.mp4"
     path.write_bytes(movie(frames(), 2, BEGIN, location=f"+{LAT:.4f}{LON:.4f}+{GROUND + 9:.3f}/"))
-    with pytest.raises(PoseError, match=r"clip_0000000\.jpg has no direction in the video's tags.*--keep-unknown"):
+    with pytest.raises(PoseError, match=r"clip_0000000\.jpg has no direction in the video's tags.*--refine"):
         import_photos([path], tmp_path / "bag", site=site, assumed=Assumptions(focal_35mm=27.0))
     import_photos([path], tmp_path / "bag", site=site, assumed=KEPT)
     rows = imported(tmp_path / "bag")
