@@ -1,15 +1,24 @@
 """Combine several elevation rasters into one terrain, shared within the process.
 
-Shares rasters within a process: who opens the same files in the same way gets the same terrain, while it is in use.
-
-An offline replay runs all nodes of a site in one process, and each of them opens the DEM: of 10,000 x 10,000 cells it
-would otherwise hold 400 MB a node.
-
-Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
-
 Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds
-rasters of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how
-they are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+rasters of falling resolution, each within the next; a point belongs to the finest that is over it. Tracing, lines of
+sight, footprints and votes take a stack wherever they take a `Dem`.
+
+Two surveys of the same ground differ by decimetres to tens of metres (age, datum, smoothing by the coarse cells). The
+fine level is therefore fitted into the coarser one, once, when a stack is made:
+
+* **Holes** (NaN nodes, at the raster's margin too) take the coarser surface plus the difference of the two at the
+  hole's rim: d = sum(d_k / r_k) / sum(1 / r_k) over the four directions along the grid, with d_k the difference at the
+  first known node and r_k its distance; towards a direction in which the raster ends first, d_k is 0 at its edge. This
+  is the delta surface fill of Grohman, Kroenung and Strebeck (2006), Photogrammetric Engineering & Remote Sensing
+  72(3), with weights along the grid.
+* **The border**: within a band of `BAND` coarse cells the fine heights give way to the coarser surface in proportion to
+  the distance from the edge, and are equal to it on the outermost nodes.
+
+So on the border both surfaces agree at every fine node, to the rounding of float32; between two fine nodes the coarser
+surface may bend where one of its grid lines crosses the border, by at most a quarter of a fine cell times the change of
+slope there. The small step that remains is treated as a wall: a ray that comes to it below its upper edge ends there,
+so none slips through.
 """
 
 from __future__ import annotations
@@ -24,11 +33,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Float64Array
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.geodesy import SiteFrame, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem, read_around
-from ltm_core.raster.dem_seams import fill_holes, lead_over
+from ltm_core.raster.heights_check import HeightsDoubt, doubt_of_heights
 
 _open: WeakValueDictionary[Hashable, Dem] = WeakValueDictionary()
 _lock = threading.Lock()
@@ -58,6 +67,10 @@ def _state(path: Path | str) -> tuple[str, int, int, int]:
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0
 """Distance in metres around the finest raster to which coarser ones are read."""
+BAND = 3.0
+"""Width in coarse cells over which fine heights blend into coarse ones; at most a quarter of the raster."""
+_SAMPLES = 200
+"""Number of points per side at which two rasters' heights are compared."""
 
 
 class DemStack(Dem):
@@ -89,11 +102,16 @@ class DemStack(Dem):
         finest = Dem.open(path, crs)
         x_min, y_min, x_max, y_max = finest.geometry.bounds
         around = x_min - REACH, y_min - REACH, x_max + REACH, y_max + REACH
-        levels = [finest]
+        levels, doubts = [finest], list(finest.doubts)
         for place, stated in coarser:
             levels.append(Dem(*read_around(place, stated, str(finest.geometry.crs), around)))
+            doubts += levels[-1].doubts
+            own, other = (sampled(level, finest.geometry) for level in (finest, levels[-1]))
+            doubt = doubt_of_heights(own, other, str(path), str(place))
+            doubts += [] if doubt is None else [doubt.required()]
         stack = cls.__new__(cls)
         stack._assemble(levels)
+        object.__setattr__(stack, "doubts", tuple(doubts))
         return stack
 
     @property
@@ -103,7 +121,7 @@ class DemStack(Dem):
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
         """Return the same stack in a site's map frame; see `Dem.in_frame`."""
-        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels])
+        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels], self.doubts)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Return the bilinear height at map points of the finest level over them; NaN beyond the coarsest and in
@@ -131,10 +149,11 @@ class DemStack(Dem):
         self._hold(levels)
 
     @classmethod
-    def of_fitted(cls, fitted: list[Dem]) -> DemStack:
+    def of_fitted(cls, fitted: list[Dem], doubts: tuple[HeightsDoubt, ...] = ()) -> DemStack:
         """Return a stack of levels, finest first, that are already fitted to each other."""
         stack = cls.__new__(cls)
         stack._hold(fitted)
+        object.__setattr__(stack, "doubts", doubts)
         return stack
 
     def _hold(self, levels: list[Dem]) -> None:
@@ -147,6 +166,12 @@ def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
     """Open (path, CRS or None) of one raster as `Dem.open` does, of several, finest first, as `DemStack.open` does."""
     (path, crs), *coarser = rasters
     return DemStack.open(path, crs, *coarser) if coarser else Dem.open(path, crs)
+
+
+def sampled(dem: Dem, over: GridGeometry) -> Float64Array:
+    """Return the heights at points spread evenly over a raster."""
+    rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
+    return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
 
 
 def with_surface(ground: Dem, surface: Dem) -> Dem:
@@ -189,7 +214,7 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
     Raises RasterError where that is more than a coarse cell, or the two do not go together.
     """
     a, b = fine.geometry, coarse.geometry
-    if a.crs != b.crs:
+    if not same_crs(a.crs, b.crs):
         raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")
     if a.resolution > b.resolution:
         raise RasterError(
@@ -211,3 +236,31 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
 
 def _rounded(geometry: GridGeometry) -> tuple[int, ...]:
     return tuple(round(v) for v in geometry.bounds)
+
+
+def fill_holes(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
+    """Fill the holes of `fine` (H, W) from `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import fill  # here, because most processes of a graph need no numba
+
+    fill(fine, coarse, *_places(fine_geometry, coarse_geometry))
+
+
+def lead_over(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
+    """Lead the border of `fine` (H, W) over to `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import blend  # here, as above
+
+    band = BAND * coarse_geometry.resolution / fine_geometry.resolution
+    blend(fine, coarse, *_places(fine_geometry, coarse_geometry), min(band, (min(fine.shape) - 1) / 4))
+
+
+def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
+    """Return where the fine rows and columns lie in the coarse raster."""
+    x, _ = fine.to_map(0, np.arange(fine.width))
+    _, y = fine.to_map(np.arange(fine.height), 0)
+    rows, _ = coarse.to_grid(coarse.x_min, y)
+    _, cols = coarse.to_grid(x, coarse.y_max)
+    return rows, cols

@@ -17,7 +17,7 @@ from ltm_core.raster.dem import Dem
 
 UTM = "EPSG:32611"
 HEIGHTS = np.arange(12, dtype=np.float64).reshape(3, 4) ** 2 + 1  # 3 rows, 4 columns, 1 to 122 m
-NORTH_UP = from_origin(1000.0, 2000.0, 5.0, 5.0)
+NORTH_UP = from_origin(501_000.0, 2000.0, 5.0, 5.0)
 
 
 def write(path: Path, array: np.ndarray, crs: str | None = UTM, transform: Any = NORTH_UP, **options: Any) -> Path:
@@ -54,7 +54,7 @@ def test_dtypes(tmp_path: Path, dtype: str) -> None:
     dem = Dem.open(write(tmp_path / "d.tif", HEIGHTS.astype(dtype)))
     assert dem.elevation.dtype == np.float32
     np.testing.assert_array_equal(dem.elevation, HEIGHTS)
-    assert dem.geometry == GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM)
+    assert dem.geometry == GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +91,10 @@ def test_scale_and_offset(tmp_path: Path) -> None:
 
 
 def test_rows_stored_south_up_are_turned(tmp_path: Path) -> None:
-    south_up = Affine(5.0, 0.0, 1000.0, 0.0, 5.0, 1985.0)
+    south_up = Affine(5.0, 0.0, 501_000.0, 0.0, 5.0, 1985.0)
     dem = Dem.open(write(tmp_path / "d.tif", HEIGHTS[::-1].copy(), transform=south_up))
     np.testing.assert_array_equal(dem.elevation, HEIGHTS)
-    assert dem.geometry == GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM)
+    assert dem.geometry == GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM)
 
 
 def test_a_raster_without_crs_needs_one(tmp_path: Path) -> None:
@@ -189,10 +189,10 @@ def test_no_height_beside_nodata() -> None:
 
 
 def test_in_frame() -> None:
-    dem = Dem(HEIGHTS.astype(np.float32), GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM))
-    local = dem.in_frame(SiteFrame(UTM, 900.0, 1900.0))
+    dem = Dem(HEIGHTS.astype(np.float32), GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM))
+    local = dem.in_frame(SiteFrame(UTM, 500_900.0, 1900.0))
     assert local.geometry == GridGeometry(100.0, 100.0, 5.0, 4, 3)
-    assert float(local.elevation_at(107.5, 92.5)) == float(dem.elevation_at(1007.5, 1992.5)) == HEIGHTS[1, 1]
+    assert float(local.elevation_at(107.5, 92.5)) == float(dem.elevation_at(501_007.5, 1992.5)) == HEIGHTS[1, 1]
     with pytest.raises(RasterError, match=r"EPSG:32611, the site in EPSG:32633.*gdalwarp"):
         dem.in_frame(SiteFrame("EPSG:32633"))
     with pytest.raises(RasterError, match="DEM is in None"):
@@ -202,7 +202,7 @@ def test_in_frame() -> None:
 def test_saved_and_opened(tmp_path: Path) -> None:
     heights = HEIGHTS.astype(np.float32)
     heights[0, 1] = np.nan
-    dem = Dem(heights, GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM))
+    dem = Dem(heights, GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM))
     dem.save(tmp_path / "saved.tif")
     opened = Dem.open(tmp_path / "saved.tif")
     np.testing.assert_array_equal(opened.elevation, heights)
