@@ -31,6 +31,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
+from ltm_core.geometry.geodesy import MOST_EXPORTED, map_problem, read_crs, same_crs, scale_problem
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import check_size, open_raster
 
@@ -220,9 +221,12 @@ def read_landscape(path: Path) -> Landscape:
                 "it again with "
                 "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
+        geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
+        problem = map_problem(read_crs(source.crs)) or scale_problem(source.crs, geometry, MOST_EXPORTED)
+        if problem is not None:
+            raise RasterError(f"{path}: {problem}")
         _check_units(source, path)
         check_size(source, path, source.height, source.width)
-        geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
         bands = np.empty((len(LANDSCAPE_BANDS), source.height, source.width), np.int16)
         for number, band in enumerate(bands, start=1):  # one after the other: whole numbers need room
             values = source.read(number).astype(np.int64)
@@ -235,12 +239,10 @@ def read_landscape(path: Path) -> Landscape:
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
     """Raise ConfigError unless both are on one grid."""
-    from pyproj import CRS
-
     a, b = before.geometry, after.geometry
-    if CRS(a.crs) != CRS(b.crs):
+    if not same_crs(a.crs, b.crs):
         raise ConfigError(
-            f"{names[0]} is in {CRS(a.crs).name}, {names[1]} in {CRS(b.crs).name}: cells cannot be compared; export "
+            f"{names[0]} is in {read_crs(a.crs).name}, {names[1]} in {read_crs(b.crs).name}: cells cannot be compared; export "
             "both into one CRS with `ltm export --crs`"
         )
     same = (a.x_min, a.y_max, a.resolution, a.shape) == (b.x_min, b.y_max, b.resolution, b.shape)

@@ -21,6 +21,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array
+from ltm_core.geometry.grid import GridGeometry
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the WGS 84 ellipsoid in metres (IUGG R1)."""
@@ -63,11 +64,11 @@ def same_crs(a: Any, b: Any) -> bool:
     first, second = (_unbound(horizontal(read_crs(crs))) for crs in (a, b))
     if first.equals(second, ignore_axis_order=True):
         return True
-    datums = [crs.geodetic_crs for crs in (first, second)]
-    if not (first.is_projected and second.is_projected and datums[0] and datums[1]):
+    base, other = first.geodetic_crs, second.geodetic_crs
+    if not (first.is_projected and second.is_projected and base and other):
         return False
-    unnamed = any("unknown" in str(crs.datum and crs.datum.name).lower() for crs in datums)
-    if not unnamed and not datums[0].equals(datums[1], ignore_axis_order=True):
+    unnamed = any("unknown" in str(crs.datum and crs.datum.name).lower() for crs in (base, other))
+    if not unnamed and not base.equals(other, ignore_axis_order=True):
         return False
     lon, lat = np.meshgrid(np.arange(-180.0, 180.0, 7.0), np.arange(-85.0, 90.0, 7.0))
     places = np.array([Proj(crs)(lon, lat) for crs in (first, second)])
@@ -118,15 +119,17 @@ def ellipsoidal_problem(crs: CRS) -> str | None:
     )
 
 
-MOST_DISTORTION = 0.002
-"""Maximum relative error of distances on a map; UTM has 0.0004 on its central meridian."""
+MOST_DISTORTION, MOST_EXPORTED = 0.002, 0.02
+"""Maximum relative error of distances on a site's map and on exported grids. UTM has 0.0004 on its central meridian,
+LANDFIRE's Albers up to 0.013 in the United States."""
 
 
-def scale_problem(crs: Any, x: ArrayLike, y: ArrayLike, most: float = MOST_DISTORTION) -> str | None:
-    """Return why distances at places (x, y) of a projected CRS are wrong by more than the share `most`, with a suitable
-    CRS; None if they are not."""
+def scale_problem(crs: Any, geometry: GridGeometry, most: float = MOST_DISTORTION) -> str | None:
+    """Return why distances over a raster in a projected CRS are wrong by more than the share `most`, with a suitable
+    CRS; None if they are not. They are compared at its corners, its centre and the middles of its sides."""
     projection = Proj(_unbound(horizontal(read_crs(crs))))
-    lon, lat = (np.atleast_1d(v) for v in projection(np.ravel(x), np.ravel(y), inverse=True))
+    x, y = (np.linspace(low, high, 3) for low, high in zip(geometry.bounds[:2], geometry.bounds[2:], strict=True))
+    lon, lat = (np.ravel(v) for v in projection(*np.meshgrid(x, y), inverse=True))
     worst, at = 0.0, 0
     for k, place in enumerate(zip(lon, lat, strict=True)):
         off = math.inf

@@ -105,9 +105,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
             raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
         y_max = t.f if t.e < 0 else t.f + source.height * t.e
         geometry = GridGeometry(t.c, y_max, t.a, source.width, source.height, name_of(heights.crs))
-        (x_min, y_min, x_max, y_max), crs_text = geometry.bounds, str(geometry.crs)
-        x, y = np.meshgrid([x_min, (x_min + x_max) / 2, x_max], [y_min, (y_min + y_max) / 2, y_max])
-        problem = scale_problem(crs_text, x, y)
+        problem = scale_problem(heights.crs, geometry)
         if problem is not None:
             raise RasterError(f"{path}: {problem}")
         prepared = map_heights(path, source)
@@ -129,8 +127,8 @@ def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
 def read_around(
     path: Path | str, crs: str | None, target: str, bounds: Bounds
 ) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
-    """Read elevations as `read_heights` does, over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly
-    warped if their own grid differs; degrees are allowed.
+    """Read elevations as `read_heights` does, over `bounds` (x_min, y_min, x_max, y_max) in the CRS `target`, warped
+    bilinearly if their own grid differs; degrees are allowed.
 
     Raises RasterError: not readable, no CRS, or nothing of it within the bounds.
     """
@@ -149,15 +147,15 @@ def read_around(
             row, col = (round(float(v)) for v in own.to_grid(*part.to_map(0, 0)))
             return heights.read(row, col, part.height, part.width), part, tuple(heights.doubts)
         stated, wanted = heights.crs.to_wkt(), there.to_wkt()
-        onto, width, height = calculate_default_transform(
-            stated, wanted, source.width, source.height, *source.bounds
-        )
+        onto, width, height = calculate_default_transform(stated, wanted, source.width, source.height, *source.bounds)
         resolution = math.sqrt(abs(onto.a * onto.e))
         whole = GridGeometry(onto.c, onto.f, resolution, width, height, target)
         part = _part_within(whole, bounds, path)
         check_size(source, path, part.height, part.width)
         # It is read before it is interpolated, so that values that are no heights do not get into others.
-        row0, col0, rows, cols = _window(source, transform_bounds(wanted, stated, *part.bounds)) if upright else (0,) * 4
+        row0, col0, rows, cols = (
+            _window(source, transform_bounds(wanted, stated, *part.bounds)) if upright else (0,) * 4
+        )
         read = heights.read(row0, col0, rows, cols)
         t = source.window_transform(Window(col0, row0, read.shape[1], read.shape[0]))
         if t.e > 0:
@@ -234,8 +232,8 @@ class Dem:
     """An elevation raster with its geometry.
 
     `elevation`: (H, W) float32, metres, north up, NaN where unknown; values sit at cell centres and the surface is
-    bilinear between them. `doubts`: what may be wrong with the file. Raises RasterError when shape and geometry disagree
-    or no height is known.
+    bilinear between them. `doubts`: what may be wrong with the file. Raises RasterError when shape and geometry
+    disagree or no height is known.
     """
 
     elevation: Float32Array

@@ -185,12 +185,12 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
         cols = np.flatnonzero(np.isnan(tops[row]))
         tops[row, cols] = ground.elevation_at(*surface.geometry.to_map(row, cols))
     levels = [level for level in ground.levels if not _covers(surface.geometry, level.geometry)]
-    whole = Dem(tops, surface.geometry)
+    whole, doubts = Dem(tops, surface.geometry, ground.doubts + surface.doubts), ground.doubts + surface.doubts
     if not levels:
         return whole
     whole = _within(whole, levels[0])
     lead_over(whole.elevation, whole.geometry, levels[0].elevation, levels[0].geometry)
-    return DemStack.of_fitted([whole, *levels])
+    return DemStack.of_fitted([whole, *levels], doubts)
 
 
 def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:

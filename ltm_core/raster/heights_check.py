@@ -28,8 +28,8 @@ _MOST_ODD = 1_000
 _MOST_MARKS = 4
 """Maximum number of marks in one raster."""
 _STEEP, _TOO_STEEP = 0.8, 3.0
-"""Median slopes along rows in metres per metre, above which heights may be, and are, in another unit. Half of the slopes
-in the Alps are below 0.45; with heights in feet, below 1.5; in decimetres, below 4.5."""
+"""Median slopes along rows in metres per metre, above which heights may be, and are, in another unit. In the Alps it is
+0.45; with heights in feet, 1.5; in decimetres, 4.5."""
 _SMOOTH = 5.0
 """Least cell size in metres for these bounds."""
 _LEAST_CELLS = 50
@@ -48,7 +48,9 @@ _UNITS = {
     r"km|kilomet(er|re)s?": 1000.0,
 }
 """Size in metres of each unit, by its spellings."""
-_HEIGHT_WORDS = r"elev\w*|dem|dtm|dsm|dhm|heights?|hgt|alt|altitude|z|ground|topo\w*|terrain|surface|bathymetry|orthometric"
+_HEIGHT_WORDS = (
+    r"elev\w*|dem|dtm|dsm|dhm|heights?|hgt|alt|altitude|z|ground|topo\w*|terrain|surface|bathymetry|orthometric"
+)
 _OTHER_WORDS = (
     r"hill ?shad\w*|shad\w*|relief|slope|slp|aspect|asp|densit\w*|intensity|uncertaint\w*|roughness|tri|tpi|curvature|"
     r"canopy|chm|ndsm|cover|fbfm\w*|fuel\w*|count|std\w*|sigma|errors?|quality|mask|red|green|blue|ndvi|class\w*|flow"
@@ -98,15 +100,16 @@ def elevation_band(source: Any, path: Path | str) -> tuple[int, list[HeightsDoub
 
 
 def unit_of(source: Any, band: int, vertical: float | None, path: Path | str) -> float:
-    """Return the unit of a band in metres, as its band or its CRS states (`vertical`, None: not). Raises RasterError for
-    one that is no length, and for a band that contradicts its CRS."""
+    """Return the unit of a band in metres, as it or its CRS (`vertical`) states. Raises RasterError for a unit that is
+    no length, and for a band that contradicts its CRS."""
     if np.issubdtype(np.dtype(source.dtypes[band - 1]), np.complexfloating):
         raise RasterError(f"{path}: band {band} is {source.dtypes[band - 1]}; elevation must be a real number")
     stated = (source.units[band - 1] or "").strip()
     if stated.lower() in ("", "unknown", "none", "n/a"):
         return 1.0 if vertical is None else vertical
     size = next(
-        (size for word, size in _UNITS.items() if re.match(rf"({word})(?![a-z])(?![ _-]us)", stated, re.IGNORECASE)), None
+        (size for word, size in _UNITS.items() if re.match(rf"({word})(?![a-z])(?![ _-]us)", stated, re.IGNORECASE)),
+        None,
     )
     if size is None:
         raise RasterError(f"{path}: band {band} is in {stated}, not a unit of height; give the raster of elevations")
@@ -196,7 +199,7 @@ class HeightsSurvey:
         for strip in _strips(heights):
             step = np.abs(np.diff(strip, axis=1))
             if (step[np.minimum(strip[:, 1:], strip[:, :-1]) < LOWEST] > _TOO_STEEP * self.resolution + _APART).any():
-                text = f"{said}, with steps as between ground and an undeclared nodata value: declare that, and resample again"
+                text = f"{said}, with steps as beside an undeclared nodata value: declare that, and resample it again"
                 return HeightsDoubt("nodata", text, True)
         return HeightsDoubt("sea", f"{said}: if that is the sea floor, give a raster of the land")
 
@@ -239,7 +242,9 @@ def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str, oth
         for unit, size in (("feet", 0.3048), ("decimetres", 0.1), ("centimetres", 0.01), ("millimetres", 0.001)):
             for code, factor, which in (("unit", 1 / size, name), ("other_unit", size, other)):
                 if abs(ratio / factor - 1) < _ALIKE and _follow(heights[known], others[known]):
-                    text = f"{name} is {ratio:.3g} times as high as {other}: heights of {which} are {unit}; convert them"
+                    text = (
+                        f"{name} is {ratio:.3g} times as high as {other}: heights of {which} are {unit}; convert them"
+                    )
                     return HeightsDoubt(code, text, True)
     if both.sum() >= _LEAST_CELLS:
         apart = float(np.median(np.abs(heights[both] - others[both])))
@@ -265,7 +270,9 @@ def doubt_of_surface(tops: Float64Array, ground: Float64Array, name: str) -> Hei
     below = float((tops < ground - 5).mean())
     if below <= 0.5:
         return doubt_of_heights(tops, ground, name, "the DEM")
-    found = f"{name}: {below:.0%} of the surface lies under the ground, by {np.median(ground - tops):.0f} m in the median"
+    found = (
+        f"{name}: {below:.0%} of the surface lies under the ground, by {np.median(ground - tops):.0f} m in the median"
+    )
     if np.quantile(tops, 0.02) > -5 and np.quantile(tops, 0.98) < 120:
         text = f"{found}: these are heights above the ground (a canopy height model); add the DEM to them (gdal_calc)"
     else:

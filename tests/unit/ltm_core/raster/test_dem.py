@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 
 from ltm_core.base.errors import RasterError
@@ -125,8 +126,15 @@ def test_a_stated_height_system_does_not_change_the_crs(tmp_path: Path) -> None:
     [
         ({"crs": "EPSG:4326", "transform": from_origin(-118.0, 34.0, 0.001, 0.001)}, "projected in metres"),
         ({"crs": "EPSG:2229"}, "projected in metres"),  # US survey feet
-        ({"crs": "EPSG:32611+6360"}, "foot"),  # heights in US survey feet
-        ({"units": "ft"}, "heights are in ft"),
+        ({"crs": "EPSG:2053"}, "south and west"),
+        ({"crs": "EPSG:5513"}, "south and west"),
+        ({"crs": CRS("EPSG:32611").to_3d().to_wkt()}, "above the ellipsoid.*EPSG:32611"),
+        ({"crs": "EPSG:3857", "transform": from_origin(-13_160_000, 4_030_000, 5, 5)}, "20.*EPSG:32611"),
+        ({"crs": "EPSG:32602", "transform": from_origin(5_700_000, 4_700_000, 5, 5)}, "EPSG:326"),
+        ({"crs": "ESRI:54009", "transform": from_origin(-10_700_000, 4_100_000, 5, 5)}, "EPSG:32611"),
+        ({"crs": "EPSG:5070", "transform": from_origin(-2_000_000, 1_500_000, 5, 5)}, "0.7.*EPSG:32611"),
+        ({"units": "degree"}, "degree"),
+        ({"crs": "EPSG:32611+6360", "units": "m"}, "0.3048"),
         ({"transform": Affine(4.9, -0.9, 1000.0, -0.9, -4.9, 2000.0)}, "rotated"),
         ({"transform": from_origin(1000.0, 2000.0, 5.0, 6.0)}, r"square, got 5.0 x -6.0 m"),
         ({"transform": Affine(-5.0, 0.0, 1000.0, 0.0, -5.0, 2000.0)}, "square"),
