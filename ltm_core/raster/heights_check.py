@@ -242,14 +242,12 @@ def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str, oth
         for unit, size in (("feet", 0.3048), ("decimetres", 0.1), ("centimetres", 0.01), ("millimetres", 0.001)):
             for code, factor, which in (("unit", 1 / size, name), ("other_unit", size, other)):
                 if abs(ratio / factor - 1) < _ALIKE and _follow(heights[known], others[known]):
-                    text = (
-                        f"{name} is {ratio:.3g} times as high as {other}: heights of {which} are {unit}; convert them"
-                    )
+                    text = f"{name}: {ratio:.3g} times as high as {other}; convert {which} from {unit} to metres"
                     return HeightsDoubt(code, text, True)
     if both.sum() >= _LEAST_CELLS:
         apart = float(np.median(np.abs(heights[both] - others[both])))
         if apart > _FAR_OFF:
-            text = f"{name} is {apart:.0f} m off {other} in the median: check place, unit and datum of both"
+            text = f"{name}: {apart:.0f} m off {other} in the median; check place, unit and datum of both"
             return HeightsDoubt("shift", text)
     return None
 
