@@ -109,7 +109,6 @@ def dem_in_percent(folder: Path) -> None:
 def dem_with_nodata(folder: Path) -> None:
     import rasterio
 
-    pose_file()(folder)
     with rasterio.open(folder / "dem.tif", "r+") as sink:
         heights = sink.read(1)
         heights[:2, :3] = -9999.0
@@ -158,7 +157,6 @@ MISTAKES = [
     ),
     Mistake("a DEM that declares no length", dem_in_percent, CHECK, ("dem.tif", "percent")),
     Mistake("undeclared nodata", dem_with_nodata, CHECK, ("dem.tif", "-9999 (6 cells)", "gdal_edit -a_nodata"), 0),
-    Mistake("undeclared nodata, traced", dem_with_nodata, TRACE, ("dem.tif", "-9999 (6 cells)"), 0),
     Mistake("canopy height model as surface", canopy_heights, CHECK, ("chm.tif", "canopy height model", "gdal_calc")),
     Mistake("a DEM in degrees", dem_in_degrees, CHECK, ("dem.tif", "WGS 84", "gdalwarp")),
     Mistake("no DEM there", site_with(dem={"path": "dom.tif"}), CHECK, ("dom.tif", "not a raster that GDAL can read")),
