@@ -242,8 +242,8 @@ def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str
     a, b = before.geometry, after.geometry
     if not same_crs(a.crs, b.crs):
         raise ConfigError(
-            f"{names[0]} is in {read_crs(a.crs).name}, {names[1]} in {read_crs(b.crs).name}: cells cannot be compared; export "
-            "both into one CRS with `ltm export --crs`"
+            f"{names[0]} is in {read_crs(a.crs).name}, {names[1]} in {read_crs(b.crs).name}: cells cannot be compared; "
+            "export both into one CRS with `ltm export --crs`"
         )
     same = (a.x_min, a.y_max, a.resolution, a.shape) == (b.x_min, b.y_max, b.resolution, b.shape)
     if not same:

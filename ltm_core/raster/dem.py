@@ -76,8 +76,9 @@ class _Heights:
             count = min(rows, height - start)
             values, unknown = read_band(source, self.band, Window(col0, row0 + start, width, count))
             strip = elevation[start : start + count]
-            strip[...] = values if (scale, offset) == (1.0, 0.0) else values.astype(np.float64) * scale + offset
-            strip[unknown] = np.nan
+            with np.errstate(over="ignore"):
+                strip[...] = values if (scale, offset) == (1.0, 0.0) else values.astype(np.float64) * scale + offset
+            strip[unknown | ~np.isfinite(strip)] = np.nan
             survey.add(strip)
         self.doubts.extend(survey.finish(elevation, self.path))
         if source.transform.e > 0:
@@ -223,8 +224,10 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> tuple[CRS, f
     problem = ellipsoidal_problem(crs) or (named is not None and ellipsoidal_problem(named))
     if problem:
         raise RasterError(f"{path}: {problem}")
-    vertical = [float(axis.unit_conversion_factor) for axis in crs.axis_info[2:]]
-    return horizontal(crs), vertical[0] if vertical else None
+    vertical = crs.axis_info[2:]
+    if vertical and vertical[0].direction == "down":
+        raise RasterError(f"{path}: {crs.name} states depths, not heights; negate them (gdal_calc)")
+    return horizontal(crs), float(vertical[0].unit_conversion_factor) if vertical else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,9 +39,9 @@ _FAR_OFF = 50.0
 """Median difference in metres between two rasters of the same ground that no land datum explains, trees included."""
 _US_FOOT = 1200 / 3937
 _UNITS = {
-    r"m|met(er|re)s?": 1.0,
+    r"us[ _-]?(survey[ _])?(ft|foot|feet)|(ft|foot|feet)[ _(-]*us|sft|survey[ _](foot|feet)": _US_FOOT,
     r"(international[ _])?(ft|foot|feet)": 0.3048,
-    r"us[ _-]?(survey[ _])?(ft|foot|feet)|(ft|foot|feet)[ _-]?us|sft|(survey[ _])(foot|feet)": _US_FOOT,
+    r"m|met(er|re)s?": 1.0,
     r"mm|millimet(er|re)s?": 0.001,
     r"cm|centimet(er|re)s?": 0.01,
     r"dm|decimet(er|re)s?": 0.1,
@@ -52,8 +52,9 @@ _HEIGHT_WORDS = (
     r"elev\w*|dem|dtm|dsm|dhm|heights?|hgt|alt|altitude|z|ground|topo\w*|terrain|surface|bathymetry|orthometric"
 )
 _OTHER_WORDS = (
-    r"hill ?shad\w*|shad\w*|relief|slope|slp|aspect|asp|densit\w*|intensity|uncertaint\w*|roughness|tri|tpi|curvature|"
-    r"canopy|chm|ndsm|cover|fbfm\w*|fuel\w*|count|std\w*|sigma|errors?|quality|mask|red|green|blue|ndvi|class\w*|flow"
+    r"hill ?shad\w*|shad\w*|slope|slp|aspect|asp|densit\w*|intensity|uncertaint\w*|roughness|tri|tpi|curvature|"
+    r"canopy (height|cover|base|bulk|closure|density)|above ground|agl|hag|chm|ndsm|cover|fbfm\w*|fuel\w*|count|std\w*|"
+    r"sigma|errors?|quality|mask|red|green|blue|ndvi|class\w*|flow"
 )
 
 
@@ -93,10 +94,11 @@ def elevation_band(source: Any, path: Path | str) -> tuple[int, list[HeightsDoub
     if not heights and not open_:
         raise RasterError(f"{path}: its bands are {', '.join(name or '?' for name in names)}, none of them elevation")
     doubts = []
-    if not heights and len(open_) > 1:
-        text = f"{path}: none of its {source.count} bands says elevation; band {open_[0] + 1} is taken as such"
+    chosen = heights or open_
+    if len(chosen) > 1:
+        text = f"{path}: {len(chosen)} of its bands may be elevation; band {chosen[0] + 1} is taken as such"
         doubts.append(HeightsDoubt("band", text))
-    return (heights or open_)[0] + 1, doubts
+    return chosen[0] + 1, doubts
 
 
 def unit_of(source: Any, band: int, vertical: float | None, path: Path | str) -> float:
@@ -104,11 +106,11 @@ def unit_of(source: Any, band: int, vertical: float | None, path: Path | str) ->
     no length, and for a band that contradicts its CRS."""
     if np.issubdtype(np.dtype(source.dtypes[band - 1]), np.complexfloating):
         raise RasterError(f"{path}: band {band} is {source.dtypes[band - 1]}; elevation must be a real number")
-    stated = (source.units[band - 1] or "").strip()
+    stated = (source.units[band - 1] or "").strip(" []()")
     if stated.lower() in ("", "unknown", "none", "n/a"):
         return 1.0 if vertical is None else vertical
     size = next(
-        (size for word, size in _UNITS.items() if re.match(rf"({word})(?![a-z])(?![ _-]us)", stated, re.IGNORECASE)),
+        (size for word, size in _UNITS.items() if re.match(rf"({word})(?=$|[ ,;()])", stated, re.IGNORECASE)),
         None,
     )
     if size is None:
@@ -133,8 +135,6 @@ class HeightsSurvey:
     zero: bool = False
     nearest: float = math.inf
     """Absolute height nearest to 0, apart from 0 itself."""
-    counts: dict[float, int] = field(default_factory=dict)
-    """Number of cells by each value taken as nodata."""
 
     def add(self, strip: Float32Array) -> None:
         """Survey a strip (h, W) of heights in metres; NaN is unknown."""
@@ -161,16 +161,13 @@ class HeightsSurvey:
         Raises RasterError for other heights that no ground has.
         """
         marks, rest = self._marks()
+        doubts, counts = [], dict.fromkeys(sorted(marks), 0)
+        for strip in _strips(heights) if marks else ():
+            for value in counts:
+                counts[value] += int((strip == np.float32(value)).sum())
+                strip[strip == np.float32(value)] = np.nan
         if marks:
-            values = np.array(sorted(marks), np.float32)
-            for strip in _strips(heights):
-                found, count = np.unique(strip[np.isin(strip, values)], return_counts=True)
-                for value, cells in zip(found.tolist(), count.tolist(), strict=True):
-                    self.counts[value] = self.counts.get(value, 0) + cells
-                strip[np.isin(strip, values)] = np.nan
-        doubts = []
-        if self.counts:
-            told = ", ".join(f"{value:.6g} ({cells} cells)" for value, cells in list(self.counts.items())[:5])
+            told = ", ".join(f"{value:.6g} ({cells} cells)" for value, cells in counts.items())
             text = f"{path}: {told} cannot be ground there and is taken as nodata; declare it (gdal_edit -a_nodata)"
             doubts.append(HeightsDoubt("nodata", text))
         if rest:

@@ -63,8 +63,6 @@ def read_band(source: Any, band: int, window: Any = None) -> tuple[NDArray[Any],
     nodata = source.nodatavals[band - 1]
     if nodata is not None and not np.isnan(nodata):
         unknown |= values == (values.dtype.type(nodata) if values.dtype.kind == "f" else nodata)
-    if values.dtype.kind in "fc":
-        unknown |= ~np.isfinite(values)
     for number in source.indexes:
         if source.colorinterp[number - 1] == ColorInterp.alpha and number != band:
             unknown |= source.read(number, window=window) == 0
@@ -88,6 +86,10 @@ def _check_bands(source: Any, path: Path | str) -> None:
             f"{path}: {len(missing)} of its {len(source.files) - 1} files are missing, such as "
             f"{', '.join(missing[:3])}; copy them there, or make it again (gdalbuildvrt)"
         )
+    for part in source.files[1:] if source.driver == "VRT" else ():
+        if part.lower().endswith(".vrt"):
+            with open_raster(part):
+                pass
 
 
 def _check_rows(source: Any, path: Path | str) -> None:

@@ -126,7 +126,8 @@ def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, s
     unknown = float((landscape.bands == NODATA).any(axis=0).mean())
     if unknown > MOST_NODATA:
         raise RasterError(
-            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: {_gaps(landscape)}"
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: "
+            + _gaps(landscape)
         )
     write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)

@@ -86,6 +86,7 @@ def test_nodata_counts_beside_a_mask_and_alpha(tmp_path: Path) -> None:
     [
         *(("m", 1.0), ("Metre", 1.0), ("meters", 1.0), ("METERS", 1.0), ("m (NAVD88)", 1.0), ("unknown", 1.0)),
         *(("ft", 0.3048), ("Feet", 0.3048), ("foot", 0.3048), ("US survey foot", 1200 / 3937), ("ftUS", 1200 / 3937)),
+        *(("[m]", 1.0), ("m a.s.l.", 1.0), ("feet (US)", 1200 / 3937)),
         *(("us-ft", 1200 / 3937), ("cm", 0.01), ("dm", 0.1), ("decimetres", 0.1), ("km", 1000.0), ("mm", 0.001)),
     ],
 )
@@ -110,6 +111,7 @@ OTHER = (COLS % 7).astype(np.float64)
         ((OTHER, GROUND), ("hillshade", None)),
         ((OTHER, OTHER, GROUND), ("slope_deg", "aspect", "DTM_1m")),
         ((GROUND,), ("Band 1",)),
+        ((GROUND,), ("Canopy surface (DSM)",)),
     ],
 )
 def test_the_band_that_says_elevation(tmp_path: Path, bands: Any, descriptions: Any) -> None:
@@ -138,6 +140,10 @@ def hillshade(cell: float) -> np.ndarray:
         ((GROUND.astype(np.uint8), GROUND.astype(np.uint8), GROUND.astype(np.uint8)), {}),  # terrain-RGB, an ortho
         ((GROUND,), {"descriptions": ("Hillshade",)}),
         ((GROUND,), {"descriptions": ("canopy_height",)}),
+        ((GROUND,), {"descriptions": ("Height above ground",)}),
+        *(((GROUND,), {"units": (unit,)}) for unit in ("percent", "m/s", "m*10", "degree")),
+        ((GROUND,), {"crs": "EPSG:32611+5715"}),  # depths
+        ((GROUND,), {"crs": "EPSG:32611+6360", "units": ("m",)}),  # of which only one can be right
         ((GROUND.astype(np.complex64),), {}),
         ((GROUND / 0.3048 * 4,), {}),  # 11,000 to 15,700: no ground in metres
         ((holed(-20_000.0, GROUND - 40.0 * np.clip(COLS - 20, 0, None) ** 2),), {}),
@@ -180,8 +186,8 @@ def test_low_ground_in_eight_bits(tmp_path: Path, kind: str) -> None:
 def test_a_stack_whose_coarser_raster_is_in_feet(tmp_path: Path) -> None:
     fine = write(tmp_path / "fine.tif", GROUND[8:30, 10:50], transform=from_origin(400_300, 3_799_760, 30, 30))
     for factor in (1 / 0.3048, 10.0, 100.0):
+        write(tmp_path / "coarse.tif", (GROUND * factor).clip(None, 8_900))
         with pytest.raises(RasterError, match=r"coarse\.tif"):
-            write(tmp_path / "coarse.tif", (GROUND * factor).clip(None, 8_900))
             DemStack.open(fine, None, (tmp_path / "coarse.tif", None))
     shifted = open_terrain([(fine, None), (write(tmp_path / "coarse.tif", GROUND + 80.0), None)])
     assert [doubt.code for doubt in shifted.doubts] == ["shift"]
@@ -234,7 +240,9 @@ def test_surfaces(tops: np.ndarray, wrong: bool | None) -> None:
 
 def test_a_mosaic_names_the_file_that_it_lacks(tmp_path: Path) -> None:
     write(tmp_path / "east.tif", GROUND)
-    source = "<SimpleSource><SourceFilename relativeToVRT='1'>{}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+    source = (
+        "<SimpleSource><SourceFilename relativeToVRT='1'>{}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+    )
     (tmp_path / "d.vrt").write_text(
         "<VRTDataset rasterXSize='60' rasterYSize='40'><SRS>EPSG:32611</SRS><GeoTransform>400000,30,0,3800000,0,-30"
         "</GeoTransform><VRTRasterBand dataType='Float32' band='1'>"
