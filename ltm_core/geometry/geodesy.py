@@ -53,6 +53,7 @@ def horizontal(crs: CRS) -> CRS:
     return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
 
+@lru_cache(maxsize=64)
 def same_crs(a: Any, b: Any) -> bool:
     """Return whether two CRSs, in any notation, give a place on the map the same coordinates.
 

@@ -55,13 +55,18 @@ class _Heights:
         band, doubts = elevation_band(source, path)
         return cls(source, path, band, unit_of(source, band, vertical, path), crs, doubts)
 
+    @property
+    def resolution(self) -> float:
+        """Return the cell size in metres, roughly."""
+        return float(abs(self.source.transform.a)) * (1 if self.crs.is_projected else _DEGREE)
+
     def read(self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None) -> Float32Array:
         """Return a window in metres, NaN where unknown, north up if it is the whole."""
         height, width = height or self.source.height, width or self.source.width
         check_size(self.source, self.path, height, width)
         elevation = np.empty((height, width), np.float32)
         self.fill(elevation, row0, col0)
-        return elevation
+        return self.judged(elevation)
 
     def fill(self, elevation: Float32Array, row0: int = 0, col0: int = 0) -> None:
         """Read strip by strip, so that only the result is held as a whole. Raises RasterError: impossible heights."""
@@ -71,7 +76,7 @@ class _Heights:
         scale, offset = (v[self.band - 1] * self.unit for v in (source.scales, source.offsets))
         blocks = source.block_shapes[self.band - 1][0]
         rows = max(blocks, _ROWS // blocks * blocks)
-        survey = HeightsSurvey(abs(source.transform.a) * (1 if self.crs.is_projected else _DEGREE))
+        survey = HeightsSurvey(self.resolution)
         for start in range(0, height, rows):
             count = min(rows, height - start)
             values, unknown = read_band(source, self.band, Window(col0, row0 + start, width, count))
@@ -84,11 +89,11 @@ class _Heights:
         if source.transform.e > 0:
             _turn(elevation)
 
-    def judge(self, elevation: Float32Array, resolution: float) -> None:
-        """Doubt the relief of heights that were read. Raises RasterError if it is no ground's."""
-        doubt = doubt_of_relief(elevation, resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
-        if doubt is not None:
-            self.doubts.append(doubt.required())
+    def judged(self, elevation: Float32Array) -> Float32Array:
+        """Return heights that were read. Raises RasterError if their relief is no ground's."""
+        doubt = doubt_of_relief(elevation, self.resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
+        self.doubts.extend([] if doubt is None else [doubt.required()])
+        return elevation
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
@@ -110,8 +115,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
         if problem is not None:
             raise RasterError(f"{path}: {problem}")
         prepared = map_heights(path, source)
-        elevation = heights.read() if prepared is None else prepared
-        heights.judge(elevation, t.a)
+        elevation = heights.read() if prepared is None else heights.judged(prepared)
     return elevation, geometry, tuple(heights.doubts)
 
 
@@ -173,7 +177,6 @@ def read_around(
             dst_nodata=np.nan,
             resampling=Resampling.bilinear,
         )
-        heights.judge(elevation, part.resolution)
     return elevation, part, tuple(heights.doubts)
 
 

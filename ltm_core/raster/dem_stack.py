@@ -4,21 +4,15 @@ Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neithe
 rasters of falling resolution, each within the next; a point belongs to the finest that is over it. Tracing, lines of
 sight, footprints and votes take a stack wherever they take a `Dem`.
 
-Two surveys of the same ground differ by decimetres to tens of metres (age, datum, smoothing by the coarse cells). The
-fine level is therefore fitted into the coarser one, once, when a stack is made:
+Two surveys of the same ground differ by decimetres to tens of metres. A fine level is therefore fitted into the coarser
+one, once, when a stack is made:
 
 * **Holes** (NaN nodes, at the raster's margin too) take the coarser surface plus the difference of the two at the
   hole's rim: d = sum(d_k / r_k) / sum(1 / r_k) over the four directions along the grid, with d_k the difference at the
-  first known node and r_k its distance; towards a direction in which the raster ends first, d_k is 0 at its edge. This
-  is the delta surface fill of Grohman, Kroenung and Strebeck (2006), Photogrammetric Engineering & Remote Sensing
-  72(3), with weights along the grid.
-* **The border**: within a band of `BAND` coarse cells the fine heights give way to the coarser surface in proportion to
-  the distance from the edge, and are equal to it on the outermost nodes.
-
-So on the border both surfaces agree at every fine node, to the rounding of float32; between two fine nodes the coarser
-surface may bend where one of its grid lines crosses the border, by at most a quarter of a fine cell times the change of
-slope there. The small step that remains is treated as a wall: a ray that comes to it below its upper edge ends there,
-so none slips through.
+  first known node, or 0 at the raster's edge, and r_k its distance. This is the delta surface fill of Grohman, Kroenung
+  and Strebeck (2006), Photogrammetric Engineering & Remote Sensing 72(3).
+* **The border**: within `BAND` coarse cells the fine heights give way to the coarser surface in proportion to the
+  distance from the edge. The small step that may remain between two fine nodes is a wall: no ray slips through.
 """
 
 from __future__ import annotations
@@ -44,10 +38,8 @@ _lock = threading.Lock()
 
 
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
-    """Return the result of `read` for the files at `paths`, shared while it is in use and no file has changed.
-
-    `way`: all other inputs of the result. A shared terrain must not be modified. Errors are those of `read`.
-    """
+    """Return the result of `read` for the files at `paths`, shared in this process while it is in use and no file has
+    changed. `way`: all other inputs. A shared terrain must not be modified. Errors are those of `read`."""
     with _lock:
         try:
             key: Hashable = (way, *(_state(path) for path in paths))
@@ -77,12 +69,8 @@ class DemStack(Dem):
     """Rasters in one CRS, finest first, each within the next but for a cell of that.
 
     It is a `Dem` whose `elevation` and `geometry` are its finest level's, and which goes on beyond that level's edge.
-
-    Args:
-        levels: finest first; two or more. They are not changed: those that have to be fitted are copied.
-
-    Raises RasterError: fewer than two levels, not in order of resolution, in different CRSs, or one that reaches
-    beyond the next.
+    The given levels are not changed. Raises RasterError: fewer than two levels, not in order of resolution, in
+    different CRSs, or one that reaches beyond the next.
     """
 
     coarser: tuple[Dem, ...]
