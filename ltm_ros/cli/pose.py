@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite, open_dems, print_table
+from ltm_ros.cli.output import Overwrite, print_table
 
 _SHARED = {"out", "overwrite"}
 _OF_POINTS = {"gcps", "first_pixel", "sigma_px"}
@@ -208,6 +208,7 @@ def _photos(
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
+    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.tracing.trace_io import GuessConfig
     from ltm_ros.cli.pose_photo import PhotoOptions, guesses_of, search_photos, write_photos
@@ -220,7 +221,7 @@ def _photos(
     else:
         assert pose_guess is not None  # nosec B101 # tells the type checker what holds
         guesses = {photo: load_yaml(pose_guess, GuessConfig)}
-    terrain = open_dems(dem, crs)
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])])
     options = PhotoOptions(labels, model, tuple(_names(free)), canopy, mount, mask)
     found = search_photos(guesses, terrain, options)
     write_photos(found, out, picture, report, poses is not None)

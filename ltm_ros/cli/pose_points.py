@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ltm_ros.cli.output import open_dems, print_table
+from ltm_ros.cli.output import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,11 +44,12 @@ def fit_to_points(
         write_pose,
         write_report,
     )
+    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.tracing.trace_io import GuessConfig
 
     guess = load_yaml(pose_guess, GuessConfig)
-    terrain = open_dems(dem, crs) if dem else None
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
     setup = set_up_resection(guess, terrain, crs)
     result = resect(
         read_control_points(gcps, setup.frame, first_pixel),
