@@ -208,7 +208,7 @@ def _strips(heights: Float32Array) -> Any:
 def doubt_of_relief(heights: Float32Array, resolution: float, byte: bool, path: Path | str) -> HeightsDoubt | None:
     """Return why heights (H, W) may be in another unit, or an image (`byte`: stored in 8 bits); None if they are
     plausible. Only mountains show a unit: hills in feet are as steep as mountains in metres."""
-    rows = heights[:: max(1, len(heights) // 200)]
+    rows = heights[:: max(1, len(heights) // 100)]
     step = np.abs(np.diff(rows, axis=1))
     known = np.isfinite(step)
     if known.sum() < 20 * _LEAST_CELLS:
