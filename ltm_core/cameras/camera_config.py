@@ -11,14 +11,13 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from pyproj import Transformer
-from pyproj.exceptions import CRSError
 
 from ltm_core.base.errors import ConfigError, PoseError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.geometry.camera import MOST_A_SIDE, Camera
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import SiteFrame, same_crs
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.raster.dem import Dem
 
@@ -229,7 +228,7 @@ class PlacedPose(PartialPose):
         """Return the place as stated, with its coordinates in the frame's CRS if these differ. Raises as `xy`."""
         stated, crs = ((self.x, self.y), self.crs) if self.lon is None else ((self.lon, self.lat), "EPSG:4326")
         given = f"({stated[0]:.10g}, {stated[1]:.10g})"
-        if crs is None or crs == frame.crs:
+        if crs is None or same_crs(crs, frame.crs):
             return given
         x, y = self.xy(frame) or (0.0, 0.0)
         return f"{given} in {crs}, that is ({x + frame.x_origin:.0f}, {y + frame.y_origin:.0f}) in {frame.crs}"
@@ -269,13 +268,9 @@ class PoseConfig(PlacedPose):
 
 
 def _transformed(x: float, y: float, source: str, target: str) -> tuple[float, float]:
-    if source == target:
+    if same_crs(source, target):
         return x, y
-    try:
-        transformer = Transformer.from_crs(source, target, always_xy=True)
-    except CRSError as error:
-        raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
-    moved = transformer.transform(x, y)
+    moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     if not np.isfinite(moved).all():
         raise PoseError(
             f"position ({x}, {y}) in {source} cannot be converted to {target}; with EPSG:4326 give longitude first"

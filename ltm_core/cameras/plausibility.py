@@ -1,4 +1,4 @@
-"""Detect values in another unit: angles of poses in radians or gon, heights of cameras and DEMs in feet.
+"""Detect values in another unit: angles of poses in radians or gon, heights of cameras in feet.
 
 An angle off the circle is an error. Possible but unlikely values give a warning in words; each bound states its rate of
 false warnings.
@@ -10,10 +10,7 @@ import math
 from collections.abc import Collection
 from typing import Annotated
 
-import numpy as np
 from pydantic import AfterValidator
-
-from ltm_core.base.types import Float32Array, Float64Array
 
 FOOT = 0.3048
 """One foot in metres."""
@@ -95,53 +92,3 @@ def doubt_of_height(z: float, ground: float) -> str | None:
         f"z = {z:g} m is {-above:.2f} m under the ground, which is at {ground:.2f} m: check its height, the vertical "
         "datum (ellipsoidal or geoid) and the position"
     )
-
-
-HIGHEST, LOWEST = 8_900.0, -500.0
-"""Highest and lowest ground on Earth in metres."""
-_STEEP = 0.8
-"""Maximum median slope along rows, in metres per metre. Half of the slopes in the Alps are below 0.45; with heights in
-feet, below 1.5."""
-_LEAST_CELLS = 50
-_ALIKE = 0.08
-"""Relative tolerance of a ratio of heights around that of feet to metres."""
-_FAR_OFF = 50.0
-"""Median difference in metres between two rasters of the same ground that no land datum explains, trees included."""
-
-
-def doubt_of_dem(elevation: Float32Array, resolution: float) -> str | None:
-    """Return why a DEM's heights (H, W) in metres may be in feet; None if they are plausible.
-
-    Only mountains show it: hills in feet are as steep as mountains in metres.
-    """
-    low, high = float(np.nanmin(elevation)), float(np.nanmax(elevation))
-    if high > HIGHEST or low < LOWEST:
-        return (
-            f"heights are {low:.0f} to {high:.0f} m, ground is {LOWEST:.0f} to {HIGHEST:.0f} m: convert feet to "
-            "metres, and declare the value that stands for nodata"
-        )
-    rows = elevation[:: max(1, elevation.shape[0] // 500)]
-    rise = np.abs(np.diff(rows, axis=1)) / resolution
-    if resolution < 5.0 or not np.isfinite(rise).any() or float(np.nanmedian(rise)) <= _STEEP:
-        return None
-    return (
-        f"half of the ground is steeper than {math.degrees(math.atan(float(np.nanmedian(rise)))):.0f} degrees: if its "
-        "heights are feet, convert them to metres"
-    )
-
-
-def doubt_of_heights(heights: Float64Array, others: Float64Array, name: str) -> str | None:
-    """Return why heights in metres do not match those of another raster of the same places, called `name`; None if they
-    do, or if too few are known in both."""
-    known = np.isfinite(heights) & np.isfinite(others) & (np.abs(others) > 20) & (np.abs(heights) > 20)
-    if known.sum() < _LEAST_CELLS:
-        return None
-    ratio = float(np.median(heights[known] / others[known]))
-    apart = float(np.median(np.abs(heights[known] - others[known])))
-    if abs(ratio * FOOT - 1) < _ALIKE:
-        return f"is {ratio:.2f} times as high as {name}: its heights are feet, convert them to metres"
-    if abs(ratio / FOOT - 1) < _ALIKE:
-        return f"is {ratio:.2f} times as high as {name}, whose heights may be feet: convert them to metres"
-    if apart > _FAR_OFF:
-        return f"is {apart:.0f} m off {name} in the median: check place, unit and datum of both"
-    return None

@@ -29,6 +29,7 @@ from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.export.landscape_io import write_raster
 from ltm_core.fuel.fuel_bands_io import CODES, POSITIONS, FuelBand, file_bands
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
+from ltm_core.geometry.geodesy import MOST_EXPORTED, map_problem, read_crs, same_crs, scale_problem
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import open_raster
 
@@ -214,6 +215,9 @@ def read_landscape(path: Path) -> Landscape:
                 "`ltm export --crs EPSG:...`, and keep the .prj beside an LCP"
             )
         geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
+        problem = map_problem(read_crs(source.crs)) or scale_problem(source.crs, geometry, MOST_EXPORTED)
+        if problem is not None:
+            raise RasterError(f"{path}: {problem}")
     read, _ = in_landfire_units((band, read_band(band)) for band in bands.values())
     codes = read.pop(bands["codes"].quantity)
     stack = np.stack([codes if name == "codes" else read[name] for name in POSITIONS])
@@ -229,13 +233,11 @@ def _without_fbfm13(source: Any, path: Path) -> list[FuelBand]:
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:
     """Raise ConfigError unless both are on one grid."""
-    from pyproj import CRS
-
     a, b = before.geometry, after.geometry
-    if CRS(a.crs) != CRS(b.crs):
+    if not same_crs(a.crs, b.crs):
         raise ConfigError(
-            f"{names[0]} is in {CRS(a.crs).name}, {names[1]} in {CRS(b.crs).name}: cells cannot be compared; export "
-            "both into one CRS with `ltm export --crs`"
+            f"{names[0]} is in {read_crs(a.crs).name}, {names[1]} in {read_crs(b.crs).name}: cells cannot be compared; "
+            "export both into one CRS with `ltm export --crs`"
         )
     same = (a.x_min, a.y_max, a.resolution, a.shape) == (b.x_min, b.y_max, b.resolution, b.shape)
     if not same:

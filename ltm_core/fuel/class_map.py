@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import ConfigError, ImageError, RasterError
 from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import MOST_EXPORTED, SiteFrame, scale_problem
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.raster_io import check_size, open_raster, write_geotiff
 from ltm_core.storage.disk_io import written_whole
@@ -149,18 +149,30 @@ def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
     return classes, geometry
 
 
+def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridGeometry:
+    """Return the grid of the same resolution over `geometry` in another CRS, edges at phase mod resolution, as
+    LANDFIRE's in EPSG:5070. Raises ConfigError for a CRS that is unknown, no map's, or distorts areas and slopes."""
+    from rasterio.warp import transform_bounds
+
+    SiteFrame(crs)
+    if geometry.crs is None:
+        raise ConfigError("a fuel grid without a CRS cannot be reprojected")
+    snapped = GridGeometry.snapped(
+        transform_bounds(geometry.crs, crs, *geometry.bounds), geometry.resolution, phase, crs
+    )
+    problem = scale_problem(crs, snapped, MOST_EXPORTED)
+    if problem is not None:
+        raise ConfigError(f"--crs {crs}: areas and slopes would be wrong: {problem}")
+    return snapped
+
+
 def resampled(
     classes: UInt8Array, geometry: GridGeometry, crs: str, phase: float = 15.0
 ) -> tuple[UInt8Array, GridGeometry]:
-    """Return the map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
+    """Return the map by nearest cell on the grid of `snapped_grid`, with its errors."""
+    from rasterio.warp import Resampling, reproject
 
-    EPSG:5070 gives LANDFIRE's grid. Raises ConfigError where `crs` is unknown or not projected in metres.
-    """
-    from rasterio.warp import Resampling, reproject, transform_bounds
-
-    SiteFrame(crs)  # cells of 30 degrees or feet would be no map
-    bounds = transform_bounds(geometry.crs, crs, *geometry.bounds)
-    target = GridGeometry.snapped(bounds, geometry.resolution, phase, crs)
+    target = snapped_grid(geometry, crs, phase)
     result = np.full(target.shape, UNSEEN, np.uint8)
     reproject(
         classes,

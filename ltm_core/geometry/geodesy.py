@@ -1,25 +1,27 @@
-"""Convert geographic coordinates to the site's map frame and back; compute the sun's elevation.
+"""Read, check and compare CRSs; convert coordinates and north references; compute the sun's elevation.
 
-Conversions between geographic coordinates and the site's map frame, of north references and of height systems.
-
-Compass north, true north and grid north are three things; this is the one place that converts between them. Heights are
-ellipsoidal or orthometric.
+Compass north, true north and grid north are three things; this is the one place that converts between them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from datetime import date
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
-from pyproj.exceptions import CRSError
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+from pyproj.exceptions import CRSError, ProjError
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array
+from ltm_core.geometry.grid import GridGeometry
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the WGS 84 ellipsoid in metres (IUGG R1)."""
@@ -36,12 +38,127 @@ def ray_bend(curvature: bool, refraction: float) -> float:
     return (1 - refraction) / (2 * EARTH_RADIUS) if curvature else 0.0
 
 
+def read_crs(text: Any) -> CRS:
+    """Return the CRS of a code, a PROJ string, WKT or another library's object. Raises ConfigError if it is unknown."""
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise ConfigError(f"unknown CRS {str(text)!r}: give an EPSG code such as EPSG:32611 ({error})") from error
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Return the horizontal part of a CRS: lidar DEMs often have a compound CRS, a site does not."""
+    if crs.is_compound:
+        return crs.sub_crs_list[0]
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
+
+
+@lru_cache(maxsize=64)
+def same_crs(a: Any, b: Any) -> bool:
+    """Return whether two CRSs, in any notation, give a place on the map the same coordinates.
+
+    Heights, names, the order of axes and a stated shift to WGS 84 do not matter. A datum that is stated only as an
+    ellipsoid equals every datum on that ellipsoid; two named datums are equal only if PROJ says so. None equals None.
+    """
+    if a is None or b is None or str(a) == str(b):
+        return (a is None) == (b is None)
+    first, second = (_unbound(horizontal(read_crs(crs))) for crs in (a, b))
+    if first.equals(second, ignore_axis_order=True):
+        return True
+    base, other = first.geodetic_crs, second.geodetic_crs
+    if not (first.is_projected and second.is_projected and base and other):
+        return False
+    unnamed = any("unknown" in str(crs.datum and crs.datum.name).lower() for crs in (base, other))
+    if not unnamed and not base.equals(other, ignore_axis_order=True):
+        return False
+    lon, lat = np.meshgrid(np.arange(-180.0, 180.0, 7.0), np.arange(-85.0, 90.0, 7.0))
+    places = np.array([Proj(crs)(lon, lat) for crs in (first, second)])
+    there = np.isfinite(places).all(axis=(0, 1))
+    return bool(there.any() and np.ptp(places[:, :, there], axis=0).max() < 1e-3)
+
+
+def _unbound(crs: CRS) -> CRS:
+    return crs.source_crs if crs.is_bound and crs.source_crs is not None else crs
+
+
+def name_of(crs: CRS) -> str:
+    """Return `EPSG:...` if the CRS has such a code, else WKT. A code that PROJ only guesses is not taken."""
+    for candidate in (crs, _unbound(crs)):
+        authority = candidate.to_authority()
+        if authority and CRS(":".join(authority)).equals(candidate, ignore_axis_order=True):
+            return ":".join(authority)
+    return str(crs.to_wkt())
+
+
+def map_problem(crs: CRS) -> str | None:
+    """Return why a CRS cannot be a map's, and what to do; None if it is projected, in metres, with x east and y north,
+    and states no heights above the ellipsoid."""
+    if not crs.is_projected or any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info[:2]):
+        return f"{crs.name} is not projected in metres; use one that is, such as the UTM zone (gdalwarp -t_srs)"
+    directions = {axis.direction for axis in crs.axis_info[:2]}
+    if not directions <= {"east", "north"} and len(directions) > 1:
+        return (
+            f"axes of {crs.name} point {' and '.join(sorted(directions))}; use a CRS with x east and y north, such as "
+            "the UTM zone (gdalwarp -t_srs)"
+        )
+    return ellipsoidal_problem(crs)
+
+
+def ellipsoidal_problem(crs: CRS) -> str | None:
+    """Return that the heights of a CRS are above the ellipsoid, and what to do; None if they are not, or not stated."""
+    vertical = crs.sub_crs_list[1] if crs.is_compound and len(crs.sub_crs_list) > 1 else None
+    if vertical is None:
+        above = len(crs.axis_info) > 2
+    else:
+        above = "ellipsoid" in f"{vertical.name} {vertical.datum and vertical.datum.name}".lower()
+    if not above:
+        return None
+    flat = name_of(horizontal(crs))
+    return (
+        f"heights of {crs.name} are above the ellipsoid, up to 100 m off those above sea level; convert them (gdalwarp "
+        f"-t_srs {flat}+3855, with PROJ's geoid grids), or, if cameras have such heights too, state only {flat}"
+    )
+
+
+MOST_DISTORTION, MOST_EXPORTED = 0.002, 0.02
+"""Maximum relative error of distances on a site's map and on exported grids. UTM has 0.0004 on its central meridian,
+LANDFIRE's Albers up to 0.013 in the United States."""
+
+
+def scale_problem(crs: Any, geometry: GridGeometry, most: float = MOST_DISTORTION) -> str | None:
+    """Return why distances over a raster in a projected CRS are wrong by more than the share `most`, with a suitable
+    CRS; None if they are not. They are compared at its corners, its centre and the middles of its sides."""
+    projection = Proj(_unbound(horizontal(read_crs(crs))))
+    x, y = (np.linspace(low, high, 3) for low, high in zip(geometry.bounds[:2], geometry.bounds[2:], strict=True))
+    lon, lat = (np.ravel(v) for v in projection(*np.meshgrid(x, y), inverse=True))
+    worst, at = 0.0, 0
+    for k, place in enumerate(zip(lon, lat, strict=True)):
+        off = math.inf
+        if np.isfinite(place).all():
+            with contextlib.suppress(ProjError):
+                factors = projection.get_factors(*place)
+                off = max(abs(factors.tissot_semimajor - 1), abs(factors.tissot_semiminor - 1))
+        if not off <= worst:
+            worst, at = off, k
+    if worst <= most:
+        return None
+    name = read_crs(crs).name
+    if not math.isfinite(worst):
+        return f"{name} is not defined there; use the UTM zone of the place"
+    zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon[at], lat[at], lon[at], lat[at]), contains=True)
+    suitable = f"EPSG:{zones[0].code}" if zones else "a projection with true scale there"
+    return (
+        f"distances in {name} are up to {worst:.2%} wrong at {lat[at]:.3f}, {lon[at]:.3f} (at most {most:.1%} is "
+        f"allowed); use {suitable} (gdalwarp -r bilinear -t_srs {suitable})"
+    )
+
+
 @dataclass(frozen=True)
 class SiteFrame:
     """The map frame of a site: a projected CRS in metres minus an origin; z stays orthometric.
 
-    With an origin near the site, float32 coordinates keep millimetres. Raises ConfigError where the CRS is unknown,
-    geographic, or not in metres.
+    With an origin near the site, float32 coordinates keep millimetres. Raises ConfigError where the CRS is unknown or
+    not a map's (see `map_problem`).
     """
 
     crs: str
@@ -49,14 +166,9 @@ class SiteFrame:
     y_origin: float = 0.0
 
     def __post_init__(self) -> None:
-        try:
-            crs = CRS.from_user_input(self.crs)
-        except CRSError as error:
-            raise ConfigError(f"unknown CRS {self.crs!r}: give an EPSG code such as EPSG:32611 ({error})") from error
-        if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
-            raise ConfigError(
-                f"a site needs a projected CRS in metres, such as its UTM zone; {self.crs!r} is {crs.name}"
-            )
+        problem = map_problem(read_crs(self.crs))
+        if problem is not None:
+            raise ConfigError(f"CRS {self.crs!r}: {problem}")
 
     def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """WGS 84 degrees to map (x, y)."""

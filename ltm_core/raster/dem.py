@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,94 +11,185 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
-from ltm_core.base.errors import RasterError
+from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.base.types import Float32Array, Float64Array
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import (
+    SiteFrame,
+    ellipsoidal_problem,
+    horizontal,
+    map_problem,
+    name_of,
+    read_crs,
+    same_crs,
+    scale_problem,
+)
 from ltm_core.geometry.grid import GridGeometry
+from ltm_core.raster.heights_check import HeightsDoubt, HeightsSurvey, doubt_of_relief, elevation_band, unit_of
 from ltm_core.raster.prepared_heights_io import map_heights, write_heights
-from ltm_core.raster.raster_io import check_size, open_raster
+from ltm_core.raster.raster_io import check_size, open_raster, read_band
 
 Bounds = tuple[float, float, float, float]
 
+_DEGREE = 111_000.0
+"""One degree of latitude in metres."""
 _ROWS = 256
 """Number of rows read at a time, or the height of the file's blocks if that is larger."""
-_TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -scale 0 1 0 0.3048 -a_srs EPSG:...)"
 
 
-def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
-    """Read band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
+@dataclass(frozen=True)
+class _Heights:
+    """The band of an open raster that has its elevations."""
 
-    The prepared heights of a large raster are mapped (see `prepared_heights_io`).
-    """
+    source: Any
+    path: Path | str
+    band: int
+    unit: float
+    """Unit of the stored values in metres."""
+    crs: CRS
+    doubts: list[HeightsDoubt]
+
+    @classmethod
+    def of(cls, source: Any, path: Path | str, given: str | None) -> _Heights:
+        """Raises RasterError if the file has no heights in a known unit above sea level, or no CRS."""
+        crs, vertical = _crs_of(source.crs, given, path)
+        band, doubts = elevation_band(source, path)
+        return cls(source, path, band, unit_of(source, band, vertical, path), crs, doubts)
+
+    @property
+    def resolution(self) -> float:
+        """Return the cell size in metres, roughly."""
+        return float(abs(self.source.transform.a)) * (1 if self.crs.is_projected else _DEGREE)
+
+    def read(self, row0: int = 0, col0: int = 0, height: int | None = None, width: int | None = None) -> Float32Array:
+        """Return a window in metres, NaN where unknown, north up if it is the whole."""
+        height, width = height or self.source.height, width or self.source.width
+        check_size(self.source, self.path, height, width)
+        elevation = np.empty((height, width), np.float32)
+        self.fill(elevation, row0, col0)
+        return self.judged(elevation)
+
+    def fill(self, elevation: Float32Array, row0: int = 0, col0: int = 0) -> None:
+        """Read strip by strip, so that only the result is held as a whole. Raises RasterError: impossible heights."""
+        from rasterio.windows import Window
+
+        source, (height, width) = self.source, elevation.shape
+        scale, offset = (v[self.band - 1] * self.unit for v in (source.scales, source.offsets))
+        blocks = source.block_shapes[self.band - 1][0]
+        rows = max(blocks, _ROWS // blocks * blocks)
+        survey = HeightsSurvey(self.resolution)
+        for start in range(0, height, rows):
+            count = min(rows, height - start)
+            values, unknown = read_band(source, self.band, Window(col0, row0 + start, width, count))
+            strip = elevation[start : start + count]
+            with np.errstate(over="ignore"):
+                strip[...] = values if (scale, offset) == (1.0, 0.0) else values.astype(np.float64) * scale + offset
+            strip[unknown | ~np.isfinite(strip)] = np.nan
+            survey.add(strip)
+        self.doubts.extend(survey.finish(elevation, self.path))
+        if source.transform.e > 0:
+            _turn(elevation)
+
+    def judged(self, elevation: Float32Array) -> Float32Array:
+        """Return heights that were read. Raises RasterError if their relief is no ground's."""
+        doubt = doubt_of_relief(elevation, self.resolution, self.source.dtypes[self.band - 1] == "uint8", self.path)
+        self.doubts.extend([] if doubt is None else [doubt.required()])
+        return elevation
+
+
+def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
+    """Read the elevations of a raster, (H, W) float32 metres, north up, NaN where unknown, their geometry, and what may
+    be wrong; see `Dem.open`. The prepared heights of a large raster are mapped (see `prepared_heights_io`)."""
     with open_raster(path) as source:
-        stated = _crs_of(source.crs, crs, path)
-        if not stated.is_projected or {axis.unit_name for axis in stated.axis_info[:2]} != {"metre"}:
-            raise RasterError(
-                f"{path}: a DEM must be projected in metres, {stated.name} is not; warp it first (gdalwarp)"
-            )
-        _check_heights(source, path)
+        heights = _Heights.of(source, path, crs)
+        problem = map_problem(heights.crs)
+        if problem is not None:
+            raise RasterError(f"{path}: {problem}")
         t = source.transform
         if t.b or t.d:
             raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
         if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
             raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
+        y_max = t.f if t.e < 0 else t.f + source.height * t.e
+        geometry = GridGeometry(t.c, y_max, t.a, source.width, source.height, name_of(heights.crs))
+        problem = scale_problem(heights.crs, geometry)
+        if problem is not None:
+            raise RasterError(f"{path}: {problem}")
         prepared = map_heights(path, source)
-        elevation = _read(source, path) if prepared is None else prepared
-    height, width = elevation.shape
-    y_max = t.f if t.e < 0 else t.f + height * t.e
-    return elevation, GridGeometry(t.c, y_max, t.a, width, height, name_of(stated))
+        elevation = heights.read() if prepared is None else heights.judged(prepared)
+    return elevation, geometry, tuple(heights.doubts)
 
 
-def prepare_heights(path: Path | str) -> Path | None:
+def prepare_heights(path: Path | str, crs: str | None = None) -> Path | None:
     """Decode a large raster once for later reads; return the file, None if it exists already or is not needed.
 
     Raises RasterError: not readable; OSError: no file can be written beside it.
     """
     with open_raster(path) as source:
         check_size(source, path, source.height, source.width)
-        scaling = source.scales[0], source.offsets[0]
-        return write_heights(path, source, lambda heights: _fill(heights, source, 0, 0, scaling))
+        return write_heights(path, source, _Heights.of(source, path, crs).fill)
 
 
-def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
-    """Read band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped if its
-    own grid differs; degrees are allowed.
+def read_around(
+    path: Path | str, crs: str | None, target: str, bounds: Bounds
+) -> tuple[Float32Array, GridGeometry, tuple[HeightsDoubt, ...]]:
+    """Read elevations as `read_heights` does, over `bounds` (x_min, y_min, x_max, y_max) in the CRS `target`, warped
+    bilinearly if their own grid differs; degrees are allowed.
 
-    Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
+    Raises RasterError: not readable, no CRS, or nothing of it within the bounds.
     """
+    from rasterio import Affine
     from rasterio.enums import Resampling
-    from rasterio.vrt import WarpedVRT
-    from rasterio.warp import calculate_default_transform
+    from rasterio.warp import calculate_default_transform, reproject, transform_bounds
+    from rasterio.windows import Window
 
     with open_raster(path) as source:
-        stated = _crs_of(source.crs, crs, path)
-        _check_heights(source, path)
-        t = source.transform
-        there = CRS.from_user_input(target)
-        if stated == there and not (t.b or t.d) and t.a > 0 and t.e < 0 and np.isclose(t.a, -t.e, rtol=1e-6):
-            own = GridGeometry(t.c, t.f, t.a, source.width, source.height, name_of(stated))
+        heights = _Heights.of(source, path, crs)
+        t, there = source.transform, read_crs(target)
+        upright = not (t.b or t.d) and t.a > 0 and t.e < 0
+        if same_crs(heights.crs, there) and upright and np.isclose(t.a, -t.e, rtol=1e-6):
+            own = GridGeometry(t.c, t.f, t.a, source.width, source.height, target)
             part = _part_within(own, bounds, path)
             row, col = (round(float(v)) for v in own.to_grid(*part.to_map(0, 0)))
-            return _read(source, path, row, col, part.height, part.width), part
-        onto, width, height = calculate_default_transform(
-            stated.to_wkt(), there.to_wkt(), source.width, source.height, *source.bounds
-        )
+            return heights.read(row, col, part.height, part.width), part, tuple(heights.doubts)
+        stated, wanted = heights.crs.to_wkt(), there.to_wkt()
+        onto, width, height = calculate_default_transform(stated, wanted, source.width, source.height, *source.bounds)
         resolution = math.sqrt(abs(onto.a * onto.e))
-        whole = GridGeometry(onto.c, onto.f, resolution, width, height, name_of(there))
+        whole = GridGeometry(onto.c, onto.f, resolution, width, height, target)
         part = _part_within(whole, bounds, path)
-        with WarpedVRT(
-            source,
-            src_crs=stated.to_wkt(),
-            crs=there.to_wkt(),
-            transform=part.transform(),
-            width=part.width,
-            height=part.height,
+        check_size(source, path, part.height, part.width)
+        # It is read before it is interpolated, so that values that are no heights do not get into others.
+        row0, col0, rows, cols = (
+            _window(source, transform_bounds(wanted, stated, *part.bounds)) if upright else (0,) * 4
+        )
+        read = heights.read(row0, col0, rows, cols)
+        t = source.window_transform(Window(col0, row0, read.shape[1], read.shape[0]))
+        if t.e > 0:
+            t = Affine(t.a, -t.b, t.c + t.b * len(read), t.d, -t.e, t.f + t.e * len(read))
+        elevation = np.full(part.shape, np.nan, np.float32)
+        reproject(
+            read,
+            elevation,
+            src_transform=t,
+            src_crs=stated,
+            src_nodata=np.nan,
+            dst_transform=part.transform(),
+            dst_crs=wanted,
+            dst_nodata=np.nan,
             resampling=Resampling.bilinear,
-            dtype="float32",
-            nodata=float("nan"),
-        ) as warped:
-            check_size(source, path, part.height, part.width)
-            return _read(warped, path, scaling=(source.scales[0], source.offsets[0])), part
+        )
+    return elevation, part, tuple(heights.doubts)
+
+
+def _window(source: Any, bounds: Bounds) -> tuple[int, int, int, int]:
+    """Return first row and column, height and width of what `bounds` touch, with a margin of two cells; zeros for all
+    of it."""
+    t, (x_min, y_min, x_max, y_max) = source.transform, bounds
+    if not np.isfinite(bounds).all() or x_max <= x_min:
+        return 0, 0, 0, 0
+    row0, col0 = max(0, math.floor((y_max - t.f) / t.e) - 2), max(0, math.floor((x_min - t.c) / t.a) - 2)
+    rows = min(source.height, math.ceil((y_min - t.f) / t.e) + 2) - row0
+    cols = min(source.width, math.ceil((x_max - t.c) / t.a) + 2) - col0
+    return (row0, col0, rows, cols) if min(rows, cols) > 0 else (0, 0, 0, 0)
 
 
 def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridGeometry:
@@ -116,45 +206,6 @@ def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridG
     return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
 
 
-def _read(
-    source: Any,
-    path: Path | str,
-    row0: int = 0,
-    col0: int = 0,
-    height: int | None = None,
-    width: int | None = None,
-    scaling: tuple[float, float] | None = None,
-) -> Float32Array:
-    """Return a window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
-    height, width = height or source.height, width or source.width
-    if scaling is None:
-        check_size(source, path, height, width)
-    elevation = np.empty((height, width), np.float32)
-    _fill(elevation, source, row0, col0, scaling or (source.scales[0], source.offsets[0]))
-    return elevation
-
-
-def _fill(elevation: Float32Array, source: Any, row0: int, col0: int, scaling: tuple[float, float]) -> None:
-    """Reduce strip by strip, so that only the result is held as a whole."""
-    from rasterio.windows import Window
-
-    (height, width), (scale, offset) = elevation.shape, scaling
-    blocks = source.block_shapes[0][0]
-    rows = max(blocks, _ROWS // blocks * blocks)
-    for start in range(0, height, rows):
-        count = min(rows, height - start)
-        band = source.read(1, window=Window(col0, row0 + start, width, count), masked=True)
-        strip = elevation[start : start + count]
-        strip[...] = band.data
-        if (scale, offset) != (1.0, 0.0):
-            strip[...] = band.data.astype(np.float64) * scale + offset
-        if band.mask is not np.ma.nomask:
-            strip[band.mask] = np.nan
-        strip[~np.isfinite(strip)] = np.nan
-    if source.transform.e > 0:
-        _turn(elevation)
-
-
 def _turn(elevation: Float32Array) -> None:
     """South-up to north-up, in place."""
     for row in range(len(elevation) // 2):
@@ -162,43 +213,24 @@ def _turn(elevation: Float32Array) -> None:
         elevation[row], elevation[-1 - row] = elevation[-1 - row], north
 
 
-def _check_heights(source: Any, path: Path | str) -> None:
-    if np.issubdtype(np.dtype(source.dtypes[0]), np.complexfloating):
-        raise RasterError(f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number")
-    if re.search(r"f(oo|ee)?t", source.units[0] or "", re.IGNORECASE):
-        raise RasterError(f"{path}: heights are in {source.units[0]}; {_TO_METRES}")
-
-
-def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
-    """Return the horizontal CRS: what a site is compared with; a stated height system is only checked to be in
-    metres."""
-    from pyproj.exceptions import CRSError
-
+def _crs_of(stated: object, given: str | None, path: Path | str) -> tuple[CRS, float | None]:
+    """Return the horizontal CRS, which is compared with a site's, and the unit of stated heights in metres."""
     try:
-        named = None if given is None else CRS.from_user_input(given)
-    except CRSError as error:
-        raise RasterError(f"{path}: unknown CRS {given!r}: give an EPSG code such as EPSG:32611 ({error})") from error
-    crs = named if stated is None else CRS.from_user_input(stated)
+        named = None if given is None else read_crs(given)
+        crs = named if stated is None else read_crs(stated)
+    except ConfigError as error:
+        raise RasterError(f"{path}: {error}") from error
     if crs is None:
         raise RasterError(f"{path}: the raster has no CRS; give it with --crs or `dem: {{crs: EPSG:...}}`")
-    for axis in crs.axis_info[2:]:
-        if axis.unit_name != "metre":
-            raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; {_TO_METRES}")
-    crs = horizontal(crs)
-    if named is not None and horizontal(named) != crs:
+    if named is not None and not same_crs(named, crs):
         raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
-    return crs
-
-
-def horizontal(crs: CRS) -> CRS:
-    """Return the horizontal part of a CRS: lidar DEMs often have a compound CRS, a site does not."""
-    return crs.sub_crs_list[0] if crs.is_compound else crs
-
-
-def name_of(crs: CRS) -> str:
-    """Return `EPSG:...` if the CRS has such a code, else WKT."""
-    authority = crs.to_authority()
-    return ":".join(authority) if authority else str(crs.to_wkt())
+    problem = ellipsoidal_problem(crs) or (named is not None and ellipsoidal_problem(named))
+    if problem:
+        raise RasterError(f"{path}: {problem}")
+    vertical = crs.axis_info[2:]
+    if vertical and vertical[0].direction == "down":
+        raise RasterError(f"{path}: {crs.name} states depths, not heights; negate them (gdal_calc)")
+    return horizontal(crs), float(vertical[0].unit_conversion_factor) if vertical else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +238,13 @@ class Dem:
     """An elevation raster with its geometry.
 
     `elevation`: (H, W) float32, metres, north up, NaN where unknown; values sit at cell centres and the surface is
-    bilinear between them. Raises RasterError when shape and geometry disagree or no height is known.
+    bilinear between them. `doubts`: what may be wrong with the file. Raises RasterError when shape and geometry
+    disagree or no height is known.
     """
 
     elevation: Float32Array
     geometry: GridGeometry
+    doubts: tuple[HeightsDoubt, ...] = ()
 
     def __post_init__(self) -> None:
         elevation = np.ascontiguousarray(self.elevation, np.float32)
@@ -229,21 +263,22 @@ class Dem:
 
     @classmethod
     def open(cls, path: Path | str, crs: str | None = None) -> Dem:
-        """Read band 1 of any raster that GDAL reads, of any numeric dtype, scaled and with nodata as NaN.
+        """Read the elevations of any raster that GDAL reads, of any numeric dtype, in metres, unknown ones as NaN.
 
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
-        south-up are turned. Raises RasterError: not readable, no CRS or not in metres, rotated, or cells not square.
+        south-up are turned. Raises RasterError: not readable, no CRS, one that is no map's or distorts distances,
+        rotated, cells not square, or values that are no heights (see `heights_check`).
         """
         return cls(*read_heights(path, crs))
 
     def in_frame(self, frame: SiteFrame) -> Dem:
         """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
         crs = self.geometry.crs
-        if crs is None or CRS.from_user_input(crs) != horizontal(CRS.from_user_input(frame.crs)):
+        if not same_crs(crs, frame.crs):
             raise RasterError(
                 f"DEM is in {crs}, the site in {frame.crs}: warp it once with gdalwarp -r bilinear -t_srs {frame.crs}"
             )
-        return Dem(self.elevation, self.geometry.translated(-frame.x_origin, -frame.y_origin))
+        return Dem(self.elevation, self.geometry.translated(-frame.x_origin, -frame.y_origin), self.doubts)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Return the bilinear height at map points, metres; NaN outside the outermost cell centres and beside

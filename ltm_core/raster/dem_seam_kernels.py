@@ -1,4 +1,4 @@
-"""Fill the holes and blend the border of a fine raster, for `dem_seams`."""
+"""Fill the holes and blend the border of a fine raster, for `dem_stack`."""
 
 from __future__ import annotations
 

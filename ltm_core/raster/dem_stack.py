@@ -1,15 +1,18 @@
 """Combine several elevation rasters into one terrain, shared within the process.
 
-Shares rasters within a process: who opens the same files in the same way gets the same terrain, while it is in use.
-
-An offline replay runs all nodes of a site in one process, and each of them opens the DEM: of 10,000 x 10,000 cells it
-would otherwise hold 400 MB a node.
-
-Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
-
 Fire cameras see ridges tens of kilometres away, where a raster of 1 m is neither available nor needed. A stack holds
-rasters of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how
-they are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+rasters of falling resolution, each within the next; a point belongs to the finest that is over it. Tracing, lines of
+sight, footprints and votes take a stack wherever they take a `Dem`.
+
+Two surveys of the same ground differ by decimetres to tens of metres. A fine level is therefore fitted into the coarser
+one, once, when a stack is made:
+
+* **Holes** (NaN nodes, at the raster's margin too) take the coarser surface plus the difference of the two at the
+  hole's rim: d = sum(d_k / r_k) / sum(1 / r_k) over the four directions along the grid, with d_k the difference at the
+  first known node, or 0 at the raster's edge, and r_k its distance. This is the delta surface fill of Grohman, Kroenung
+  and Strebeck (2006), Photogrammetric Engineering & Remote Sensing 72(3).
+* **The border**: within `BAND` coarse cells the fine heights give way to the coarser surface in proportion to the
+  distance from the edge. The small step that may remain between two fine nodes is a wall: no ray slips through.
 """
 
 from __future__ import annotations
@@ -24,21 +27,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Float64Array
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.geometry.geodesy import SiteFrame, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem, read_around
-from ltm_core.raster.dem_seams import fill_holes, lead_over
+from ltm_core.raster.heights_check import HeightsDoubt, doubt_of_heights
 
 _open: WeakValueDictionary[Hashable, Dem] = WeakValueDictionary()
 _lock = threading.Lock()
 
 
 def shared(paths: Iterable[Path | str], way: Hashable, read: Callable[[], Dem]) -> Dem:
-    """Return the result of `read` for the files at `paths`, shared while it is in use and no file has changed.
-
-    `way`: all other inputs of the result. A shared terrain must not be modified. Errors are those of `read`.
-    """
+    """Return the result of `read` for the files at `paths`, shared in this process while it is in use and no file has
+    changed. `way`: all other inputs. A shared terrain must not be modified. Errors are those of `read`."""
     with _lock:
         try:
             key: Hashable = (way, *(_state(path) for path in paths))
@@ -58,18 +59,18 @@ def _state(path: Path | str) -> tuple[str, int, int, int]:
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0
 """Distance in metres around the finest raster to which coarser ones are read."""
+BAND = 3.0
+"""Width in coarse cells over which fine heights blend into coarse ones; at most a quarter of the raster."""
+_SAMPLES = 200
+"""Number of points per side at which two rasters' heights are compared."""
 
 
 class DemStack(Dem):
     """Rasters in one CRS, finest first, each within the next but for a cell of that.
 
     It is a `Dem` whose `elevation` and `geometry` are its finest level's, and which goes on beyond that level's edge.
-
-    Args:
-        levels: finest first; two or more. They are not changed: those that have to be fitted are copied.
-
-    Raises RasterError: fewer than two levels, not in order of resolution, in different CRSs, or one that reaches
-    beyond the next.
+    The given levels are not changed. Raises RasterError: fewer than two levels, not in order of resolution, in
+    different CRSs, or one that reaches beyond the next.
     """
 
     coarser: tuple[Dem, ...]
@@ -89,11 +90,16 @@ class DemStack(Dem):
         finest = Dem.open(path, crs)
         x_min, y_min, x_max, y_max = finest.geometry.bounds
         around = x_min - REACH, y_min - REACH, x_max + REACH, y_max + REACH
-        levels = [finest]
+        levels, doubts = [finest], list(finest.doubts)
         for place, stated in coarser:
             levels.append(Dem(*read_around(place, stated, str(finest.geometry.crs), around)))
+            doubts += levels[-1].doubts
+            own, other = (sampled(level, finest.geometry) for level in (finest, levels[-1]))
+            doubt = doubt_of_heights(own, other, str(path), str(place))
+            doubts += [] if doubt is None else [doubt.required()]
         stack = cls.__new__(cls)
         stack._assemble(levels)
+        object.__setattr__(stack, "doubts", tuple(doubts))
         return stack
 
     @property
@@ -103,7 +109,7 @@ class DemStack(Dem):
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
         """Return the same stack in a site's map frame; see `Dem.in_frame`."""
-        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels])
+        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels], self.doubts)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Return the bilinear height at map points of the finest level over them; NaN beyond the coarsest and in
@@ -131,10 +137,11 @@ class DemStack(Dem):
         self._hold(levels)
 
     @classmethod
-    def of_fitted(cls, fitted: list[Dem]) -> DemStack:
+    def of_fitted(cls, fitted: list[Dem], doubts: tuple[HeightsDoubt, ...] = ()) -> DemStack:
         """Return a stack of levels, finest first, that are already fitted to each other."""
         stack = cls.__new__(cls)
         stack._hold(fitted)
+        object.__setattr__(stack, "doubts", doubts)
         return stack
 
     def _hold(self, levels: list[Dem]) -> None:
@@ -149,6 +156,12 @@ def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
     return DemStack.open(path, crs, *coarser) if coarser else Dem.open(path, crs)
 
 
+def sampled(dem: Dem, over: GridGeometry) -> Float64Array:
+    """Return the heights at points spread evenly over a raster."""
+    rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
+    return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
+
+
 def with_surface(ground: Dem, surface: Dem) -> Dem:
     """Return the terrain with the tops of trees and buildings where `surface` has them, and bare earth elsewhere.
 
@@ -160,12 +173,12 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
         cols = np.flatnonzero(np.isnan(tops[row]))
         tops[row, cols] = ground.elevation_at(*surface.geometry.to_map(row, cols))
     levels = [level for level in ground.levels if not _covers(surface.geometry, level.geometry)]
-    whole = Dem(tops, surface.geometry)
+    whole, doubts = Dem(tops, surface.geometry, ground.doubts + surface.doubts), ground.doubts + surface.doubts
     if not levels:
         return whole
     whole = _within(whole, levels[0])
     lead_over(whole.elevation, whole.geometry, levels[0].elevation, levels[0].geometry)
-    return DemStack.of_fitted([whole, *levels])
+    return DemStack.of_fitted([whole, *levels], doubts)
 
 
 def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
@@ -189,7 +202,7 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
     Raises RasterError where that is more than a coarse cell, or the two do not go together.
     """
     a, b = fine.geometry, coarse.geometry
-    if a.crs != b.crs:
+    if not same_crs(a.crs, b.crs):
         raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")
     if a.resolution > b.resolution:
         raise RasterError(
@@ -211,3 +224,31 @@ def _within(fine: Dem, coarse: Dem) -> Dem:
 
 def _rounded(geometry: GridGeometry) -> tuple[int, ...]:
     return tuple(round(v) for v in geometry.bounds)
+
+
+def fill_holes(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
+    """Fill the holes of `fine` (H, W) from `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import fill  # here, because most processes of a graph need no numba
+
+    fill(fine, coarse, *_places(fine_geometry, coarse_geometry))
+
+
+def lead_over(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
+    """Lead the border of `fine` (H, W) over to `coarse`, where that is known, in place."""
+    from ltm_core.raster.dem_seam_kernels import blend  # here, as above
+
+    band = BAND * coarse_geometry.resolution / fine_geometry.resolution
+    blend(fine, coarse, *_places(fine_geometry, coarse_geometry), min(band, (min(fine.shape) - 1) / 4))
+
+
+def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
+    """Return where the fine rows and columns lie in the coarse raster."""
+    x, _ = fine.to_map(0, np.arange(fine.width))
+    _, y = fine.to_map(np.arange(fine.height), 0)
+    rows, _ = coarse.to_grid(coarse.x_min, y)
+    _, cols = coarse.to_grid(x, coarse.y_max)
+    return rows, cols

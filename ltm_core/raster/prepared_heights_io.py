@@ -26,7 +26,7 @@ import numpy as np
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.disk_io import free_bytes
 
-VERSION = 1
+VERSION = 2
 """Version of the preparation; increase it when the same raster gives other heights."""
 LEAST_CELLS = 16 << 20
 """Minimum number of cells of a raster for a prepared file (64 MB); a smaller one is decoded in half a second."""

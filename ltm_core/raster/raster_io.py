@@ -31,7 +31,11 @@ cell. A file may state any size without containing its tiles."""
 
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
-    """Open a dataset. Any GDAL error in the block becomes a RasterError that names the file."""
+    """Open a raster of any kind for reading: the only function that does so. Read its bands with `read_band`.
+
+    Any GDAL error in the block becomes a RasterError that names the file; so does a file without a band (netCDF and HDF
+    hold several rasters), and a mosaic of which a file is missing.
+    """
     import rasterio
     from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
     from rasterio.errors import CRSError, RasterioError
@@ -47,13 +51,45 @@ def open_raster(path: Path | str) -> Iterator[Any]:
         raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
 
 
+def read_band(source: Any, band: int, window: Any = None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the stored values of a band (H, W), unscaled, and where they are unknown: nodata, mask or alpha.
+
+    GDAL takes only one of these; a file that has a mask and a nodata value needs both.
+    """
+    from rasterio.enums import ColorInterp
+
+    read = source.read(band, window=window, masked=True)
+    values, unknown = read.data, np.ma.getmaskarray(read)
+    nodata = source.nodatavals[band - 1]
+    if nodata is not None and not np.isnan(nodata):
+        unknown |= values == (values.dtype.type(nodata) if values.dtype.kind == "f" else nodata)
+    for number in source.indexes:
+        if source.colorinterp[number - 1] == ColorInterp.alpha and number != band:
+            unknown |= source.read(number, window=window) == 0
+    return values, unknown
+
+
 def _check_bands(source: Any, path: Path | str) -> None:
     """Raise RasterError."""
+    if source.count == 0:
+        parts = [str(name) for name in source.subdatasets]
+        raise RasterError(f"{path}: has no band of its own; give one of its parts: {', '.join(parts[:5]) or 'none'}")
     if source.count > MOST_BANDS:
         raise RasterError(
             f"{path}: has {source.count} bands, at most {MOST_BANDS} are supported; extract the one you need "
             "(gdal_translate -b)"
         )
+    # A mosaic names files that may be absent; GDAL says so without a name, and only if it reads there.
+    missing = [name for name in source.files if not name.startswith("/vsi") and not Path(name).exists()]
+    if source.driver == "VRT" and missing:
+        raise RasterError(
+            f"{path}: {len(missing)} of its {len(source.files) - 1} files are missing, such as "
+            f"{', '.join(missing[:3])}; copy them there, or make it again (gdalbuildvrt)"
+        )
+    for part in source.files[1:] if source.driver == "VRT" else ():
+        if part.lower().endswith(".vrt"):
+            with open_raster(part):
+                pass
 
 
 def _check_rows(source: Any, path: Path | str) -> None:

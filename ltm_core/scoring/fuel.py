@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pyproj import CRS
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import BoolArray, Int16Array, Int64Array, UInt8Array
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.life_form import LifeForm, forms_of
+from ltm_core.geometry.geodesy import same_crs
 from ltm_core.geometry.grid import GridGeometry
 
 
@@ -52,7 +52,7 @@ def on_grid(truth: UInt8Array, truth_geometry: GridGeometry, geometry: GridGeome
     Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
     """
     crs, truth_crs = geometry.crs, truth_geometry.crs
-    if crs != truth_crs and (crs is None or truth_crs is None or CRS(crs) != CRS(truth_crs)):
+    if not same_crs(crs, truth_crs):
         raise RasterError(f"fuel map in {crs} cannot be scored against truth in {truth_crs}: warp one to the other")
     row, col = truth_geometry.to_grid(*geometry.to_map(0, 0))
     offset = np.array([row, col])

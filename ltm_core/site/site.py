@@ -15,7 +15,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_stack import open_terrain, shared, with_surface
+from ltm_core.raster.dem_stack import open_terrain, sampled, shared, with_surface
+from ltm_core.raster.heights_check import doubt_of_surface
 from ltm_core.site.sections import (
     CameraConfig,
     DemConfig,
@@ -142,10 +143,7 @@ class Site(StrictModel):
 
         def read() -> Dem:
             dem = open_terrain(rasters)
-            try:
-                local = dem.in_frame(self.frame)
-            except RasterError as error:
-                raise RasterError(f"{self.dem.path}: {error}") from error
+            local = self._in_frame(dem, self.dem.path)
             self._check_origin(dem.geometry)
             return local
 
@@ -169,13 +167,31 @@ class Site(StrictModel):
 
     def open_surface(self, ground: Dem) -> Dem:
         """Return the surface that cameras see, in the map frame: `ground` (of `open_dem`) with the tops of trees and
-        buildings if the site has a surface raster."""
+        buildings if the site has a surface raster.
+
+        Raises RasterError as `Dem.open` does, and for heights that are not those of a surface over this ground.
+        """
         given = self.surface
         if given is None:
             return ground
+
+        def read() -> Dem:
+            tops = self._in_frame(Dem.open(given.path, given.crs), given.path)
+            over = tops.geometry
+            doubt = doubt_of_surface(sampled(tops, over), sampled(ground, over), str(given.path))
+            doubts = tops.doubts if doubt is None else (*tops.doubts, doubt.required())
+            kept = tuple(doubt for doubt in doubts if doubt.code != "steep")  # as trees are
+            return with_surface(ground, Dem(tops.elevation, tops.geometry, kept))
+
         rasters = [dem.path for dem in (given, self.dem, *self.coarser)]
         way = ("surface", given.crs, self.dem.crs, *(dem.crs for dem in self.coarser), self.frame)
-        return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
+        return shared(rasters, way, read)
+
+    def _in_frame(self, dem: Dem, path: Path) -> Dem:
+        try:
+            return dem.in_frame(self.frame)
+        except RasterError as error:
+            raise RasterError(f"{path}: {error}") from error
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
         """Return the fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""

@@ -14,14 +14,14 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
-from ltm_core.base.types import Float64Array
-from ltm_core.cameras.plausibility import doubt_of_dem, doubt_of_heights
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
+from ltm_core.raster.dem_stack import sampled
+from ltm_core.raster.heights_check import doubt_of_heights
 from ltm_core.site.camera_check import check_angles, check_camera, check_mask
 from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
@@ -34,8 +34,6 @@ from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
 """Distance from the origin in metres beyond which float32 does not resolve millimetres."""
-_SAMPLES = 200
-"""Number of points per side at which two rasters' heights are compared."""
 
 
 @dataclass
@@ -89,49 +87,31 @@ def _terrain(site: Site, dem: Dem) -> Iterator[SiteFinding]:
         f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, heights {low:.0f} to {high:.0f} m, "
         f"{np.mean(known):.0%} known"
     )
-    doubt = doubt_of_dem(dem.elevation, geometry.resolution)
-    yield (
-        SiteFinding(area, "dem", SiteVerdict.OK, found)
-        if doubt is None
-        else SiteFinding.of(area, "dem", f"{site.dem.path}: {doubt}", SiteVerdict.DOUBTFUL)
-    )
+    yield SiteFinding(area, "dem", SiteVerdict.OK, found)
+    for doubt in dem.doubts:
+        yield SiteFinding.of(area, "dem", doubt.text, SiteVerdict.DOUBTFUL)
     away = geometry.distance_to(0.0, 0.0)
     if away > _FAR_ORIGIN:
         said = f"{away / 1000:.0f} km from the DEM: coordinates lose millimetres; use a corner of the DEM"
         yield SiteFinding(area, "origin", SiteVerdict.DOUBTFUL, said)
     for level, config in zip(dem.levels[1:], site.coarser, strict=True):
-        heights, others = _sampled(dem, geometry), _sampled(level, geometry)
-        doubt = doubt_of_heights(heights, others, str(config.path))
         found = f"{level.geometry.width} x {level.geometry.height} cells of {level.geometry.resolution:g} m around it"
-        yield (
-            SiteFinding(area, config.path.name, SiteVerdict.OK, found)
-            if doubt is None
-            else SiteFinding.of(
-                area, "dem", f"{site.dem.path}: {doubt}", SiteVerdict.WRONG if "feet" in doubt else SiteVerdict.DOUBTFUL
-            )
-        )
+        yield SiteFinding(area, config.path.name, SiteVerdict.OK, found)
     if site.surface is not None:
-        yield _surface(site, dem)
+        yield from _surface(site, dem)
 
 
-def _surface(site: Site, dem: Dem) -> SiteFinding:
+def _surface(site: Site, dem: Dem) -> Iterator[SiteFinding]:
     assert site.surface is not None  # nosec B101 # tells the type checker what holds
     try:
         surface = site.open_surface(dem)
     except LtmError as error:
-        return SiteFinding.of("terrain", "surface", error)
-    heights = _sampled(surface, dem.geometry)
-    doubt = doubt_of_heights(heights, _sampled(dem, dem.geometry), "the DEM")
-    if doubt is not None:
-        return SiteFinding.of("terrain", "surface", f"{site.surface.path}: {doubt}", SiteVerdict.DOUBTFUL)
-    above = float(np.nanmax(heights - _sampled(dem, dem.geometry), initial=0.0))
-    return SiteFinding("terrain", "surface", SiteVerdict.OK, f"up to {above:.0f} m above the ground")
-
-
-def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
-    """Return the heights at points spread evenly over a raster."""
-    rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
-    return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
+        yield SiteFinding.of("terrain", "surface", error)
+        return
+    for doubt in surface.doubts[len(dem.doubts) :]:
+        yield SiteFinding.of("terrain", "surface", doubt.text, SiteVerdict.DOUBTFUL)
+    above = float(np.nanmax(sampled(surface, dem.geometry) - sampled(dem, dem.geometry), initial=0.0))
+    yield SiteFinding("terrain", "surface", SiteVerdict.OK, f"up to {above:.0f} m above the ground")
 
 
 def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
@@ -155,10 +135,11 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
         yield _prior(check.prior, grid)
         if heights is not None:
             own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
-            doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
+            elevations = "the elevations of the prior fuel map"
+            doubt = doubt_of_heights(own, heights.astype(np.float64), str(site.dem.path), elevations)
             if doubt is not None:
-                verdict = SiteVerdict.WRONG if "its heights are feet" in doubt else SiteVerdict.DOUBTFUL
-                yield SiteFinding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
+                verdict = SiteVerdict.WRONG if doubt.code == "unit" else SiteVerdict.DOUBTFUL
+                yield SiteFinding.of("terrain", "dem", doubt.text, verdict)
 
 
 def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:

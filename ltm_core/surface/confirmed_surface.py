@@ -25,8 +25,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_seams import BAND
-from ltm_core.raster.dem_stack import DemStack
+from ltm_core.raster.dem_stack import BAND, DemStack
 from ltm_core.raster.prepared_heights_io import own_copy
 
 _ROWS = 256

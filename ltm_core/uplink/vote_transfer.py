@@ -13,7 +13,7 @@ from ltm_core.base.errors import MessageError
 from ltm_core.base.types import Float64Array, Int64Array
 from ltm_core.fuel.export.export_grid import GridTransfer
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import SiteFrame, same_crs
 from ltm_core.geometry.grid import GridGeometry
 
 MOST_CELLS: Final = 4_000_000
@@ -55,7 +55,7 @@ class VoteTransfer:
         self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
         """Cells of the region by the tower's cells that they take from; `_first` has the start of each list."""
         self._first = np.searchsorted(from_cell[self._targets], np.arange(number.size + 1))
-        self._same_crs = source.crs == target.crs
+        self._same_crs = same_crs(source.crs, target.crs)
         self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:

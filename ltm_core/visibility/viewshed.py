@@ -13,6 +13,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Arra
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals, line_of_sight_vectors
 from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, project
 
@@ -62,17 +63,20 @@ def viewshed(
     target_height: float = 0.0,
     max_range: float = math.inf,
     all_round: bool = False,
+    ground: Dem | None = None,
 ) -> Coverage:
     """Return the coverage of the whole DEM.
 
     Args:
-        sight: lines of sight over the DEM, in the frame of the poses.
+        sight: lines of sight over the DEM, or over a surface with trees, in the frame of the poses.
         views: the cameras.
         resolution: of the result, metres; a cell is judged at its centre and takes 10 bytes. Default: the DEM's, or,
             where that would make more than 16 million cells, the least multiple of it that does not.
         target_height: metres above the ground that is to be seen (smoke, a person); 0 is the ground.
         max_range: metres along the map beyond which a camera counts as blind.
         all_round: each camera turns to wherever it is needed: its angles and image edges do not matter.
+        ground: bare earth, from which heights count; None: the terrain of `sight`. Ground under trees counts as seen
+            where their tops are.
 
     Raises PoseError: no camera, or one under the ground; RasterError for a resolution that is none.
     """
@@ -80,7 +84,8 @@ def viewshed(
         raise PoseError("a viewshed needs at least one camera with calibration and pose")
     if not (math.isfinite(target_height) and target_height >= 0):
         raise PoseError(f"the target's height must be 0 or more metres above the ground, got {target_height}")
-    geometry = _resampled(sight.dem.geometry, resolution)
+    bare = sight.dem if ground is None else ground
+    geometry = _resampled(bare.geometry, resolution)
     count = np.full(geometry.shape, -1, np.int16)
     footprint = np.full(geometry.shape, np.inf, np.float32)
     height = np.full(geometry.shape, np.inf, np.float32)
@@ -89,19 +94,22 @@ def viewshed(
         rows = slice(start, min(start + rows_at_once, geometry.height))
         row, col = np.mgrid[rows, 0 : geometry.width]
         x, y = geometry.to_map(row, col)
-        ground = sight.dem.elevation_at(x, y)
-        known = np.isfinite(ground)
+        top = sight.dem.elevation_at(x, y)
+        known = np.isfinite(top)
         if not known.any():
             continue
-        places = np.stack([x, y, ground], axis=-1)[known]
+        places = np.stack([x, y, top], axis=-1)[known]
+        canopy = np.zeros(len(places)) if ground is None else places[:, 2] - ground.elevation_at(x[known], y[known])
+        canopy = np.maximum(np.nan_to_num(canopy), 0.0)
+        target = np.maximum(target_height - canopy, 0.0)
         normals = ground_normals(sight.dem, places[:, 0], places[:, 1])
         seen_by = np.zeros(len(places), np.int16)
         best, lowest = np.full(len(places), np.inf), np.full(len(places), np.inf)
         for view in views:
-            seen, size, least = _from_one(sight, view, places, normals, target_height, max_range, all_round)
+            seen, size, least = _from_one(sight, view, places, normals, target, max_range, all_round)
             seen_by += seen
             best = np.fmin(best, np.where(seen, size, np.inf))
-            lowest = np.fmin(lowest, least)
+            lowest = np.fmin(lowest, least + canopy)
         count[rows][known] = seen_by
         footprint[rows][known] = best
         height[rows][known] = lowest
@@ -115,12 +123,12 @@ def _from_one(
     view: PosedCamera,
     places: Float64Array,
     normals: Float64Array,
-    target_height: float,
+    targets: Float64Array,
     max_range: float,
     all_round: bool,
 ) -> tuple[BoolArray, Float64Array, Float64Array]:
-    """Return whether one camera sees the targets over ground `places` (N, 3), its footprints there (metres), and the
-    least visible height above ground (+inf where it sees none)."""
+    """Return whether one camera sees targets (N,) metres above `places` (N, 3), its footprints there (metres), and the
+    least visible height above them (+inf where it sees none)."""
     position = view.pose.position
     near = np.hypot(places[:, 0] - position[0], places[:, 1] - position[1]) <= max_range
     looked = near if all_round else near & _may_be_framed(sight, view, places)
@@ -128,9 +136,9 @@ def _from_one(
     unknown = np.ones(len(places), np.bool_)
     lift[looked], unknown[looked] = sight.lifts(position, places[looked])
     least = np.where(unknown, np.inf, np.where(lift <= TOLERANCE, 0.0, lift))
-    seen = least <= target_height
+    seen = least <= targets
     if not all_round:
-        seen &= _framed(sight, view, places, np.full(len(places), target_height))
+        seen &= _framed(sight, view, places, targets)
         least[~_framed(sight, view, places, np.where(np.isfinite(least), least, 0.0))] = np.inf
     size = np.full(len(places), np.inf)
     if all_round:

@@ -92,6 +92,7 @@ def _picture(found: SiteCheck) -> RgbImage:
     import math
     from dataclasses import replace
 
+    from ltm_core.base.errors import LtmError
     from ltm_core.pictures import MapCamera
     from ltm_core.site.picture import site_picture
     from ltm_core.visibility.point_visibility import PointVisibility
@@ -105,8 +106,12 @@ def _picture(found: SiteCheck) -> RgbImage:
     seen = None
     if above:
         finest = math.sqrt(geometry.width * geometry.height / _CELLS) * geometry.resolution
-        sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
-        seen = viewshed(sight, above, max(geometry.resolution, finest))
+        try:
+            surface = site.open_surface(dem)
+        except LtmError:  # a finding
+            surface = dem
+        sight = PointVisibility(surface, site.curvature, site.refraction, site.possible_ground)
+        seen = viewshed(sight, above, max(geometry.resolution, finest), ground=dem)
     names = [view.name for view in found.views]
     named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views, the middle one
     cameras = [

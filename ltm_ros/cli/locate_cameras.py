@@ -24,6 +24,7 @@ from ltm_core.site.networks import site_scene_filter
 from ltm_core.surface.config import PoseErrorConfig
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_ros.cli.output import open_dems, print_doubts
 
 
 def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
@@ -86,7 +87,7 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
 
     site = load_site(path)
     ground = site.open_dem()
-    dem = site.open_surface(ground)
+    dem = print_doubts(site.open_surface(ground))
     assumed = site.assumed_pose_error
     files = dict(_named(text) for text in poses)
     cameras: dict[str, LocatingCamera] = {}
@@ -121,12 +122,11 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
 
 def of_poses(paths: Sequence[str], rasters: Sequence[Path], crs: str | None) -> LocatingScene:
     """Read cameras from pose files, `FILE` or `NAME=FILE`, over one terrain; refraction is that of the first."""
-    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, near_frame
 
     if not rasters:
         raise ConfigError("--pose without --site needs the terrain, too: give --dem D.tif")
-    terrain = open_terrain([(rasters[0], crs), *((raster, None) for raster in rasters[1:])])
+    terrain = open_dems(rasters, crs)
     named = [_named(text) if "=" in text else (Path(text).stem, Path(text)) for text in paths]
     configs = {name: load_picture_config(path) for name, path in named}
     first = next(iter(configs.values()))

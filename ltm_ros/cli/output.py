@@ -20,6 +20,7 @@ from ltm_core.storage.disk_io import require_files, require_folder
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ltm_core.raster.dem import Dem
     from ltm_ros.runtime.health import NodeRow
 
 
@@ -44,6 +45,20 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | Non
         else:
             made.add_row(*row)
     return made
+
+
+def open_dems(rasters: Sequence[Path], crs: str | None) -> Dem:
+    """Open the terrain of `--dem`, finest first, and print what may be wrong with it. `crs`: of the first."""
+    from ltm_core.raster.dem_stack import open_terrain
+
+    return print_doubts(open_terrain([(rasters[0], crs), *((raster, None) for raster in rasters[1:])]))
+
+
+def print_doubts(dem: Dem) -> Dem:
+    """Print to stderr what may be wrong with a terrain; return it."""
+    for doubt in dem.doubts:
+        Console(stderr=True).print(f"[yellow]{escape(doubt.text)}", highlight=False)
+    return dem
 
 
 def print_table(console: Console, title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:

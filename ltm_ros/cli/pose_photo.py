@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_ros.cli.output import Overwrite, open_dems, print_table
 from ltm_ros.cli.pose_points import parameter_names
 
 if TYPE_CHECKING:
@@ -105,7 +105,6 @@ def photo(
     from rich.console import Console
 
     from ltm_core.base.errors import ConfigError
-    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.storage.disk_io import require_files, require_folder
     from ltm_core.tracing.trace_io import GuessConfig
@@ -118,7 +117,7 @@ def photo(
     if set(chosen) - {"focal", "position"}:
         raise ConfigError(f"--free {free}: a photo's skyline fits focal and position; `ltm pose points` fits k1")
     guesses = guesses_of(photo, guess) if many else {photo: load_yaml(guess, GuessConfig)}
-    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])])
+    terrain = open_dems(dem, crs)
     found = search_photos(guesses, terrain, PhotoOptions(labels, model, tuple(chosen), canopy, mount, mask))
     write_photos(found, out, picture, report, many)
     rows = []

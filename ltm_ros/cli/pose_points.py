@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_ros.cli.output import Overwrite, open_dems, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,14 +65,13 @@ def points(
         write_pose,
         write_report,
     )
-    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.config_io import load_yaml
     from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing.trace_io import GuessConfig
 
     require_files([place for place in (out, report) if place is not None], overwrite)
     known = load_yaml(guess, GuessConfig)
-    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
+    terrain = open_dems(dem, crs) if dem else None
     setup = set_up_resection(known, terrain, crs)
     marked = read_control_points(control_points, setup.frame, first_pixel)
     sigma = known.pose.sigmas_of_place()

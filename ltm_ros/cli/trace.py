@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_ros.cli.output import Overwrite, open_dems, print_doubts, print_table
 
 if TYPE_CHECKING:
     from ltm_core.geometry.geodesy import SiteFrame
+    from ltm_core.raster.dem import Dem
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera
 
@@ -36,7 +37,6 @@ def trace(
     from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
     from ltm_core.pictures import to_png
     from ltm_core.pictures.trace import depth_picture, map_picture
-    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.storage.disk_io import require_files
     from ltm_core.tracing import TerrainTracer
     from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
@@ -44,7 +44,7 @@ def trace(
     console = Console()
     require_files((out / name for name in OUTPUTS), overwrite)
     config = load_picture_config(pose)
-    setup = set_up_picture(config, open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]))
+    setup = set_up_picture(config, open_dems(dem, crs))
     for doubt in setup.doubts:
         console.print(f"[yellow]{doubt}", highlight=False)
     photo = None if image is None else read_photo(image, setup.camera)
@@ -136,17 +136,17 @@ def viewshed(
     if (site is None) == (pose is None):
         raise ConfigError("give --site S.yaml, or --pose P.yaml with --dem")
     if site is not None:
-        sight, frame, views, skipped = _from_site(site)
+        sight, frame, views, skipped, ground = _from_site(site)
     elif pose is not None and dem:
         sight, frame, views = _from_pose(pose, dem, crs)
-        skipped = []
+        skipped, ground = [], None
     else:
         raise ConfigError("--pose needs the terrain, too: give --dem D.tif")
     if skipped:
         console.print(f"[yellow]skipped, no calibration or pose[/]: {', '.join(skipped)}", highlight=False)
     with console.status("lines of sight"):
         reach = math.inf if max_range is None else max_range
-        coverage = covered(sight, views, resolution, target_height, reach, all_round)
+        coverage = covered(sight, views, resolution, target_height, reach, all_round, ground)
     with console.status("writing"):
         out.parent.mkdir(parents=True, exist_ok=True)
         picture.parent.mkdir(parents=True, exist_ok=True)
@@ -176,36 +176,36 @@ def _title(views: list[PosedCamera], target_height: float) -> str:
     return f"cameras that see {what}" if len(views) > 1 else f"{what}, seen from {views[0].name}"
 
 
-def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str]]:
+def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str], Dem]:
     from ltm_core.base.errors import ConfigError
     from ltm_core.site.site_io import load_site
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera
 
     site = load_site(path)
-    terrain = site.open_dem()
+    ground = site.open_dem()
+    surface = print_doubts(site.open_surface(ground))
     views, skipped = [], []
     for name, camera in site.cameras.items():
         if camera.calibration is None or camera.pose is None:
             skipped.append(name)
         else:
-            views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
+            views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(ground, site.frame)))
     if not views:
         raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)}: from topics)")
     rays = site.curvature, site.refraction, site.possible_ground
-    return PointVisibility(terrain, *rays), site.frame, views, skipped
+    return PointVisibility(surface, *rays), site.frame, views, skipped, ground
 
 
 def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
     from rich.console import Console
 
-    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
     from ltm_core.visibility.point_visibility import PointVisibility
     from ltm_core.visibility.viewshed import PosedCamera
 
     config = load_picture_config(path)
-    setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
+    setup = set_up_picture(config, open_dems(dem, crs))
     for doubt in setup.doubts:
         Console().print(f"[yellow]{doubt}", highlight=False)
     sight = PointVisibility(setup.dem, config.curvature, config.refraction, config.possible_ground)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.companion_files_io import item_path, write_item
-from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers, write_lcp
 from ltm_core.fuel.export.provenance import Provenance, landscape_units

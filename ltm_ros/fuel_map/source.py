@@ -20,6 +20,7 @@ from ltm_core.fuel.export.provenance import Provenance
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.geometry.geodesy import same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import SiteCanopy, provenance_of, site_canopy, site_evidence_map
 from ltm_core.pipeline.site_surface import exported_terrain
@@ -62,7 +63,7 @@ class FuelSource:
             )
         if path.suffix.lower() in (".tif", ".tiff"):
             classes, grid = read_fuel_map(path)
-            if grid.crs != site.crs:
+            if not same_crs(grid.crs, site.crs):
                 raise RasterError(f"{path} is in {grid.crs}, the site in {site.crs}: export the site's own map")
             bag = None
         else:

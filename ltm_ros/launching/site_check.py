@@ -110,9 +110,10 @@ def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
 def _prepare(path: Path) -> Iterator[SiteFinding]:
     """Prepare rasters so that the graph's processes share them. The check reports errors of the site or the raster."""
     with suppress(LtmError):
-        raster = load_site(path).dem.path
+        dem = load_site(path).dem
+        raster = dem.path
         try:
-            prepared = prepare_heights(raster)
+            prepared = prepare_heights(raster, dem.crs)
         except OSError as error:
             why = error.strerror or error
             yield SiteFinding(

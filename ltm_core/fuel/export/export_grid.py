@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
 from ltm_core.fuel.class_map import UNSEEN
@@ -26,17 +25,6 @@ _LIKE_HEIGHTS = 50.0
 """Median difference in metres up to which a prior's elevations are in the same unit as the DEM."""
 _MOST_SAMPLES = 8
 """Maximum number of DEM samples per side of a fuel cell for its mean height."""
-
-
-def snapped_grid(geometry: GridGeometry, crs: str, phase: float = 15.0) -> GridGeometry:
-    """Return the grid of the same resolution over `geometry` in another CRS, edges at phase mod resolution, as
-    LANDFIRE's in EPSG:5070. Raises ConfigError where the CRS is unknown or not projected in metres."""
-    from rasterio.warp import transform_bounds
-
-    SiteFrame(crs)
-    if geometry.crs is None:
-        raise ConfigError("a fuel grid without a CRS cannot be reprojected")
-    return GridGeometry.snapped(transform_bounds(geometry.crs, crs, *geometry.bounds), geometry.resolution, phase, crs)
 
 
 class GridTransfer:

@@ -118,12 +118,20 @@ def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, s
     unknown = float((landscape.bands == NODATA).any(axis=0).mean())
     if unknown > MOST_NODATA:
         raise RasterError(
-            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: give the site "
-            "a prior fuel map, or a DEM that covers it"
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap allows at most {MOST_NODATA:.0%}: "
+            + _gaps(landscape)
         )
     write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
     write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
+
+
+def _gaps(landscape: Landscape) -> str:
+    """Return which bands lack data, and what to do."""
+    shares = {name: float((landscape.band(name) == NODATA).mean()) for name in LANDSCAPE_BANDS}
+    told = ", ".join(f"{name} is unknown in {share:.0%}" for name, share in shares.items() if share > 0)
+    remedy = "a DEM that covers it" if shares["elevation"] >= shares["fuel"] else "a prior fuel map without these gaps"
+    return f"{told}; give the site {remedy}, a smaller DEM, or export ELMFIRE layers (--format elmfire)"
 
 
 def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:

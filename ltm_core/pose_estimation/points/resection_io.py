@@ -14,7 +14,8 @@ import numpy as np
 from ltm_core.base.errors import ConfigError, PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.geodesy import SiteFrame
+from ltm_core.geometry.geodesy import SiteFrame, scale_problem
+from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.pose_estimation.points.resection import Resection
 from ltm_core.raster.dem import Dem
@@ -61,6 +62,9 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
             raise ConfigError("a height above the ground needs a DEM: give z, or --dem")
         x, y = pose.xy(SiteFrame(crs)) or (0.0, 0.0)
         frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
+        problem = scale_problem(crs, GridGeometry(frame.x_origin - 500, frame.y_origin + 500, 1000.0, 1, 1))
+        if problem is not None and pose.xy(frame) is not None:
+            raise ConfigError(f"the camera's position: {problem}")
         position = (x - frame.x_origin, y - frame.y_origin, pose.z)
     azimuth = pose.grid_azimuth_deg(frame, position, None)
     angles = None if azimuth is None else (azimuth, pose.pitch_deg or 0.0, pose.roll_deg or 0.0)

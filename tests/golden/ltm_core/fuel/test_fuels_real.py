@@ -11,9 +11,10 @@ import rasterio
 from rasterio.warp import Resampling, reproject
 
 from ltm_core.base.errors import RasterError
+from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelClimate, FuelSystem, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
-from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.export.landscape_io import write_landscape, write_lcp
 from ltm_core.fuel.life_form import NODATA

@@ -7,9 +7,20 @@ from datetime import date
 
 import numpy as np
 import pytest
+from pyproj import CRS, Transformer
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.geometry.geodesy import SiteFrame, magnetic_declination_deg, ray_bend
+from ltm_core.geometry.geodesy import (
+    SiteFrame,
+    ellipsoidal_problem,
+    magnetic_declination_deg,
+    map_problem,
+    name_of,
+    ray_bend,
+    same_crs,
+    scale_problem,
+)
+from ltm_core.geometry.grid import GridGeometry
 
 UTM11 = SiteFrame("EPSG:32611")
 LOS_ANGELES = (-118.25, 34.05)
@@ -126,3 +137,99 @@ def test_compass_to_grid() -> None:
 def test_no_site_frame(crs: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SiteFrame(crs)
+
+
+UTM = CRS("EPSG:32611")
+GK3 = "+proj=tmerc +lat_0=0 +lon_0=9 +k=1 +x_0=3500000 +y_0=0 +units=m"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("EPSG:32611", "epsg:32611", True),
+        ("EPSG:32611", "urn:ogc:def:crs:EPSG::32611", True),
+        ("EPSG:32611", "+proj=utm +zone=11 +datum=WGS84 +units=m +no_defs", True),
+        ("EPSG:32611", "+proj=tmerc +lon_0=-117 +k=0.9996 +x_0=500000 +datum=WGS84", True),
+        ("EPSG:32611", "+proj=utm +zone=11 +ellps=WGS84 +towgs84=0,0,0 +units=m", True),
+        ("EPSG:32611", UTM.to_wkt("WKT1_GDAL"), True),
+        ("EPSG:32611", UTM.to_wkt("WKT1_ESRI"), True),
+        ("EPSG:32611", UTM.to_wkt(), True),
+        ("EPSG:32611", UTM.to_json(), True),
+        ("EPSG:32611", UTM.to_wkt("WKT1_GDAL").replace('UNIT["metre"', 'UNIT["METERS"'), True),
+        ("EPSG:32611", "EPSG:32611+5703", True),
+        ("EPSG:25832", "+proj=utm +zone=32 +ellps=GRS80 +towgs84=0,0,0,0,0,0,0 +units=m", True),
+        ("EPSG:31467", f"{GK3} +datum=potsdam", True),
+        ("EPSG:31467", f"{GK3} +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7", True),
+        ("EPSG:31467", f"{GK3} +ellps=GRS80", False),  # the same projection of another ellipsoid: 100 m off
+        ("EPSG:32611", "EPSG:32612", False),
+        ("EPSG:32611", "EPSG:26911", False),  # NAD83: 1.5 m off
+        ("EPSG:32611", "EPSG:4326", False),
+        ("EPSG:32611", "+proj=utm +zone=11 +datum=WGS84 +units=us-ft", False),
+        ("EPSG:3857", "ESRI:102100", True),
+        ("EPSG:5070", "ESRI:102039", True),
+        ("EPSG:5070", "EPSG:6350", False),
+    ],
+)
+def test_crss_are_compared_by_what_they_mean(one: str, other: str, same: bool) -> None:
+    assert same_crs(one, other) is same
+    assert same_crs(other, one) is same
+
+
+def test_a_code_is_named_only_if_it_is_the_crs() -> None:
+    for text in ("WKT1_GDAL", "WKT1_ESRI", "WKT2_2019"):
+        assert name_of(CRS(UTM.to_wkt(text))) == "EPSG:32611"
+    unknown = "+proj=utm +zone=11 +ellps=WGS84 +units=m"
+    assert CRS(unknown).to_authority() == ("EPSG", "32611")  # PROJ guesses
+    assert not name_of(CRS(unknown)).startswith("EPSG")
+
+
+@pytest.mark.parametrize("unit", ["metre", "meter", "Meter", "METERS", "metres"])
+def test_a_metre_in_any_spelling(unit: str) -> None:
+    assert map_problem(CRS(UTM.to_wkt("WKT1_GDAL").replace('UNIT["metre"', f'UNIT["{unit}"'))) is None
+
+
+@pytest.mark.parametrize(
+    ("crs", "problem"),
+    [
+        *((name, None) for name in ("EPSG:32611", "EPSG:2180", "EPSG:31467", "EPSG:5514", "EPSG:3031", "EPSG:3413")),
+        *((name, "south and west") for name in ("EPSG:2048", "EPSG:2053", "EPSG:5513")),
+        *((name, "in metres") for name in ("EPSG:2229", "EPSG:4326", "+proj=utm +zone=11 +units=km")),
+        (UTM.to_3d(), "ellipsoid"),
+        ("EPSG:32611+5703", None),
+    ],
+)
+def test_what_a_map_needs(crs: str, problem: str | None) -> None:
+    found = map_problem(CRS(crs))
+    assert found is None if problem is None else problem in (found or "")
+
+
+@pytest.mark.parametrize(("crs", "above"), [("EPSG:4979", True), ("EPSG:4326", False), ("EPSG:4326+3855", False)])
+def test_heights_above_the_ellipsoid(crs: str, above: bool) -> None:
+    assert (ellipsoidal_problem(CRS(crs)) is not None) is above
+
+
+@pytest.mark.parametrize(
+    ("crs", "lon", "lat", "suitable"),
+    [
+        *((name, -118.2, 34.0, None) for name in ("EPSG:32611", "EPSG:26911", "EPSG:26945", "EPSG:6424")),
+        *((name, -118.2, 34.0, "EPSG:32611") for name in ("EPSG:3857", "EPSG:32602", "EPSG:5070", "ESRI:54009")),
+        ("EPSG:3395", -118.2, 34.0, "EPSG:32611"),
+        ("EPSG:6933", -118.2, 34.0, "EPSG:32611"),
+        *((name, lon, lat, None) for name, lon, lat in (("EPSG:2154", 3.0, 45.0), ("EPSG:2193", 172.0, -43.0))),
+        *((name, lon, lat, None) for name, lon, lat in (("EPSG:27700", -3.0, 55.0), ("EPSG:2056", 8.0, 46.5))),
+        *((name, lon, lat, None) for name, lon, lat in (("EPSG:5514", 15.0, 50.0), ("EPSG:3763", -8.0, 39.5))),
+        ("EPSG:3035", -5.0, 40.0, "EPSG:32630"),
+        ("EPSG:3577", 146.0, -37.0, "EPSG:32755"),
+        ("EPSG:32611", -111.0, 34.0, "EPSG:32612"),  # a zone's width beside its meridian
+    ],
+)
+def test_maps_that_distort_distances(crs: str, lon: float, lat: float, suitable: str | None) -> None:
+    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    problem = scale_problem(crs, GridGeometry(x - 500, y + 500, 100.0, 10, 10))
+    assert problem is None if suitable is None else suitable in (problem or "")
+
+
+def test_the_error_of_web_mercator_is_the_secant_of_the_latitude() -> None:
+    x, y = Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True).transform(-118.0, 34.0)
+    problem = scale_problem("EPSG:3857", GridGeometry(x, y, 0.1, 2, 2)) or ""
+    assert f"{1 / math.cos(math.radians(34.0)) - 1:.1%}"[:2] in problem

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 
 from ltm_core.base.errors import RasterError
@@ -17,7 +18,7 @@ from ltm_core.raster.dem import Dem
 
 UTM = "EPSG:32611"
 HEIGHTS = np.arange(12, dtype=np.float64).reshape(3, 4) ** 2 + 1  # 3 rows, 4 columns, 1 to 122 m
-NORTH_UP = from_origin(1000.0, 2000.0, 5.0, 5.0)
+NORTH_UP = from_origin(501_000.0, 2000.0, 5.0, 5.0)
 
 
 def write(path: Path, array: np.ndarray, crs: str | None = UTM, transform: Any = NORTH_UP, **options: Any) -> Path:
@@ -54,7 +55,7 @@ def test_dtypes(tmp_path: Path, dtype: str) -> None:
     dem = Dem.open(write(tmp_path / "d.tif", HEIGHTS.astype(dtype)))
     assert dem.elevation.dtype == np.float32
     np.testing.assert_array_equal(dem.elevation, HEIGHTS)
-    assert dem.geometry == GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM)
+    assert dem.geometry == GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +92,10 @@ def test_scale_and_offset(tmp_path: Path) -> None:
 
 
 def test_rows_stored_south_up_are_turned(tmp_path: Path) -> None:
-    south_up = Affine(5.0, 0.0, 1000.0, 0.0, 5.0, 1985.0)
+    south_up = Affine(5.0, 0.0, 501_000.0, 0.0, 5.0, 1985.0)
     dem = Dem.open(write(tmp_path / "d.tif", HEIGHTS[::-1].copy(), transform=south_up))
     np.testing.assert_array_equal(dem.elevation, HEIGHTS)
-    assert dem.geometry == GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM)
+    assert dem.geometry == GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM)
 
 
 def test_a_raster_without_crs_needs_one(tmp_path: Path) -> None:
@@ -125,8 +126,15 @@ def test_a_stated_height_system_does_not_change_the_crs(tmp_path: Path) -> None:
     [
         ({"crs": "EPSG:4326", "transform": from_origin(-118.0, 34.0, 0.001, 0.001)}, "projected in metres"),
         ({"crs": "EPSG:2229"}, "projected in metres"),  # US survey feet
-        ({"crs": "EPSG:32611+6360"}, "foot"),  # heights in US survey feet
-        ({"units": "ft"}, "heights are in ft"),
+        ({"crs": "EPSG:2053"}, "south and west"),
+        ({"crs": "EPSG:5513"}, "south and west"),
+        ({"crs": CRS("EPSG:32611").to_3d().to_wkt()}, "above the ellipsoid.*EPSG:32611"),
+        ({"crs": "EPSG:3857", "transform": from_origin(-13_160_000, 4_030_000, 5, 5)}, "20.*EPSG:32611"),
+        ({"crs": "EPSG:32602", "transform": from_origin(5_700_000, 4_700_000, 5, 5)}, "EPSG:326"),
+        ({"crs": "ESRI:54009", "transform": from_origin(-10_700_000, 4_100_000, 5, 5)}, "EPSG:32611"),
+        ({"crs": "EPSG:5070", "transform": from_origin(-2_000_000, 1_500_000, 5, 5)}, "0.7.*EPSG:32611"),
+        ({"units": "degree"}, "degree"),
+        ({"crs": "EPSG:32611+6360", "units": "m"}, "0.3048"),
         ({"transform": Affine(4.9, -0.9, 1000.0, -0.9, -4.9, 2000.0)}, "rotated"),
         ({"transform": from_origin(1000.0, 2000.0, 5.0, 6.0)}, r"square, got 5.0 x -6.0 m"),
         ({"transform": Affine(-5.0, 0.0, 1000.0, 0.0, -5.0, 2000.0)}, "square"),
@@ -189,10 +197,10 @@ def test_no_height_beside_nodata() -> None:
 
 
 def test_in_frame() -> None:
-    dem = Dem(HEIGHTS.astype(np.float32), GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM))
-    local = dem.in_frame(SiteFrame(UTM, 900.0, 1900.0))
+    dem = Dem(HEIGHTS.astype(np.float32), GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM))
+    local = dem.in_frame(SiteFrame(UTM, 500_900.0, 1900.0))
     assert local.geometry == GridGeometry(100.0, 100.0, 5.0, 4, 3)
-    assert float(local.elevation_at(107.5, 92.5)) == float(dem.elevation_at(1007.5, 1992.5)) == HEIGHTS[1, 1]
+    assert float(local.elevation_at(107.5, 92.5)) == float(dem.elevation_at(501_007.5, 1992.5)) == HEIGHTS[1, 1]
     with pytest.raises(RasterError, match=r"EPSG:32611, the site in EPSG:32633.*gdalwarp"):
         dem.in_frame(SiteFrame("EPSG:32633"))
     with pytest.raises(RasterError, match="DEM is in None"):
@@ -202,7 +210,7 @@ def test_in_frame() -> None:
 def test_saved_and_opened(tmp_path: Path) -> None:
     heights = HEIGHTS.astype(np.float32)
     heights[0, 1] = np.nan
-    dem = Dem(heights, GridGeometry(1000.0, 2000.0, 5.0, 4, 3, UTM))
+    dem = Dem(heights, GridGeometry(501_000.0, 2000.0, 5.0, 4, 3, UTM))
     dem.save(tmp_path / "saved.tif")
     opened = Dem.open(tmp_path / "saved.tif")
     np.testing.assert_array_equal(opened.elevation, heights)

@@ -15,8 +15,7 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.raster.dem_seams import BAND
-from ltm_core.raster.dem_stack import REACH, DemStack, with_surface
+from ltm_core.raster.dem_stack import BAND, REACH, DemStack, with_surface
 from ltm_core.site.site_io import load_site
 
 pytestmark = pytest.mark.kernel

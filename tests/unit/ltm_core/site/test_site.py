@@ -69,7 +69,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"cameras": {"north east": {}}}, ["cameras.north east", "topic names"]),
         ({"cameras": {"fuel_map": {}}}, ["'fuel_map' is the name of a node"]),
         ({"cameras": {}}, ["cameras"]),
-        ({"crs": "EPSG:4326"}, ["crs", "projected CRS in metres"]),
+        ({"crs": "EPSG:4326"}, ["crs", "projected in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
         (

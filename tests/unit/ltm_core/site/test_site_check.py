@@ -62,10 +62,10 @@ def test_depth_of_another_encoder_than_the_labels_is_doubted(tmp_path: Path) -> 
 def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890 / 0.3048), SiteVerdict.WRONG)
     assert name == "dem"
-    assert "fine.tif: is 3.2" in message
-    assert "its heights are feet" in message
+    assert "fine.tif: 3.2" in message
+    assert "fine.tif from feet" in message
     ((_, message),) = said(checked(tmp_path, 1_080.0), SiteVerdict.DOUBTFUL)
-    assert "coarse.tif in the median: check place, unit and datum" in message
+    assert "coarse.tif in the median; check place, unit and datum" in message
 
 
 def test_only_the_cameras_that_run_are_looked_at(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pyproj import Transformer
 from scenes.fuel_frames import votes
 
 from ltm_core.base.errors import MessageError
-from ltm_core.fuel.export.export_grid import snapped_grid
+from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.uplink.vote_transfer import VoteTransfer
 

@@ -96,6 +96,23 @@ def test_heights_behind_a_ridge() -> None:
     assert np.isnan(coverage.height[behind])
 
 
+def test_trees_hide_the_ground_behind_them() -> None:
+    """Trees of 20 m from x = 200 to 240 m, a camera 30 m high at x = 50 m; heights count from bare earth."""
+    geometry = GridGeometry(0.0, 100.0, 2.0, 250, 50)
+    x, _ = geometry.to_map(0, np.arange(250))
+    tops = np.broadcast_to(np.where((x > 200) & (x < 240), 20.0, 0.0), geometry.shape).astype(np.float32)
+    ground = Dem(np.zeros(geometry.shape, np.float32), geometry)
+    sight = PointVisibility(Dem(tops, geometry), curvature=False)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((51.0, 51.0, 30.0), 90.0))
+    behind, wood = geometry.cell_of(401.0, 51.0), geometry.cell_of(221.0, 51.0)
+    for target, seen in ((0.0, 0), (11.0, 0), (12.0, 1)):
+        coverage = viewshed(sight, [view], target_height=target, all_round=True, ground=ground)
+        assert coverage.count[behind] == seen
+        assert coverage.count[wood] == 1
+    assert coverage.height[behind] == pytest.approx(30.0 - 350.0 * 10.0 / 188.0, abs=0.2)
+    assert coverage.height[wood] == 20.0
+
+
 def test_range_resolution_and_unknown_ground() -> None:
     plane = tilted_plane(0.0, 0.0).dem
     elevation = plane.elevation.copy()
@@ -166,6 +183,20 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr().out
     assert "roving" in said
     assert "seen by 2 or more" in said
+
+
+def test_the_command_sees_a_sites_surface(folder: Path) -> None:
+    command(out=folder / "bare.tif", site=folder / "site.yaml")
+    dem = Dem.open(folder / "dem.tif")
+    tops = dem.elevation.copy()
+    tops[:, 120:125] += 30.0
+    Dem(tops, dem.geometry).save(folder / "tops.tif")
+    (folder / "site.yaml").write_text(SITE.replace("cameras:", "surface: {path: tops.tif}\ncameras:", 1))
+    command(out=folder / "wood.tif", site=folder / "site.yaml")
+    with rasterio.open(folder / "bare.tif") as one, rasterio.open(folder / "wood.tif") as other:
+        bare, wood = one.read(1), other.read(1)
+    assert bare.shape == wood.shape
+    assert (wood[:, 126:] > 0).sum() < 0.5 * (bare[:, 126:] > 0).sum()
 
 
 def test_the_command_maps_one_pose_as_in_its_site(folder: Path) -> None:

@@ -86,12 +86,12 @@ def recorded(tmp_path: Path) -> Recorded:
         classes[0], classes[1] = 1, 3
         bag.write("/ridge/fuel_map", classes_to_msg(classes, GRID, 6 * SECOND), 6 * SECOND)
     (tmp_path / "run/site.yaml").write_text(
-        "name: ridge\ncrs: EPSG:32611\norigin: [1000, 2000]\ndem: {path: dem.tif}\ncameras: {north: {}, east: {}}\n"
+        "name: ridge\ncrs: EPSG:32611\norigin: [501000, 2000]\ndem: {path: dem.tif}\ncameras: {north: {}, east: {}}\n"
     )
     true_classes = np.full(GRID.shape, 1, np.uint8)
     true_classes[3] = 255
     write_fuel_map(
-        tmp_path / "run/fuel_truth.tif", true_classes, GRID.translated(1000, 2000, "EPSG:32611"), LabelSet.load()
+        tmp_path / "run/fuel_truth.tif", true_classes, GRID.translated(501_000, 2000, "EPSG:32611"), LabelSet.load()
     )
     return Recorded.find(tmp_path / "run/recording")
 
@@ -132,11 +132,11 @@ def test_changes_of_the_prior_map(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run/recording") as bag:
         bag.write("/ridge/north/fuel/votes", votes_to_msg(votes, LabelSet.load().names), 5 * SECOND)
         bag.write("/ridge/fuel_map", classes_to_msg(classes, GRID, 6 * SECOND), 6 * SECOND)
-    grid = GRID.translated(1000, 2000, "EPSG:32611")
+    grid = GRID.translated(501_000, 2000, "EPSG:32611")
     write_fuel_map(tmp_path / "run/fuel_truth.tif", true, grid, LabelSet.load())
     write_geotiff(tmp_path / "run/prior.tif", np.full(GRID.shape, 145, np.int16), grid, nodata=-9999)
     (tmp_path / "run/site.yaml").write_text(
-        "name: ridge\ncrs: EPSG:32611\norigin: [1000, 2000]\ndem: {path: dem.tif}\nfuel: {prior: prior.tif}\n"
+        "name: ridge\ncrs: EPSG:32611\norigin: [501000, 2000]\ndem: {path: dem.tif}\nfuel: {prior: prior.tif}\n"
         "cameras: {north: {}}\n"
     )
     score = score_bag(Recorded.find(tmp_path / "run/recording"))
@@ -262,8 +262,8 @@ def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
     after[15, 20] += 4  # a quarter of a cell: its mean moves 1 m, below the threshold
     for date, surface in (("before", before), ("after", after)):
         (folder / date).mkdir(parents=True)
-        Dem(surface, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(folder / date / "surface.tif")
-    Dem(after - before, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(
+        Dem(surface, GridGeometry(501_000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(folder / date / "surface.tif")
+    Dem(after - before, GridGeometry(501_000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(
         folder / "change_before_after.tif"
     )
     kinds = np.zeros(grid.shape, np.uint8)

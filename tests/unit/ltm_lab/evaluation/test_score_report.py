@@ -39,11 +39,11 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     terrain = rough_terrain(5, (110, 140), 8.0, y_max=880.0)
     x_min, y_max, resolution = terrain.geometry.x_min, terrain.geometry.y_max, terrain.geometry.resolution
     height, width = terrain.elevation.shape
-    Dem(terrain.elevation, GridGeometry(x_min + 1000, y_max + 2000, resolution, width, height, "EPSG:32611")).save(
+    Dem(terrain.elevation, GridGeometry(x_min + 501_000, y_max + 2000, resolution, width, height, "EPSG:32611")).save(
         folder / "dem.tif"
     )
     (folder / "site.yaml").write_text(
-        "name: ridge\ncrs: EPSG:32611\norigin: [1000, 2000]\ndem: {path: dem.tif}\ncameras: {north: {}, east: {}}\n"
+        "name: ridge\ncrs: EPSG:32611\norigin: [501000, 2000]\ndem: {path: dem.tif}\ncameras: {north: {}, east: {}}\n"
     )
     site = load_site(folder / "site.yaml")
     grid = site.fuel_geometry(site.open_dem())

@@ -77,6 +77,19 @@ def test_says_so_when_no_terrain_is_in_view(tmp_path: Path, dem_file: Path, caps
     assert "402060" in said
 
 
+def test_undeclared_nodata_is_unknown_and_said(
+    tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rasterio.open(dem_file, "r+") as sink:
+        heights = sink.read(1)
+        heights[:, 240:] = -9999.0
+        sink.write(heights, 1)
+    trace(dem=[dem_file], pose=pose_file(tmp_path, 890.0), out=tmp_path / "out")
+    assert "-9999" in capsys.readouterr().err
+    with rasterio.open(tmp_path / "out/alignment.tif") as written:
+        assert np.nanmin(written.read(3)) >= heights[:, :240].min()
+
+
 def test_a_camera_under_the_ground_is_refused(tmp_path: Path, dem_file: Path) -> None:
     with pytest.raises(PoseError, match="under the ground"):
         trace(dem=[dem_file], pose=pose_file(tmp_path, 700.0), out=tmp_path / "out")

@@ -99,11 +99,27 @@ def dem_in_degrees(folder: Path) -> None:
     Dem(heights, GridGeometry(-117.0, 38.0, 0.001, 8, 6, "EPSG:4326")).save(folder / "dem.tif")
 
 
-def dem_in_declared_feet(folder: Path) -> None:
+def dem_in_percent(folder: Path) -> None:
     import rasterio
 
     with rasterio.open(folder / "dem.tif", "r+") as sink:
-        sink.units = ("US survey foot",)
+        sink.units = ("percent",)
+
+
+def dem_with_nodata(folder: Path) -> None:
+    import rasterio
+
+    with rasterio.open(folder / "dem.tif", "r+") as sink:
+        heights = sink.read(1)
+        heights[:2, :3] = -9999.0
+        sink.write(heights, 1)
+
+
+def canopy_heights(folder: Path) -> None:
+    dem = Dem.open(folder / "dem.tif")
+    tops = np.where(np.arange(dem.geometry.width) % 4 == 0, 12.0, 0.0)
+    Dem(np.broadcast_to(tops, dem.geometry.shape).astype(np.float32), dem.geometry).save(folder / "chm.tif")
+    site_with(surface={"path": "chm.tif"})(folder)
 
 
 def nothing(folder: Path) -> None:
@@ -137,9 +153,11 @@ MISTAKES = [
         "a DEM in feet",
         fuels(fbfm40=102, dem=round(850 * 0.3048)),
         CHECK,
-        ("dem.tif", "times as high as the elevations of the prior", "its heights are feet, convert them to metres"),
+        ("dem.tif", "times as high as the elevations of the prior", "from feet to metres"),
     ),
-    Mistake("a DEM that declares feet", dem_in_declared_feet, CHECK, ("dem.tif", "US survey foot", "0.3048")),
+    Mistake("a DEM that declares no length", dem_in_percent, CHECK, ("dem.tif", "percent")),
+    Mistake("undeclared nodata", dem_with_nodata, CHECK, ("dem.tif", "-9999 (6 cells)", "gdal_edit -a_nodata"), 0),
+    Mistake("canopy height model as surface", canopy_heights, CHECK, ("chm.tif", "canopy height model", "gdal_calc")),
     Mistake("a DEM in degrees", dem_in_degrees, CHECK, ("dem.tif", "WGS 84", "gdalwarp")),
     Mistake("no DEM there", site_with(dem={"path": "dom.tif"}), CHECK, ("dom.tif", "not a raster that GDAL can read")),
     Mistake(

@@ -20,7 +20,7 @@ from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_reg
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.base.errors import ConfigError, MessageError
-from ltm_core.fuel.export.export_grid import snapped_grid
+from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.uplink.envelope import (
