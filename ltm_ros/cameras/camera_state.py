@@ -1,4 +1,4 @@
-"""Define the states of a camera."""
+"""Define the states of a camera, and keep them from flapping."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 class CameraState(StrEnum):
     CONNECTING = "connecting"
-    """First request, or a new request after a solved problem."""
+    """Before the first image."""
     ALIVE = "alive"
     STALLED = "stalled"
     """No usable image: not reachable, connection lost, or invalid data."""
@@ -20,19 +20,38 @@ class CameraState(StrEnum):
     NIGHT = "night"
     """The image is dark, or infrared."""
 
+    @property
+    def failing(self) -> bool:
+        """Return whether the camera needs a repair."""
+        return self in (CameraState.STALLED, CameraState.UNAUTHORISED, CameraState.STUCK)
+
+    @property
+    def sending(self) -> bool:
+        return self in (CameraState.ALIVE, CameraState.NIGHT, CameraState.MOVED)
+
 
 class StateRecord:
-    """The current state. `since`: seconds of the caller's clock."""
+    """The current state, from what each request showed. A single failure does not change it: a state ends when it has
+    not been seen for `hold_s` seconds. Rejected passwords count at once, and so does the first good image afterwards.
 
-    def __init__(self, now: float) -> None:
+    Args: now, hold_s: seconds of the caller's clock.
+    """
+
+    def __init__(self, now: float, hold_s: float) -> None:
         self.state = CameraState.CONNECTING
-        self.since = now
+        self.since = self._seen = now
+        self._hold_s = hold_s
         self.why = ""
+        """Reason of the latest failure; empty: the latest request succeeded."""
 
-    def become(self, state: CameraState, now: float, why: str = "") -> bool:
-        """Set the state and its latest reason; return whether the state changed."""
-        changed = state is not self.state
-        if changed:
-            self.state, self.since = state, now
+    def saw(self, state: CameraState, now: float, why: str = "") -> bool:
+        """Take what a request showed; return whether the camera's state changed."""
         self.why = why
-        return changed
+        recovered = self.state.failing and state in (CameraState.ALIVE, CameraState.NIGHT)
+        at_once = self.state is CameraState.CONNECTING or state is CameraState.UNAUTHORISED or recovered
+        if state is self.state:
+            self._seen = now
+        elif at_once or now - self._seen >= self._hold_s:
+            self.state, self.since, self._seen = state, now, now
+            return True
+        return False

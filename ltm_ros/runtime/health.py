@@ -41,6 +41,7 @@ class Health:
         self._published_at = _LastValues()
         self._reasons: dict[str, str] = {}
         self._last_error = ""
+        self._lasting = ""
         self._last_trouble = -float("inf")
 
     def received(self, topic: str) -> None:
@@ -85,6 +86,10 @@ class Health:
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
+    def lasting(self, problem: str) -> None:
+        """Report a problem that lasts until the next call; empty: none."""
+        self._lasting = problem
+
     def note(self, event: str) -> None:
         """Count an event that loses nothing."""
         with self._lock:
@@ -106,8 +111,13 @@ class Health:
 
     @property
     def troubled(self) -> bool:
-        """Return whether something was dropped in the last ten seconds."""
-        return time.monotonic() - self._last_trouble < 10.0
+        """Return whether a problem lasts, or something was dropped in the last ten seconds."""
+        return bool(self._lasting) or time.monotonic() - self._last_trouble < 10.0
+
+    @property
+    def message(self) -> str:
+        """Return the current problem in words; `ok`: none."""
+        return self._lasting or (self._last_error if self.troubled else "ok")
 
     def summary(self) -> dict[str, str]:
         """Return key -> value for `/diagnostics`; times in milliseconds, rates in Hz."""

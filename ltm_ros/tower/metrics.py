@@ -9,6 +9,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from ltm_ros.cameras.camera_state import CameraState
 from ltm_ros.tower.tower_status import OUTBOX_KEYS, TowerStatus
 
 METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
@@ -70,7 +71,14 @@ class TowerCollector(Collector):
             "ltm_pose_verdicts", "Frames by state of their pose", labels=("camera", "verdict")
         )
         doubted = GaugeMetricFamily("ltm_camera_wrong", "Whether a camera has a problem", labels=("camera",))
+        states = GaugeMetricFamily("ltm_camera_state", "Whether a camera is in a state", labels=("camera", "state"))
+        since = GaugeMetricFamily(
+            "ltm_camera_state_since_timestamp_seconds", "Start of a camera's state", labels=("camera",)
+        )
         for camera in self._status.cameras:
+            for state in CameraState:
+                states.add_metric((camera.name, state), camera.state is state)
+            since.add_metric((camera.name,), camera.since_s)
             if camera.frame_age_s is not None:
                 age.add_metric((camera.name,), camera.frame_age_s)
             finished.add_metric((camera.name,), camera.finished)
@@ -81,7 +89,7 @@ class TowerCollector(Collector):
                 judged[node.camera, verdict] += count
         for (name, verdict), count in judged.items():
             verdicts.add_metric((name, verdict), count)
-        yield from (age, finished, verdicts, doubted)
+        yield from (age, finished, verdicts, doubted, states, since)
 
     def _nodes(self) -> Iterator[Metric]:
         up = GaugeMetricFamily("ltm_node_up", "Whether a node reports", labels=NODE)
