@@ -128,6 +128,11 @@ class CameraSource:
         return self._record.state
 
     @property
+    def latest(self) -> CameraState:
+        """Return what the latest request showed."""
+        return self._record.latest
+
+    @property
     def why(self) -> str:
         """Return the current problem in words; empty: none."""
         return self._record.why

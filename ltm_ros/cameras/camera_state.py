@@ -38,7 +38,8 @@ class StateRecord:
     """
 
     def __init__(self, now: float, hold_s: float) -> None:
-        self.state = CameraState.CONNECTING
+        self.state = self.latest = CameraState.CONNECTING
+        """The camera's state, and what the latest request showed."""
         self.since = self._seen = now
         self._hold_s = hold_s
         self.why = ""
@@ -46,7 +47,7 @@ class StateRecord:
 
     def saw(self, state: CameraState, now: float, why: str = "") -> bool:
         """Take what a request showed; return whether the camera's state changed."""
-        self.why = why
+        self.latest, self.why = state, why
         recovered = self.state.failing and state in (CameraState.ALIVE, CameraState.NIGHT)
         at_once = self.state is CameraState.CONNECTING or state is CameraState.UNAUTHORISED or recovered
         if state is self.state:

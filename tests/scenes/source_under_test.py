@@ -79,7 +79,8 @@ class Sourced:
 
     @property
     def state(self) -> str:
-        return self.source.state.value
+        """What the latest request showed; `source.state` changes later."""
+        return self.source.latest.value
 
     def steps(self, count: int) -> list[float]:
         """The pauses that followed; the clock does not move."""

@@ -280,13 +280,13 @@ def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
     sourced = bench.sourced
     if not begins:
         bench.step()
-        assert (sourced.state, len(sourced.frames)) == ("alive", 1), sourced.source.why
+        assert (sourced.source.state, len(sourced.frames)) == ("alive", 1), sourced.source.why
     before, began = len(sourced.frames), bench.clock.monotonic()
     fault.happen(bench)
     while True:
         taken = bench.step() - began
-        reached = sourced.state == fault.state and fault.said in sourced.source.why
-        assert taken <= fault.within or reached, (sourced.state, sourced.source.why)
+        reached = sourced.source.state == fault.state and fault.said in sourced.source.why
+        assert taken <= fault.within or reached, (sourced.source.state, sourced.source.why)
         if reached and (fault.state != "alive" or taken > fault.within):
             break
     published = sourced.frames[before:]
@@ -296,7 +296,7 @@ def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
     before = len(sourced.frames)
     for _ in range(6):
         bench.step()
-    assert sourced.state == "alive", sourced.source.why
+    assert sourced.source.state == "alive", sourced.source.why
     assert len(sourced.frames) > before
     for frame in published + sourced.frames[before:]:
         shown = decode_rgb(frame.jpeg or b"")
