@@ -104,22 +104,18 @@ class SoapClient:
         kind = {"content-type": "application/soap+xml; charset=utf-8"}
         answer = self._connection.ask(address, "POST", envelope.encode(), kind, accepted=_TOLD)
         if answer.status in (401, 403) and b"Envelope" not in answer.body:
-            raise self._unauthorised(f"HTTP {answer.status}")
+            raise self._login.rejected(f"ONVIF, HTTP {answer.status}")
         root = parsed_xml(answer.body)
         fault = found(root, "Fault")
         if fault is not None:
             said = " ".join("".join(fault.itertext()).split())
             if any(refusal in said for refusal in _REFUSALS):
-                raise self._unauthorised("NotAuthorized")
+                raise self._login.rejected("ONVIF, NotAuthorized")
             raise SourceError(f"the camera rejected the ONVIF request: {self._login.redact(said)[:120]}")
         inside = found(root, "Body")
         if inside is None:
             raise SourceError(f"the camera answered <{local(root)[:40]}> instead of SOAP: check url and path of ptz")
         return inside
-
-    def _unauthorised(self, how: str) -> UnauthorisedError:
-        who = f"user {self._login.user}" if self._login.user else "a request without user and password"
-        return UnauthorisedError(f"the camera rejected {who} by ONVIF ({how}). Check the user name and password")
 
     def _security(self) -> str:
         nonce = secrets.token_bytes(16)

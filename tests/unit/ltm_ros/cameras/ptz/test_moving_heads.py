@@ -243,7 +243,7 @@ def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_
         tested = Sourced(source, SystemClock(), gaze=gaze)
         (pause,) = tested.steps(1)
     assert tested.state == "unauthorised"
-    assert "rejected user viewer by ONVIF" in tested.source.why
+    assert "rejected user viewer (ONVIF" in tested.source.why
     assert "the-one" not in tested.source.why
     assert pause >= 599.0
     assert not tested.frames
