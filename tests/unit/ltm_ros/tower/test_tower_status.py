@@ -153,5 +153,7 @@ def test_what_a_source_says_is_listed_once() -> None:
     made["/ridge/north/source"].lasting(f"unauthorised: {REFUSED}")
     watch, _ = of_source(4.5, state="unauthorised", state_why=REFUSED)
     source = made["/ridge/north/source"]
-    watch.hear("/ridge/north/source", source.troubled, source.message, {"state": "unauthorised", "state_why": REFUSED}, 50.0)
+    watch.hear(
+        "/ridge/north/source", source.troubled, source.message, {"state": "unauthorised", "state_why": REFUSED}, 50.0
+    )
     assert [line for line in status_of(watch).wrong if "192.0.2.20" in line] == [f"north: {REFUSED}"]

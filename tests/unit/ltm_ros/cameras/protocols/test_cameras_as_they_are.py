@@ -1,4 +1,4 @@
-"""Answers of real cameras, from public bug reports: accepted if it is safe, else the error says what the camera does."""
+"""Answers of real cameras, from public bug reports: accepted if that is safe, or else the error names the fault."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import pytest
 from scenes.raw_camera import Answer, raw_camera
 from scenes.timed_picture import jpeg, scene
 
-from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
+from ltm_core.site.source_config import MjpegConfig, RtspConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, PartSplitter, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraImage
+from ltm_ros.cameras.protocols.video import RtspReader
 
 JPEG = jpeg(scene(64, 48))
 OK = b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\n"
@@ -52,7 +53,7 @@ ACCEPTED: dict[str, bytes] = {
 
 
 def snapshot(url: str, **given: Any) -> SnapshotReader:
-    return SnapshotReader(SnapshotConfig(kind="snapshot", url=url, timeout=0.4, **given), 1 << 20)
+    return SnapshotReader(SnapshotConfig(kind="snapshot", url=url, **({"timeout": 5.0} | given)), 1 << 20)
 
 
 @pytest.mark.parametrize("answer", ACCEPTED.values(), ids=ACCEPTED)
@@ -65,7 +66,7 @@ def test_snapshots_that_are_accepted(answer: bytes) -> None:
 
 def test_a_length_too_long_on_an_open_connection() -> None:
     with raw_camera(ACCEPTED["length too long"], keep=True) as camera:
-        assert snapshot(camera.url()).read().jpeg == JPEG  # type: ignore[union-attr]
+        assert snapshot(camera.url(), timeout=1.5).read().jpeg == JPEG  # type: ignore[union-attr]
 
 
 def page(body: str, status: str = "200 OK", more: str = "") -> bytes:
@@ -114,7 +115,11 @@ STREAMS: dict[str, tuple[str, bytes, bytes]] = {
     "with spaces": ('boundary="my frame"', b"--my frame\r\n" + PART % len(JPEG), b"\r\n"),
     "spaces around": ("Boundary = frame ; x=1", b"--frame  \r\n" + PART % len(JPEG), b"\r\n"),
     "in other case": ("BOUNDARY=Frame", b"--fRAME\r\n" + PART % len(JPEG), b"\r\n"),
-    "line feeds only": ("boundary=frame", b"--frame\nContent-Type: image/jpeg\nContent-Length: %d\n\n" % len(JPEG), b"\n"),
+    "line feeds only": (
+        "boundary=frame",
+        b"--frame\nContent-Type: image/jpeg\nContent-Length: %d\n\n" % len(JPEG),
+        b"\n",
+    ),
     "another than declared": ("boundary=frame", b"--ipcamera\r\n" + PART % len(JPEG), b"\r\n"),
     "not declared": ("x=1", b"--frame\r\n" + PART % len(JPEG), b"\r\n"),
     "length too long": ("boundary=frame", b"--frame\r\n" + PART % (len(JPEG) + 300), b"\r\n"),
@@ -135,7 +140,7 @@ STREAMS: dict[str, tuple[str, bytes, bytes]] = {
 def test_streams_that_are_accepted(kind: str, before: bytes, after: bytes) -> None:
     head = f"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; {kind}\r\n\r\n".encode()
     with raw_camera(head + (before + JPEG + after) * 4 + before) as camera:
-        reader = MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=0.5), 1 << 20)
+        reader = MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=5.0), 1 << 20)
         read = [reader.read() for _ in range(4)]
         reader.close()
     assert [getattr(one, "jpeg", None) for one in read] == [JPEG] * 4
@@ -153,9 +158,9 @@ def test_parts_are_the_same_however_they_arrive(size: int) -> None:
 
 def test_a_stream_of_one_image_names_the_right_kind() -> None:
     with raw_camera(WHOLE) as camera, pytest.raises(SourceError, match="kind: snapshot"):
-        MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=0.5), 1 << 20)
+        MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=5.0), 1 << 20)
     with raw_camera(REJECTED["login page"][0]) as camera, pytest.raises(SourceError, match="its login page"):
-        MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=0.5), 1 << 20)
+        MjpegReader(MjpegConfig(kind="mjpeg", url=camera.url(), timeout=5.0), 1 << 20)
 
 
 def test_an_empty_picture_is_no_connection_that_failed() -> None:
@@ -168,7 +173,7 @@ def test_an_empty_picture_is_no_connection_that_failed() -> None:
 USER, PASSWORD = "viewer", 'tower-%7@ "secret"'
 NONCE = 'realm="cam \\"1\\"", nonce="abc=="'
 CHALLENGES: dict[str, tuple[str, str]] = {
-    "MD5": (f"Digest {NONCE}, qop=\"auth\", algorithm=MD5", "md5"),
+    "MD5": (f'Digest {NONCE}, qop="auth", algorithm=MD5', "md5"),
     "no algorithm": (f'Digest {NONCE}, qop="auth"', "md5"),
     "empty algorithm": (f'Digest {NONCE}, algorithm=, qop="auth"', "md5"),
     "empty algorithm, quoted": (f'Digest {NONCE}, algorithm="", qop="auth"', "md5"),
@@ -275,3 +280,39 @@ def test_what_cannot_be_answered_is_named_and_sends_no_password(login: dict[str,
 def test_a_camera_that_wants_a_login_where_none_is_configured() -> None:
     with raw_camera(asked('Basic realm="x"', "basic")) as camera, pytest.raises(UnauthorisedError, match="set user"):
         snapshot(camera.url()).read()
+
+
+# --- RTSP
+
+SDP = "v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=x\r\nt=0 0\r\nm=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n"
+MD5, SHA = (f'WWW-Authenticate: Digest realm="x", nonce="abc", algorithm={name}' for name in ("MD5", "SHA-256"))
+RTSP: dict[str, tuple[dict[str, str], type[SourceError], str]] = {
+    "SHA-256": ({"DESCRIBE": f"401 Unauthorized\r\n{SHA}"}, UnauthorisedError, "digest SHA-256"),
+    "MD5, then SHA-256": ({"DESCRIBE": f"401 Unauthorized\r\n{MD5}\r\n{SHA}"}, UnauthorisedError, "digest SHA-256"),
+    "wrong password": ({"DESCRIBE": f"401 Unauthorized\r\n{MD5}"}, UnauthorisedError, "rejected user viewer"),
+    "not found": ({"DESCRIBE": "404 Not Found"}, SourceError, "404 Not Found"),
+    "no session": ({"DESCRIBE": "454 Session Not Found"}, SourceError, "454 Session Not Found"),
+    "busy": ({"DESCRIBE": "503 Service Unavailable"}, SourceError, "503"),
+    "redirect": ({"DESCRIBE": "302 Found\r\nLocation: rtsp://127.0.0.1:1/x"}, SourceError, "refused"),
+    "bandwidth": ({"SETUP": "453 Not Enough Bandwidth"}, SourceError, "453"),
+    "transport": ({"SETUP": "461 Unsupported Transport"}, SourceError, "transport: udp"),
+}
+
+
+@pytest.mark.parametrize(("answers", "error", "named"), RTSP.values(), ids=RTSP)
+def test_what_a_stream_answers_is_named(
+    login: dict[str, Any], capfd: Any, answers: dict[str, str], error: type[SourceError], named: str
+) -> None:
+    pytest.importorskip("av", reason="the extra rtsp is not installed")
+
+    def answer(head: str) -> bytes:
+        method, count = head.split()[0], re.findall(r"(?i)cseq: *(\d+)", head)[0]
+        body = SDP if method == "DESCRIBE" and method not in answers else ""
+        kind = f"Content-Type: application/sdp\r\nContent-Length: {len(body)}\r\n" if body else ""
+        return f"RTSP/1.0 {answers.get(method, '200 OK')}\r\nCSeq: {count}\r\n{kind}\r\n{body}".encode()
+
+    with raw_camera(answer, keep=True) as camera, pytest.raises(error, match=re.escape(named)) as caught:
+        RtspReader(RtspConfig(kind="rtsp", url=camera.url("/live", "rtsp"), timeout=5.0, **login))
+    assert (type(caught.value), "secret" in str(caught.value), "secret" in str(capfd.readouterr())) == (
+        error, False, False
+    )  # fmt: skip
