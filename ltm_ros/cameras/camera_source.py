@@ -16,7 +16,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
-from ltm_ros.cameras.camera_state import CameraState, StateRecord
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
@@ -30,7 +29,7 @@ from ltm_ros.cameras.protocols.picture import (
     thumbnail_of_rgb,
 )
 from ltm_ros.runtime.clocks import Clock
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import CameraState, Health, StateRecord
 from ltm_ros.runtime.retry import Backoff
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0
@@ -113,7 +112,7 @@ class CameraSource:
         self._reader: CameraReader | None = None
         self._exposures = ExposureClock()
         self._stuck = StuckPicture(settings.stuck_s)
-        self._record = StateRecord(clock.monotonic(), settings.stall_s)
+        self.record = StateRecord(clock.monotonic(), settings.stall_s)
         self._before: PtzReading | None = None
         """Last reading of the PTZ head; None: none since the connection began."""
         self._digest = b""
@@ -122,20 +121,6 @@ class CameraSource:
         self._night = False
         """Whether the last image was dark or infrared."""
         self._connected_at = clock.monotonic()
-
-    @property
-    def state(self) -> CameraState:
-        return self._record.state
-
-    @property
-    def latest(self) -> CameraState:
-        """Return what the latest request showed."""
-        return self._record.latest
-
-    @property
-    def why(self) -> str:
-        """Return the current problem in words; empty: none."""
-        return self._record.why
 
     def step(self) -> float:
         """Request one image; return the seconds to wait before the next request."""
@@ -170,7 +155,7 @@ class CameraSource:
     def report(self) -> None:
         """Report the camera's state in the diagnostics."""
         now, wall = self._clock.monotonic(), self._clock.wall()
-        health, record = self._health, self._record
+        health, record = self._health, self.record
         health.gauge("state", record.state.value)
         health.gauge("state_for_s", round(now - record.since))
         health.gauge("state_since", round(wall - (now - record.since)))
@@ -349,7 +334,7 @@ class CameraSource:
             self._gaze.direction.close()
 
     def _become(self, state: CameraState, why: str = "") -> None:
-        if self._record.saw(state, self._clock.monotonic(), why):
+        if self.record.saw(state, self._clock.monotonic(), why):
             self._health.note(f"became_{state.value}")
         self.report()
 

@@ -201,8 +201,8 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
             pause = source.step()
             if frames:
                 return frames[0], ""
-            why = f"{source.latest}: {source.why}"
-            if source.latest in ("unauthorised", "stalled"):
+            why = f"{source.record.latest}: {source.record.why}"
+            if source.record.latest in ("unauthorised", "stalled"):
                 break
             time.sleep(min(pause, 1.0))
     finally:

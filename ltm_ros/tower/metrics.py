@@ -9,7 +9,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from ltm_ros.cameras.camera_state import CameraState
+from ltm_ros.runtime.health import CameraState
 from ltm_ros.tower.tower_status import OUTBOX_KEYS, TowerStatus
 
 METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"

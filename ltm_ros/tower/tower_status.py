@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from ltm_ros.cameras.camera_state import CameraState
 from ltm_ros.runtime.clocks import KernelClock
+from ltm_ros.runtime.health import CameraState
 from ltm_ros.tower.machine import Disk
 
 SILENT_S = 10.0

@@ -79,8 +79,12 @@ class Sourced:
 
     @property
     def state(self) -> str:
-        """What the latest request showed; `source.state` changes later."""
-        return self.source.latest.value
+        """What the latest request showed; `source.record.state` changes later."""
+        return self.source.record.latest.value
+
+    @property
+    def why(self) -> str:
+        return self.source.record.why
 
     def steps(self, count: int) -> list[float]:
         """The pauses that followed; the clock does not move."""

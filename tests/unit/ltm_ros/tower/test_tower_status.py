@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 from scenes.tower_words import NODES, NOW_S, healths, status_of, watch_of
 
-from ltm_ros.cameras.camera_state import CameraState
 from ltm_ros.nodes.health import camera_diagnostic
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import CameraState, Health
 from ltm_ros.tower.metrics import exposition
 from ltm_ros.tower.tower_status import KEYS, LENGTH, CameraStatus, OutboxState, TowerWatch
 

@@ -280,13 +280,13 @@ def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
     sourced = bench.sourced
     if not begins:
         bench.step()
-        assert (sourced.source.state, len(sourced.frames)) == ("alive", 1), sourced.source.why
+        assert (sourced.source.record.state, len(sourced.frames)) == ("alive", 1), sourced.why
     before, began = len(sourced.frames), bench.clock.monotonic()
     fault.happen(bench)
     while True:
         taken = bench.step() - began
-        reached = sourced.source.state == fault.state and fault.said in sourced.source.why
-        assert taken <= fault.within or reached, (sourced.source.state, sourced.source.why)
+        reached = sourced.source.record.state == fault.state and fault.said in sourced.why
+        assert taken <= fault.within or reached, (sourced.source.record.state, sourced.why)
         if reached and (fault.state != "alive" or taken > fault.within):
             break
     published = sourced.frames[before:]
@@ -296,7 +296,7 @@ def test_fault(bench: Bench, fault: Fault, begins: bool) -> None:
     before = len(sourced.frames)
     for _ in range(6):
         bench.step()
-    assert sourced.source.state == "alive", sourced.source.why
+    assert sourced.source.record.state == "alive", sourced.why
     assert len(sourced.frames) > before
     for frame in published + sourced.frames[before:]:
         shown = decode_rgb(frame.jpeg or b"")

@@ -79,7 +79,7 @@ def test_cmyk_comes_through_with_its_colours() -> None:
     with running(HttpCamera(Behaviour(render=lambda _: jpeg(image, "CMYK")))) as camera:
         sourced = Sourced(settings(kind="snapshot", url=camera.url(), every=1), SystemClock())
         sourced.steps(1)
-    assert sourced.state == "alive", sourced.source.why
+    assert sourced.state == "alive", sourced.why
     shown = decode_rgb(sourced.frames[0].jpeg or b"")
     assert abs(shown.astype(int) - image).mean() < 6
     assert time_in(shown) == pytest.approx(time_in(image), abs=1e-3)
@@ -98,7 +98,7 @@ def test_a_certificate_is_checked_against_what_the_site_file_names(tmp_path: Pat
             sourced = Sourced(config, SystemClock())
             sourced.steps(1)
             states.append(sourced.state)
-            assert sourced.state == "alive" or "certificate" in sourced.source.why.lower()
+            assert sourced.state == "alive" or "certificate" in sourced.why.lower()
     assert states == ["alive", "stalled", "stalled", "stalled", "alive"]
 
 

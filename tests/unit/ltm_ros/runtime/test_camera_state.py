@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltm_ros.cameras.camera_state import CameraState, StateRecord
+from ltm_ros.runtime.health import CameraState, StateRecord
 
 ALIVE, STALLED, NIGHT = CameraState.ALIVE, CameraState.STALLED, CameraState.NIGHT
 MOVED, UNAUTHORISED = CameraState.MOVED, CameraState.UNAUTHORISED
