@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import parse_qsl, urlsplit
@@ -79,6 +80,8 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
     parts = urlsplit(url)
     if parts.scheme not in schemes or not parts.hostname:
         raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
+    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
+        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
     if "@" in parts.netloc:
         raise ValueError(
             "a URL in a site file must not contain user and password: write them as `user: NAME` and "

@@ -217,7 +217,9 @@ class HttpClient:
             ) from None
         except httpx.ConnectError as error:
             raise SourceError(f"no connection: {self._login.redact(error)}{_remedy(str(error))}") from None
-        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
+        except (httpx.InvalidURL, UnicodeError) as error:
+            raise SourceError(f"the url is invalid: {self._login.redact(error)}") from None
+        except (httpx.HTTPError, httpx.StreamError, OSError, ValueError) as error:
             kind = type(error).__name__
             raise SourceError(
                 f"the camera closed the connection or did not answer HTTP ({kind}): {self._login.redact(error)}"

@@ -8,14 +8,16 @@ from base64 import b64encode
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 from scenes.raw_camera import Answer, raw_camera
 from scenes.timed_picture import jpeg, scene
 
-from ltm_core.site.source_config import MjpegConfig, RtspConfig, SnapshotConfig
+from ltm_core.site.source_config import MjpegConfig, RtspConfig, SnapshotConfig, VapixConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, PartSplitter, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraImage
 from ltm_ros.cameras.protocols.video import RtspReader
+from ltm_ros.cameras.ptz.connection import settings_of, with_configured_host
 
 JPEG = jpeg(scene(64, 48))
 OK = b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\n"
@@ -166,6 +168,30 @@ def test_a_stream_of_one_image_names_the_right_kind() -> None:
 def test_an_empty_picture_is_no_connection_that_failed() -> None:
     with raw_camera(REJECTED["nothing"][0]) as camera, pytest.raises(PictureError):
         snapshot(camera.url()).read()
+
+
+@pytest.mark.parametrize(
+    "url", ["http://127.0.0.1:99999/a", "http://127.0.0.1:0/a", "http://exa mple/a", "http://[::1/a", "http://a\\b/"]
+)
+def test_an_address_that_is_none_is_rejected(url: str) -> None:
+    with pytest.raises(ValidationError, match="url"):
+        SnapshotConfig(kind="snapshot", url=url)
+
+
+@pytest.mark.parametrize("host", ["a..b", "xn--", "a" * 70])
+def test_a_host_that_is_none_is_named(host: str) -> None:
+    with pytest.raises(SourceError, match="the url is invalid"):
+        snapshot(f"http://{host}/a.jpg").read()
+
+
+def test_a_stream_s_head_is_at_its_host_also_by_ipv6() -> None:
+    stream = RtspConfig(kind="rtsp", url="rtsp://[2001:db8::7]:554/live")
+    assert settings_of(VapixConfig(kind="vapix"), stream).url == "http://[2001:db8::7]"
+    assert (
+        with_configured_host("rtsp://10.0.0.1:8554/a?b=1", "http://[2001:db8::7]:80")
+        == "rtsp://[2001:db8::7]:8554/a?b=1"
+    )
+    assert with_configured_host("http://10.0.0.1/a", "https://cam:8443") == "https://cam:8443/a"
 
 
 # --- authentication
