@@ -7,9 +7,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
-import socket
 import ssl
-import threading
 import time
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
-from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport
+from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
 from ltm_ros.cameras.protocols.picture import CameraTime
 
 REFUSED = (401, 403, 423)
@@ -59,12 +57,10 @@ class HttpClient:
         self._login = Login.of(settings)
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
-        self._sockets: list[socket.socket] = []
-        """Sockets of its newest connections."""
-        self._late = threading.Event()
+        self._deadline = Deadline()
         self._client = httpx.Client(
             auth=self._auth(settings),
-            transport=CameraTransport(_certificates(settings), KEEP_S, self._opened),
+            transport=CameraTransport(_certificates(settings), KEEP_S, self._deadline),
             timeout=settings.timeout,
             # A redirect would send the password to another host.
             follow_redirects=False,
@@ -98,7 +94,7 @@ class HttpClient:
                 raise SourceError("the camera answered with a stream of images: set kind: mjpeg")
             whole = bytearray()
             try:
-                for part in self._parts(response, asked + self._whole_s):
+                for part in response.iter_bytes():
                     whole += part
                     if len(whole) > self._most_bytes:
                         raise PictureError(
@@ -134,56 +130,27 @@ class HttpClient:
             self._client.event_hooks = {"request": [note], "response": []}
             with self.within(self._whole_s):
                 response = stack.enter_context(
-                    self._client.stream(
-                        method,
-                        self._login.filled(url),
-                        headers=dict(headers or {}),
-                        content=body,
-                    )
+                    self._client.stream(method, self._login.filled(url), headers=dict(headers or {}), content=body)
                 )
             arrived = time.monotonic()
             self._check(response, accepted)
             yield response, asked, arrived
 
-    def _parts(self, response: httpx.Response, until: float) -> Iterator[bytes]:
-        """Yield the body as it arrives. Raises SourceError after `until`."""
-        for part in response.iter_bytes():
-            yield part
-            if time.monotonic() > until:
-                raise SourceError(f"the camera took more than {self._whole_s:g} s for one image")
-
     @contextlib.contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Raise SourceError in the body after the given seconds. A limit for each part is not enough: httpx waits for
-        the end of a header that comes letter by letter, and the watchdog would end the process of all cameras.
-        """
-        late = threading.Event()
-
-        def hang_up() -> None:
-            late.set()
-            self._late.set()
-            for one in list(self._sockets):
-                _hang_up(one)
-
-        timer = threading.Timer(seconds, hang_up)
-        timer.daemon = True
-        timer.start()
+        """Raise SourceError in the body after the given seconds."""
+        former, until = self._deadline.until, time.monotonic() + seconds
+        self._deadline.until = min(former, until)
         try:
             yield
-        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError) as error:
-            if late.is_set() and not isinstance(error, UnauthorisedError):
+        except UnauthorisedError:
+            raise
+        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError):
+            if time.monotonic() >= until:
                 raise SourceError(f"the camera took more than {seconds:g} s for one image") from None
             raise
         finally:
-            timer.cancel()
-            if late.is_set():
-                self._late.clear()
-
-    def _opened(self, made: socket.socket) -> None:
-        """Record a new connection."""
-        self._sockets = [*[one for one in self._sockets if one.fileno() >= 0][-2:], made]
-        if self._late.is_set():
-            _hang_up(made)
+            self._deadline.until = former
 
     def _auth(self, settings: HttpSettings) -> httpx.Auth | None:
         if settings.user is None or "{password}" in settings.url:
@@ -211,10 +178,8 @@ class HttpClient:
         try:
             yield
         except httpx.TimeoutException as error:
-            what = "the connection" if isinstance(error, httpx.ConnectTimeout) else "an answer"
-            raise SourceError(
-                f"the camera does not respond: no {what.removeprefix('the ').removeprefix('an ')} in time"
-            ) from None
+            what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
+            raise SourceError(f"the camera does not respond: no {what} in time") from None
         except httpx.ConnectError as error:
             raise SourceError(f"no connection: {self._login.redact(error)}{_remedy(str(error))}") from None
         except (httpx.InvalidURL, UnicodeError) as error:
@@ -256,11 +221,6 @@ def _remedy(why: str) -> str:
     if "expired" in why or "not yet valid" in why:
         return ": renew the certificate in the camera, and check both clocks"
     return ": the port does not speak https; use http://, or another port" if "wrong_version_number" in why else ""
-
-
-def _hang_up(connection: socket.socket) -> None:
-    with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_RDWR)
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:

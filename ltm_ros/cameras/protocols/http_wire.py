@@ -9,12 +9,13 @@ algorithm nor two challenges in one line.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 import secrets
-import socket
 import ssl
+import time
 from base64 import b64encode
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,30 +46,44 @@ def tolerated(head: bytes) -> bytes:
     return b"\r\n".join(kept) + b"\r\n\r\n"
 
 
+class Deadline:
+    """Time of a monotonic clock at which every network operation ends. A limit for each part is not enough: an answer
+    that comes letter by letter would hold up its thread, and the watchdog would end the process of all cameras.
+    """
+
+    until = math.inf
+
+    def left(self, timeout: float | None) -> float | None:
+        """Return the seconds for one operation. Raises httpcore's ReadTimeout after the deadline."""
+        seconds = min(math.inf if timeout is None else timeout, self.until - time.monotonic())
+        if seconds <= 0:
+            raise httpcore.ReadTimeout("the deadline has passed")
+        return None if seconds == math.inf else seconds
+
+
 class _Stream(httpcore.NetworkStream):
     """A connection that changes the head of each answer by `tolerated`."""
 
-    def __init__(self, stream: httpcore.NetworkStream, opened: Callable[[socket.socket], None]) -> None:
-        self._stream, self._opened = stream, opened
+    def __init__(self, stream: httpcore.NetworkStream, deadline: Deadline) -> None:
+        self._stream, self._deadline = stream, deadline
         self._head_follows = False
-        opened(stream.get_extra_info("socket"))
 
     def read(self, max_bytes: int, timeout: float | None = None) -> bytes:
-        data = self._stream.read(max_bytes, timeout)
+        data = self._stream.read(max_bytes, self._deadline.left(timeout))
         if not self._head_follows:
             return data
         self._head_follows = False
         while data[:5] == b"HTTP/"[: len(data)] and len(data) < _MOST_HEAD:
             if (end := _HEAD_END.search(data)) is not None:
                 return tolerated(data[: end.start()]) + data[end.end() :]
-            if not (part := self._stream.read(max_bytes, timeout)):
+            if not (part := self._stream.read(max_bytes, self._deadline.left(timeout))):
                 break
             data += part
         return data
 
     def write(self, buffer: bytes, timeout: float | None = None) -> None:
         self._head_follows = True
-        self._stream.write(buffer, timeout)
+        self._stream.write(buffer, self._deadline.left(timeout))
 
     def close(self) -> None:
         self._stream.close()
@@ -76,27 +91,28 @@ class _Stream(httpcore.NetworkStream):
     def start_tls(
         self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
     ) -> httpcore.NetworkStream:
-        return _Stream(self._stream.start_tls(ssl_context, server_hostname, timeout), self._opened)
+        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.left(timeout))
+        return _Stream(stream, self._deadline)
 
     def get_extra_info(self, info: str) -> Any:
         return self._stream.get_extra_info(info)
 
 
 class _Backend(httpcore.SyncBackend):
-    def __init__(self, opened: Callable[[socket.socket], None]) -> None:
-        self._opened = opened
+    def __init__(self, deadline: Deadline) -> None:
+        self._deadline = deadline
 
-    def connect_tcp(self, *given: Any, **named: Any) -> httpcore.NetworkStream:
-        return _Stream(super().connect_tcp(*given, **named), self._opened)
+    def connect_tcp(self, host: str, port: int, timeout: float | None = None, **named: Any) -> httpcore.NetworkStream:
+        return _Stream(super().connect_tcp(host, port, self._deadline.left(timeout), **named), self._deadline)
 
 
 class CameraTransport(httpx.HTTPTransport):
-    """Args: keep_s: seconds for which a connection is kept. opened: takes the socket of each new connection."""
+    """Args: keep_s: seconds for which a connection is kept."""
 
-    def __init__(self, context: ssl.SSLContext, keep_s: float, opened: Callable[[socket.socket], None]) -> None:
+    def __init__(self, context: ssl.SSLContext, keep_s: float, deadline: Deadline) -> None:
         # Instead of the base's, which has no parameter for the network.
         self._pool = httpcore.ConnectionPool(
-            ssl_context=context, max_connections=2, keepalive_expiry=keep_s, network_backend=_Backend(opened)
+            ssl_context=context, max_connections=2, keepalive_expiry=keep_s, network_backend=_Backend(deadline)
         )
 
 
@@ -191,7 +207,8 @@ class CameraAuth(httpx.Auth):
             return hashlib.new(_HASHES[offer.hash_name], data, usedforsecurity=False).hexdigest()
 
         self._count += 1
-        realm, nonce, cnonce, count = given.get("realm", ""), given["nonce"], secrets.token_hex(8), f"{self._count:08x}"
+        realm, nonce = given.get("realm", ""), given["nonce"]
+        cnonce, count = secrets.token_hex(8), f"{self._count:08x}"
         uri = request.url.raw_path.decode("ascii")
         first, second = digest(f"{self._user}:{realm}:{self._password}"), f"{request.method}:{uri}"
         session = given.get("algorithm", "").upper().endswith("-SESS")
