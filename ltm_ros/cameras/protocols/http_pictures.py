@@ -157,14 +157,17 @@ class MjpegReader:
 
 
 class PartSplitter:
-    """Splits a multipart answer into its parts, by the boundary that the stream begins with, or `declared`. A stated
-    length is used if an image ends there. Source: RFC 2046, 5.1; cameras implement half of it.
+    """Splits a multipart answer into its parts, by the line that the stream begins with, because cameras write dashes
+    and case otherwise than they declare; else by `declared`. A stated length is used if an image ends there. Source:
+    RFC 2046, 5.1; cameras implement half of it.
     """
 
     def __init__(self, declared: bytes, most_bytes: int) -> None:
         self._declared, self._most_bytes = declared.lstrip(b"-"), most_bytes
-        self._mark: re.Pattern[bytes] | None = None
+        self._mark = b""
         self._buffer = bytearray()
+        self._sought = 0
+        """Number of bytes in which no end of the image was found."""
 
     def feed(self, chunk: bytes) -> Iterator[tuple[dict[str, str], bytes]]:
         """Return header and body of each completed part. Raises SourceError if no part can be completed."""
@@ -176,12 +179,10 @@ class PartSplitter:
 
     def _take(self) -> tuple[dict[str, str], bytes] | None:
         buffer = self._buffer
-        if self._mark is None:
-            self._mark = _boundary_in(buffer, self._declared)
-        begin = None if self._mark is None else self._mark.search(buffer)
-        if self._mark is None or begin is None or len(buffer) < begin.end() + 2:
+        begin = self._line(0)
+        if begin is None or len(buffer) < begin[1] + 2:
             return None
-        head, start = dict[str, str](), begin.end()
+        head, start = dict[str, str](), begin[1]
         if buffer[start : start + 2] != _BEGIN[:2]:
             blank = _BLANK.search(buffer, start - 1)
             if blank is None:
@@ -192,38 +193,42 @@ class PartSplitter:
             raise SourceError(f"an image of {length} bytes is announced; the maximum is {self._most_bytes}")
         end = start + length
         if length <= 0 or len(buffer) < end or not is_whole_jpeg(buffer[start:end]):
-            following = self._mark.search(buffer, start)
-            if following is None:
+            following = self._line(start)
+            # Before the stated length has come, what looks like a boundary may be a part of the image.
+            if following is None or (len(buffer) < end and not is_whole_jpeg(buffer[start : following[0]])):
                 return None
-            if len(buffer) < end and not is_whole_jpeg(buffer[start : following.start()]):
-                return None  # these bytes may be a part of the image
-            end = following.start()
+            end = following[0]
         body = bytes(buffer[start:end]).strip(b"\r\n")
         del buffer[:end]
+        self._sought = 0
         return head, body
+
+    def _line(self, start: int) -> tuple[int, int] | None:
+        """Return begin and end of the next line between two parts."""
+        buffer = self._buffer
+        if not self._mark:
+            first = _FIRST_LINE.match(buffer)
+            if first is None and len(buffer) < _FIRST_BYTES:
+                return None
+            line = b"" if first is None else first[1].rstrip()
+            given = line.startswith(b"--") or (self._declared and self._declared.lower() in line.lower())
+            self._mark = line if given else b"--" + self._declared
+            if self._mark == b"--":
+                raise SourceError("the stream has no boundary between its images; check the url")
+        at = max(start, self._sought) if start else 0
+        while (at := buffer.find(self._mark, at)) >= 0:
+            ends = _LINE_END.match(buffer, at + len(self._mark))
+            if ends is not None and (buffer[max(at - 1, 0) : at] in (b"", b"\n") or buffer[at - 2 : at] == b"\xff\xd9"):
+                return at, ends.end()
+            at += 1
+        self._sought = max(len(buffer) - _HEAD_BYTES, 0) if start else 0
+        return None
 
 
 _BLANK = re.compile(rb"\n\r?\n")
-_FIRST_LINE = re.compile(rb"\s*([^\r\n]*[^\s])[ \t]*\r?\n")
-
-
-def _boundary_in(begin: bytearray, declared: bytes) -> re.Pattern[bytes] | None:
-    """Return the pattern of a line between two parts; None: the first line of the stream is not complete. Cameras write
-    dashes, case and line ends otherwise than they declare. Raises SourceError if there is no boundary.
-    """
-    first = _FIRST_LINE.match(begin)
-    if first is None:
-        return None
-    line = first[1]
-    name = line.lstrip(b"-")
-    dashes = b"-+" if line != name else b""
-    if not dashes and (not declared or declared.lower() not in name.lower()):
-        name, dashes = declared, b"-*"
-    if not name:
-        raise SourceError("the stream has no boundary between its images; check the url")
-    return re.compile(
-        rb"(?:\A\s*|(?<=\n)|(?<=\xff\xd9))" + dashes + re.escape(name) + rb"(?:--)?[ \t]*\r?\n", re.IGNORECASE
-    )
+_FIRST_BYTES = 1024
+_FIRST_LINE = re.compile(rb"[\r\n]{0,16}([^\r\n]{1,200})\r?\n")
+_LINE_END = re.compile(rb"(?:--)?[ \t]{0,80}\r?\n")
 
 
 def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
