@@ -43,7 +43,7 @@ def status(
 
 def _print_status(said: Mapping[str, Any]) -> None:
     """Print what `TowerStatus.as_dict` returns."""
-    from datetime import datetime
+    from datetime import UTC, datetime
 
     from rich.console import Console
     from rich.markup import escape
@@ -59,7 +59,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
         cells = (
             one["name"],
             one["state"],
-            f"{datetime.fromtimestamp(one['since_s']):%m-%d %H:%M:%S}",
+            f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
             _seconds(one["frame_age_s"], " ago"),
             str(one["frames_in"]),
             str(one["finished"]),
@@ -85,7 +85,7 @@ def _print_status(said: Mapping[str, Any]) -> None:
             )
         )
     columns = (
-        "camera", "state", "since", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose", "why"
+        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose", "why"
     )  # fmt: skip
     print_table(console, "", columns, cameras)
     print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)

@@ -218,7 +218,9 @@ class PartSplitter:
         at = max(start, self._sought) if start else 0
         while (at := buffer.find(self._mark, at)) >= 0:
             ends = _LINE_END.match(buffer, at + len(self._mark))
-            if ends is not None and (buffer[max(at - 1, 0) : at] in (b"", b"\n") or buffer[at - 2 : at] == b"\xff\xd9"):
+            if ends is not None and (
+                bytes(buffer[max(at - 1, 0) : at]) in (b"", b"\n") or buffer[at - 2 : at] == b"\xff\xd9"
+            ):
                 return at, ends.end()
             at += 1
         self._sought = max(len(buffer) - _HEAD_BYTES, 0) if start else 0

@@ -102,8 +102,9 @@ class _Backend(httpcore.SyncBackend):
     def __init__(self, deadline: Deadline) -> None:
         self._deadline = deadline
 
-    def connect_tcp(self, host: str, port: int, timeout: float | None = None, **named: Any) -> httpcore.NetworkStream:
-        return _Stream(super().connect_tcp(host, port, self._deadline.left(timeout), **named), self._deadline)
+    def connect_tcp(self, *given: Any, **named: Any) -> httpcore.NetworkStream:
+        named["timeout"] = self._deadline.left(named.get("timeout"))
+        return _Stream(super().connect_tcp(*given, **named), self._deadline)
 
 
 class CameraTransport(httpx.HTTPTransport):
