@@ -157,7 +157,6 @@ class CameraSource:
         now, wall = self._clock.monotonic(), self._clock.wall()
         health, record = self._health, self.record
         health.gauge("state", record.state.value)
-        health.gauge("state_for_s", round(now - record.since))
         health.gauge("state_since", round(wall - (now - record.since)))
         health.gauge("state_why", record.why)
         health.gauge("stalled_after_s", self._settings.stall_s)

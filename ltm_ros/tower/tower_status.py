@@ -277,7 +277,7 @@ class TowerWatch:
         if known is not state:
             source = self._reports.get(f"/{self._site}/{name}/source")
             own = source.number("state_since") if source and source.values.get("state") == state else None
-            since_s = own if own is not None and since_s < own <= time_s else time_s
+            since_s = own if own is not None and max(since_s, 0.0) < own <= time_s else time_s
             self._states[name] = state, since_s
         return since_s
 

@@ -120,7 +120,11 @@ class VideoReader:
         self._due = arrived + self._every
         stream = None if frame.pts is None else float(frame.pts * frame.time_base)
         begun = self._container.start_time_realtime
-        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=_rgb(frame))
+        try:
+            rgb: UInt8Array = frame.to_ndarray(format="rgb24")
+        except (self._av.error.FFmpegError, ValueError, MemoryError) as error:
+            raise PictureError(f"an image of the stream cannot be converted: {self._origin.said(error)}") from None
+        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=rgb)
 
     def _decoded(self, packet: Any, alone: bool) -> list[Any]:
         try:
@@ -143,11 +147,6 @@ def _pyav() -> Any:
     # Its log lines contain URLs.
     logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
     return av
-
-
-def _rgb(frame: Any) -> UInt8Array:
-    array: UInt8Array = frame.to_ndarray(format="rgb24")
-    return array
 
 
 _MOST_HEAD = 16 << 10

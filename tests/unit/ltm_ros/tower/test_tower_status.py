@@ -141,6 +141,13 @@ def test_a_state_keeps_its_beginning_until_it_changes() -> None:
     assert [watch.cameras(60.0, NOW_S + now)[1].since_s for now in (9.0, 12.0)] == [NOW_S + 9] * 2
 
 
+@pytest.mark.parametrize("since", ["-1e300", "1e300", "nan", "noon"])
+def test_a_beginning_that_is_no_time_is_not_believed(since: str) -> None:
+    _, camera = of_source(4.5, state="alive", state_since=since)
+    assert camera.since_s == NOW_S
+    assert camera_diagnostic("ridge", camera).message.startswith("alive since")
+
+
 def test_a_source_that_falls_silent_is_a_camera_that_fails() -> None:
     watch, _ = of_source(4.5, state="alive")
     assert watch.cameras(60.1, NOW_S)[0].state == "stalled"
