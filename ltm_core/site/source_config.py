@@ -80,13 +80,13 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
     parts = urlsplit(url)
     if parts.scheme not in schemes or not parts.hostname:
         raise ValueError(f"expected a URL that begins with {' or '.join(f'{scheme}://' for scheme in schemes)}")
-    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
-        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
     if "@" in parts.netloc:
         raise ValueError(
             "a URL in a site file must not contain user and password: write them as `user: NAME` and "
             "`password: {environment: NAME}` (or file, credential)"
         )
+    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
+        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
     for name, value in parse_qsl(parts.query, keep_blank_values=True):
         if name.lower() in SECRET_KEYS and value != "{password}":
             raise ValueError(

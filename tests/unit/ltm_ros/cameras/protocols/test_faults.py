@@ -238,7 +238,7 @@ FAULTS = (
     Fault("connection cut", lambda b: b.behave(cut=True), "stalled", 50, "closed the connection"),
     Fault("picture cut", lambda b: b.behave(truncate=True), "stalled", 50, "end-of-image"),
     Fault("tables lost", lambda b: b.render(corrupt), "stalled", 50, "corrupt"),
-    Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "neither"),
+    Fault("log-in page", lambda b: b.behave(garbage=b"<html>log in</html>"), "stalled", 50, "login page"),
     Fault("empty picture", lambda b: b.render(lambda _: b""), "stalled", 50, "of 0 bytes"),
     Fault("not found", lambda b: b.behave(status=404), "stalled", 50, "HTTP 404"),
     Fault("broken", lambda b: b.behave(status=500), "stalled", 50, "HTTP 500"),
