@@ -196,7 +196,7 @@ def is_whole_jpeg(data: bytes | bytearray) -> bool:
     return data.lstrip(b"\r\n")[:2] == b"\xff\xd8" and data.rstrip(b"\r\n\0")[-2:] == b"\xff\xd9"
 
 
-_LOGIN = re.compile(r"(?i)log-?in|sign-?in|logon|password")
+_LOGIN = re.compile(r"(?i)log[io]n|signin|(?<![a-z])(log|sign)[\s_-]in(?![a-z])|password")
 
 
 def page_in(body: bytes) -> str:

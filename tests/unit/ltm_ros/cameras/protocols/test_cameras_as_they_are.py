@@ -79,6 +79,8 @@ REJECTED: dict[str, tuple[bytes, str]] = {
     "length too short": (OK + b"Content-Length: 900\r\n\r\n" + JPEG[:900], "Content-Length"),
     "cut within the body": (OK + LENGTH + b"\r\n" + JPEG[:900], "closed the connection"),
     "login page": (page("<!DOCTYPE html><title>Web Login</title>"), 'its login page "Web Login"'),
+    "page to sign in": (page("<html><body>Please sign in.</body></html>"), "its login page"),
+    "page of a dialog": (page("<html><title>Dialog information</title></html>"), 'a web page "Dialog information"'),
     "page with a password": (page("<html><form><input type='password'></form></html>"), "its login page"),
     "page that redirects": (
         page('<html><meta http-equiv="refresh" content="0; url=/doc/index.asp"></html>'),
