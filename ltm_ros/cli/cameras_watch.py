@@ -115,14 +115,14 @@ def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
                 escape(said.get("state_why", "")),
             )
         )
-    columns = ("camera", "state", "since", "image", "stamps", "clock", "published", "rejected", "why")
+    columns = ("camera", "state", "since (UTC)", "image", "stamps", "clock", "published", "rejected", "why")
     return table("", columns, rows)
 
 
 def _since(epoch: str | None) -> str:
     if not epoch:
         return ""
-    return datetime.fromtimestamp(float(epoch)).strftime("%m-%d %H:%M:%S")
+    return datetime.fromtimestamp(float(epoch), UTC).strftime("%m-%d %H:%M:%S")
 
 
 READINGS = "readings.csv"

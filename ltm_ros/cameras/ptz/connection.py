@@ -121,6 +121,13 @@ def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
     return here
 
 
+def span(root: ElementTree.Element, *names: str) -> tuple[float, float] | None:
+    """Return the numbers Min and Max below an element; None: not reported. Raises SourceError."""
+    place = found(root, *names)
+    ends = [] if place is None else [e for e in (found(place, "Min"), found(place, "Max")) if e is not None]
+    return (number(ends[0].text, names[-1]), number(ends[1].text, names[-1])) if len(ends) == 2 else None
+
+
 def number(text: str | None, what: str) -> float:
     """Parse a number. Raises SourceError."""
     try:

@@ -28,6 +28,7 @@ from ltm_ros.cameras.ptz.connection import (
     number,
     parsed_xml,
     settings_of,
+    span,
     with_configured_host,
 )
 from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
@@ -184,12 +185,8 @@ class OnvifPtzHead:
         root = self._ask("GetNodes", with_profile=False)
 
         def both(space: str, axis: str, scale: tuple[float, float] | None) -> tuple[float, float] | None:
-            place = found(root, space, axis)
-            ends = None if place is None else (found(place, "Min"), found(place, "Max"))
-            if ends is None or ends[0] is None or ends[1] is None:
-                return None
-            low, high = number(ends[0].text, axis), number(ends[1].text, axis)
-            return (low, high) if scale is None else (_scaled(low, scale), _scaled(high, scale))
+            ends = span(root, space, axis)
+            return ends if scale is None or ends is None else (_scaled(ends[0], scale), _scaled(ends[1], scale))
 
         turn = "AbsolutePanTiltPositionSpace"
         pan = both(turn, "XRange", self._config.pan_range_deg)
