@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import parse_qsl, urlsplit
@@ -84,6 +85,8 @@ def url_without_secrets(url: str, schemes: tuple[str, ...]) -> str:
             "a URL in a site file must not contain user and password: write them as `user: NAME` and "
             "`password: {environment: NAME}` (or file, credential)"
         )
+    if parts.port == 0 or re.search(r"[\s\\]", parts.netloc):  # a port above 65535 raises ValueError here
+        raise ValueError("expected a host name or address, and a port of 1 to 65535 if any")
     for name, value in parse_qsl(parts.query, keep_blank_values=True):
         if name.lower() in SECRET_KEYS and value != "{password}":
             raise ValueError(

@@ -16,7 +16,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.site.source_config import SourceSettings
 from ltm_msgs_py.image import picture_size
-from ltm_ros.cameras.camera_state import CameraState, StateRecord
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError, StuckPtzError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import Direction, Patrol, PoseModel, PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.exposure import Exposure, ExposureClock
@@ -30,7 +29,7 @@ from ltm_ros.cameras.protocols.picture import (
     thumbnail_of_rgb,
 )
 from ltm_ros.runtime.clocks import Clock
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.health import CameraState, Health, StateRecord
 from ltm_ros.runtime.retry import Backoff
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0
@@ -113,22 +112,15 @@ class CameraSource:
         self._reader: CameraReader | None = None
         self._exposures = ExposureClock()
         self._stuck = StuckPicture(settings.stuck_s)
-        self._record = StateRecord(clock.monotonic())
+        self.record = StateRecord(clock.monotonic(), settings.stall_s)
         self._before: PtzReading | None = None
         """Last reading of the PTZ head; None: none since the connection began."""
         self._digest = b""
         self._stamp_ns = -1
         self._last_good: float | None = None
+        self._night = False
+        """Whether the last image was dark or infrared."""
         self._connected_at = clock.monotonic()
-
-    @property
-    def state(self) -> CameraState:
-        return self._record.state
-
-    @property
-    def why(self) -> str:
-        """Return the current problem in words; empty: none."""
-        return self._record.why
 
     def step(self) -> float:
         """Request one image; return the seconds to wait before the next request."""
@@ -143,11 +135,10 @@ class CameraSource:
             pause = self._settings.period
         except PictureError as error:
             self._refuse("picture", str(error))
-            state = self._state_without_picture()
-            if self._reader is None or (self._reader.pause == 0 and state is CameraState.STALLED):
+            if self._reader is None or (self._reader.pause == 0 and self._silent()):
                 # A stream that sends nothing usable may recover when it is reopened.
-                return self._failed(state, error, self._backoff.failed())
-            self._become(state, str(error))
+                return self._failed(CameraState.STALLED, error, self._backoff.failed())
+            self._become(CameraState.STALLED, str(error))
             pause = self._reader.pause
         except SourceError as error:
             return self._failed(CameraState.STALLED, error, self._backoff.failed())
@@ -157,14 +148,19 @@ class CameraSource:
     def close(self) -> None:
         self._disconnect()
 
+    def crashed(self, why: str) -> None:
+        """Record a failure outside `step`."""
+        self._become(CameraState.STALLED, why)
+
     def report(self) -> None:
         """Report the camera's state in the diagnostics."""
         now, wall = self._clock.monotonic(), self._clock.wall()
-        health, record = self._health, self._record
+        health, record = self._health, self.record
         health.gauge("state", record.state.value)
-        health.gauge("state_for_s", round(now - record.since))
         health.gauge("state_since", round(wall - (now - record.since)))
         health.gauge("state_why", record.why)
+        health.gauge("stalled_after_s", self._settings.stall_s)
+        health.lasting(f"{record.state}: {record.why}" if record.state.failing else "")
         if self._last_good is not None:
             health.gauge("picture_age_s", round(now - self._last_good, 1))
         offset = self._exposures.offset(wall - now)
@@ -187,7 +183,8 @@ class CameraSource:
             self._before = gaze.direction.read()
         item = reader.read()
         if item is Nothing.YET:
-            self._wait()
+            if self._silent():
+                self._become(CameraState.STALLED, "no new image")
         elif item is Nothing.UNCHANGED:
             self._repeated()
         else:
@@ -221,7 +218,7 @@ class CameraSource:
             thumbnail = thumbnail_of_rgb(picture.rgb)
         self._stuck.look(thumbnail, reading, now)
         self._last_good = now
-        night = is_night(thumbnail)
+        self._night = night = is_night(thumbnail)
         if not night and (why := self._stuck.said(now)):
             self._refuse("stuck", f"{why}: restart the camera")
             self._become(CameraState.STUCK, why)
@@ -313,25 +310,17 @@ class CameraSource:
         self._backoff.succeeded()
         self._health.note("repeated")
         self._stuck.repeated(now)
-        if self.state is not CameraState.NIGHT and (why := self._stuck.said(now)):
+        if not self._night and (why := self._stuck.said(now)):
             self._become(CameraState.STUCK, why)
 
-    def _wait(self) -> None:
-        state = self._state_without_picture()
-        if state is CameraState.STALLED:
-            self._become(state, "no new image")
-
-    def _state_without_picture(self) -> CameraState:
-        """Return the state of a connected camera without usable images: bad at once if it never sent one."""
+    def _silent(self) -> bool:
+        """Return whether a connected camera has sent no usable image for too long."""
         last = self._connected_at if self._last_good is None else self._last_good
-        if self._clock.monotonic() - last >= self._settings.stall_s:
-            return CameraState.STALLED
-        return self.state if self._last_good is not None else CameraState.CONNECTING
+        return self._clock.monotonic() - last >= self._settings.stall_s
 
     def _failed(self, state: CameraState, error: SourceError, wait_s: float) -> float:
         self._disconnect()
         self._health.note("unauthorised" if state is CameraState.UNAUTHORISED else "disconnected")
-        self._health.trouble(state.value, str(error))
         self._become(state, str(error))
         return wait_s
 
@@ -344,7 +333,7 @@ class CameraSource:
             self._gaze.direction.close()
 
     def _become(self, state: CameraState, why: str = "") -> None:
-        if self._record.become(state, self._clock.monotonic(), why):
+        if self.record.saw(state, self._clock.monotonic(), why):
             self._health.note(f"became_{state.value}")
         self.report()
 

@@ -70,7 +70,7 @@ def _answers(asking: socket.socket, asked: str, seconds: float) -> tuple[list[Di
         asking.settimeout(left)
         try:
             body, (host, _) = asking.recvfrom(MOST_BYTES)
-        except TimeoutError:
+        except OSError:
             break
         try:
             camera = camera_in(body, host, asked)

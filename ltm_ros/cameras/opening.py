@@ -176,12 +176,13 @@ class SourceThread:
             pause = self._source.step()
         except LtmError as error:
             self._health.drop(cause_of(error), str(error))
+            self._source.crashed(str(error))
             pause = self._crashes.failed()
         except Exception as error:
             self._tell(error)
-            self._health.drop(
-                "crash", f"{type(error).__name__}: internal error, see the log; the camera is tried again"
-            )
+            why = f"{type(error).__name__}: internal error, see the log; the camera is tried again"
+            self._health.drop("crash", why)
+            self._source.crashed(why)
             try:
                 self._source.close()
             except Exception as another:  # a connection left incomplete by the bug is dropped all the same

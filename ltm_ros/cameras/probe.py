@@ -26,10 +26,10 @@ from ltm_msgs_py.image import picture_size
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
-from ltm_ros.cameras.protocols.http_pictures import MjpegReader
+from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader
 from ltm_ros.cameras.protocols.video import RtspReader
-from ltm_ros.cameras.ptz.connection import with_configured_host
+from ltm_ros.cameras.ptz.connection import host_of, with_configured_host
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits
 from ltm_ros.cameras.ptz.makers import open_ptz
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
@@ -43,9 +43,10 @@ FEW = 3
 SNAPSHOT_PATHS = (
     "/axis-cgi/jpg/image.cgi",
     "/ISAPI/Streaming/channels/101/picture",
+    "/cgi-bin/snapshot.cgi",
     "/snapshot.jpg",
 )
-"""Common snapshot paths: Axis, Hikvision, and others."""
+"""Common snapshot paths: Axis, Hikvision, Dahua, and others."""
 REOLINK_SNAPSHOT = "/cgi-bin/api.cgi?cmd=Snap&channel=0&rs=ltm&user={user}&password={password}"
 """Only for Reolink cameras, because the URL contains the password."""
 PTZ_KINDS: tuple[dict[str, Any], ...] = (
@@ -81,8 +82,8 @@ class Found:
     clock_ahead_s: float | None = None
     clock_known_to_s: float | None = None
     ptz: PtzFound | None = None
-    stream: str | None = None
-    """Another address that the camera reports."""
+    stated: tuple[str, ...] = ()
+    """Addresses of images that the camera reports."""
     tried: list[tuple[str, str]] = field(default_factory=list)
 
 
@@ -103,11 +104,8 @@ def probe(
     login = {"user": user, "password": password, "timeout": timeout}
     if url.startswith(("rtsp://", "rtsps://")):
         say("the stream")
-        _try(found, url, lambda: _stream(found, RtspReader(RtspConfig(kind="rtsp", url=url, frames="all", **login))))
-        if found.size is not None:
-            found.source = {"kind": "rtsp", "url": url}
-        host = urlsplit(url).hostname or ""
-        base = f"http://{f'[{host}]' if ':' in host else host}"
+        _try(found, url, lambda: _video(found, url, login))
+        base = f"http://{host_of(url)}"
         reolink = _is_reolink(base, timeout, ca, check_name)
     else:
         parts = urlsplit(url)
@@ -126,11 +124,17 @@ def probe(
         if found.ptz is None and (given["kind"] == "reolink") <= reolink:
             say(f"a PTZ head by {given['kind']}")
             _try(found, f"PTZ head by {' '.join(given.values())}", lambda given=given: _try_ptz(found, given, web))  # type: ignore[misc]
-    if found.source is None and found.stream is not None and found.stream.startswith("http"):
-        stated = found.stream
-        tls = login | {"ca": ca, "check_name": check_name}
-        _try(found, redacted(stated), lambda: _picture(found, _address_at(base, stated), tls))
+    for stated in found.stated:
+        if found.source is None:
+            _try(found, redacted(stated), lambda stated=stated: _stated(found, base, stated, web))  # type: ignore[misc]
     return found
+
+
+def _stated(found: Found, base: str, stated: str, web: dict[str, Any]) -> str:
+    url, login = _address_at(base, stated), {key: value for key, value in web.items() if key != "url"}
+    if url.startswith("http"):
+        return _picture(found, url, login)
+    return _video(found, url, {key: login[key] for key in ("user", "password", "timeout")})
 
 
 def _address_at(base: str, stated: str) -> str:
@@ -138,7 +142,7 @@ def _address_at(base: str, stated: str) -> str:
     into the site file.
     """
     try:
-        return url_without_secrets(with_configured_host(stated, base), ("http", "https"))
+        return url_without_secrets(with_configured_host(stated, base), ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
         raise SourceError(f"invalid address reported by the camera: {error}") from None
 
@@ -172,7 +176,7 @@ def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
     try:
         with client.stream(url) as (response, _, _):
             kind = response.headers.get("content-type", "")
-        if "multipart" in kind:
+        if "multipart" in kind.lower():
             told = _stream(found, MjpegReader(MjpegConfig(kind="mjpeg", url=url, **login), MOST_BYTES))
             found.source = {"kind": "mjpeg", "url": url}
             return told
@@ -180,13 +184,19 @@ def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
     finally:
         client.close()
     last = answers[-1]
-    found.size = picture_size(last.body)
-    found.bytes_each = len(last.body)
+    picture = picture_in(last)
+    found.size, found.bytes_each = picture_size(picture), len(picture)
     found.seconds_each = min(answer.arrived - answer.asked for answer in answers)
     found.fresh = answers[0].body != last.body
     _clock_of(found, answers)
     found.source = {"kind": "snapshot", "url": url}
     return f"an image of {found.size[0]} x {found.size[1]} pixels"
+
+
+def _video(found: Found, url: str, login: dict[str, Any]) -> str:
+    told = _stream(found, RtspReader(RtspConfig(kind="rtsp", url=url, frames="all", **login)))
+    found.source = {"kind": "rtsp", "url": url}
+    return told
 
 
 def _stream(found: Found, reader: CameraReader) -> str:
@@ -237,8 +247,7 @@ def _try_ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
     try:
         if isinstance(ptz, OnvifPtzHead):
             found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
-            snapshot, stream = ptz.picture_addresses()
-            found.stream = stream if found.source is not None else snapshot or stream
+            found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
         limits, presets = PtzLimits(), tuple[str, ...]()
         try:

@@ -263,8 +263,8 @@ def _print_found(console: Console, found: Found) -> None:
 
     if found.source is not None:
         row("pictures", f"{found.source['kind']} at {found.source['url']}")
-    if found.stream is not None:
-        row("also at", redacted(found.stream))
+    for address in found.stated:
+        row("stated", redacted(address))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))

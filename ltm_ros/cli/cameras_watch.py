@@ -116,14 +116,14 @@ def state_table(states: Mapping[str, Mapping[str, str]]) -> Table:
                 escape(said.get("state_why", "")),
             )
         )
-    columns = ("camera", "state", "since", "image", "stamps", "clock", "published", "rejected", "why")
+    columns = ("camera", "state", "since (UTC)", "image", "stamps", "clock", "published", "rejected", "why")
     return table("", columns, rows)
 
 
 def _since(epoch: str | None) -> str:
     if not epoch:
         return ""
-    return datetime.fromtimestamp(float(epoch)).strftime("%m-%d %H:%M:%S")
+    return datetime.fromtimestamp(float(epoch), UTC).strftime("%m-%d %H:%M:%S")
 
 
 READINGS = "readings.csv"
@@ -202,8 +202,8 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
             pause = source.step()
             if frames:
                 return frames[0], ""
-            why = f"{source.state.value}: {source.why}"
-            if source.state.value in ("unauthorised", "stalled"):
+            why = f"{source.record.latest}: {source.record.why}"
+            if source.record.latest in ("unauthorised", "stalled"):
                 break
             time.sleep(min(pause, 1.0))
     finally:

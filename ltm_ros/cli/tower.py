@@ -43,6 +43,8 @@ def status(
 
 def _print_status(said: Mapping[str, Any]) -> None:
     """Print what `TowerStatus.as_dict` returns."""
+    from datetime import UTC, datetime
+
     from rich.console import Console
     from rich.markup import escape
 
@@ -56,12 +58,15 @@ def _print_status(said: Mapping[str, Any]) -> None:
         dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
         cells = (
             one["name"],
+            one["state"],
+            f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
             _seconds(one["frame_age_s"], " ago"),
             str(one["frames_in"]),
             str(one["finished"]),
             dropped,
             _seconds(one["latency_s"]),
             one["pose"],
+            one["why"],
         )
         cameras.append(tuple(map(escape, cells)))
     nodes = []
@@ -79,7 +84,9 @@ def _print_status(said: Mapping[str, Any]) -> None:
                 escape(one["said"][:80]),
             )
         )
-    columns = ("camera", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose")
+    columns = (
+        "camera", "state", "since (UTC)", ">newest frame", ">frames", ">finished", "given up", ">latency", "pose", "why"
+    )  # fmt: skip
     print_table(console, "", columns, cameras)
     print_table(console, "", ("node", "state", ">in", ">out", ">given up", ">work p95", "says"), nodes)
     if (outbox := said["outbox"]) is not None:

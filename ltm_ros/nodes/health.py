@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
@@ -17,7 +18,7 @@ from rclpy.node import Node
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
 from ltm_ros.runtime.clocks import kernel_clock
-from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher, status_message
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import TRAFFIC
@@ -29,7 +30,7 @@ from ltm_ros.tower.last_pictures import LastPictures
 from ltm_ros.tower.marks import Marks
 from ltm_ros.tower.metrics import METRICS_KIND, exposition
 from ltm_ros.tower.patient_server import PatientServer
-from ltm_ros.tower.tower_status import TowerStatus, TowerWatch, camera_of
+from ltm_ros.tower.tower_status import CameraStatus, TowerStatus, TowerWatch, camera_of
 
 
 class HealthNodeConfig(NodeConfig):
@@ -47,7 +48,7 @@ class HealthNode(Node):  # type: ignore[misc]
         if site.health is None:
             raise ConfigError(f"{config.site}: has no section `health`")
         self._watch = TowerWatch(site.name, config.expected, site.health.frame_age)
-        self._lock = threading.Lock()
+        self._site, self._lock = site.name, threading.Lock()
         self._folders = config.folders
         self._memory = machine.ProcessMemory(os.getppid())
         self._health = Health()
@@ -56,7 +57,8 @@ class HealthNode(Node):  # type: ignore[misc]
         self.create_timer(1.0, self._pictures.tick, clock=DiagnosticsPublisher.steady_clock())
         self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
-        self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self._health})
+        own = {self.get_fully_qualified_name(): self._health}
+        self._diagnostics = DiagnosticsPublisher(self, own, others=self._camera_states)
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         routes: dict[str, Route] = {
             "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
@@ -104,6 +106,12 @@ class HealthNode(Node):  # type: ignore[misc]
                 process_memory=used,
             )
 
+    def _camera_states(self) -> list[DiagnosticStatus]:
+        """Return the status of each camera, named `/SITE/CAMERA`."""
+        with self._lock:
+            cameras = self._watch.cameras(time.monotonic(), self.get_clock().now().nanoseconds / 1e9)
+        return [camera_diagnostic(self._site, camera) for camera in cameras]
+
     def _hear(self, message: DiagnosticArray) -> None:
         now_s = time.monotonic()
         self._heard.messages += 1
@@ -111,6 +119,14 @@ class HealthNode(Node):  # type: ignore[misc]
             for status in message.status:
                 values = {value.key: value.value for value in status.values}
                 self._watch.hear(status.name, status.level != DiagnosticStatus.OK, status.message, values, now_s)
+
+
+def camera_diagnostic(site: str, camera: CameraStatus) -> DiagnosticStatus:
+    level = DiagnosticStatus.ERROR if camera.state.failing else DiagnosticStatus.WARN if camera.wrong else b"\0"
+    since = datetime.fromtimestamp(camera.since_s, UTC)
+    values = {"state": camera.state.value, "state_since": f"{camera.since_s:.0f}", "state_why": camera.why}
+    message = f"{camera.state} since {since:%H:%M:%S} UTC{f': {camera.why}' if camera.why else ''}"
+    return status_message(f"/{site}/{camera.name}", level, message, values)
 
 
 def _verdict(status: TowerStatus, what: str) -> WebResponse:

@@ -209,10 +209,9 @@ class RegionWatch:
 
     def status(self) -> TowerStatus:
         """Return the current status."""
-        summary, now_s = self._health.summary(), time.monotonic()
-        message = summary["last_error"] if self._health.troubled else "ok"
+        health, now_s = self._health, time.monotonic()
         with self._lock:
-            self._watch.hear(self._name, self._health.troubled, message, summary, now_s)
+            self._watch.hear(self._name, health.troubled, health.message, health.summary(), now_s)
             return self._watch.status(
                 now_s,
                 time.time(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -13,15 +13,28 @@ from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.process_memory import memory_in_use
 
 
+def status_message(
+    name: str, level: bytes, message: str, values: Mapping[str, str], hardware_id: str = ""
+) -> DiagnosticStatus:
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticStatus(level=level, name=name, hardware_id=hardware_id, message=message, values=pairs)
+
+
 class DiagnosticsPublisher:
     """Publishes on a steady clock, because diagnostics must continue when a replay's ROS time stops.
 
     `healths`: by full name, of the nodes that `node` reports for, in one message; the first includes the process's
-    memory (`heap_bytes`, `python_blocks`).
+    memory (`heap_bytes`, `python_blocks`). `others`: returns further statuses.
     """
 
-    def __init__(self, node: Node, healths: Mapping[str, Health], hardware_id: str = "") -> None:
-        self._node, self._healths, self._hardware_id = node, healths, hardware_id
+    def __init__(
+        self,
+        node: Node,
+        healths: Mapping[str, Health],
+        hardware_id: str = "",
+        others: Callable[[], list[DiagnosticStatus]] = list,
+    ) -> None:
+        self._node, self._healths, self._hardware_id, self._others = node, healths, hardware_id, others
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._said = TRAFFIC.speaker("/diagnostics")
         node.create_timer(1.0, self.publish, clock=self.steady_clock())
@@ -36,16 +49,11 @@ class DiagnosticsPublisher:
         if in_use.heap_bytes is not None:
             first.gauge("heap_bytes", in_use.heap_bytes)
         array = DiagnosticArray(status=[self._status(name, health) for name, health in self._healths.items()])
+        array.status.extend(self._others())
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
         self._said.messages += 1
 
     def _status(self, name: str, health: Health) -> DiagnosticStatus:
-        summary, troubled = health.summary(), health.troubled
-        return DiagnosticStatus(
-            level=DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK,
-            name=name,
-            hardware_id=self._hardware_id,
-            message=summary["last_error"] if troubled else "ok",
-            values=[KeyValue(key=key, value=value) for key, value in summary.items()],
-        )
+        level = DiagnosticStatus.WARN if health.troubled else DiagnosticStatus.OK
+        return status_message(name, level, health.message, health.summary(), self._hardware_id)

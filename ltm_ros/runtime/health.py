@@ -1,4 +1,4 @@
-"""Count a node's rates, latencies and drops, and report the state of a camera's photos."""
+"""Count a node's rates, latencies and drops, and hold the states of cameras and their photos."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -41,6 +42,7 @@ class Health:
         self._published_at = _LastValues()
         self._reasons: dict[str, str] = {}
         self._last_error = ""
+        self._lasting = ""
         self._last_trouble = -float("inf")
 
     def received(self, topic: str) -> None:
@@ -85,6 +87,10 @@ class Health:
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
+    def lasting(self, problem: str) -> None:
+        """Report a problem that lasts until the next call; empty: none."""
+        self._lasting = problem
+
     def note(self, event: str) -> None:
         """Count an event that loses nothing."""
         with self._lock:
@@ -106,8 +112,13 @@ class Health:
 
     @property
     def troubled(self) -> bool:
-        """Return whether something was dropped in the last ten seconds."""
-        return time.monotonic() - self._last_trouble < 10.0
+        """Return whether a problem lasts, or something was dropped in the last ten seconds."""
+        return bool(self._lasting) or time.monotonic() - self._last_trouble < 10.0
+
+    @property
+    def message(self) -> str:
+        """Return the current problem in words; `ok`: none."""
+        return self._lasting or (self._last_error if self.troubled else "ok")
 
     def summary(self) -> dict[str, str]:
         """Return key -> value for `/diagnostics`; times in milliseconds, rates in Hz."""
@@ -178,6 +189,59 @@ def note_picture(health: Health, seen: SceneView) -> None:
     if seen.masked:
         health.gauge("mask", seen.masked)
     health.gauge("picture", seen.unusable or smoke or doubtful or "usable")
+
+
+class CameraState(StrEnum):
+    CONNECTING = "connecting"
+    """Before the first image."""
+    ALIVE = "alive"
+    STALLED = "stalled"
+    """No usable image: not reachable, connection lost, or invalid data."""
+    UNAUTHORISED = "unauthorised"
+    """The camera rejected the user or password, or the password cannot be read."""
+    STUCK = "stuck"
+    """The camera repeats the same image, or the image does not change with the PTZ head."""
+    MOVED = "moved"
+    """The PTZ head moved during the exposures."""
+    NIGHT = "night"
+    """The image is dark, or infrared."""
+
+    @property
+    def failing(self) -> bool:
+        """Return whether the camera needs a repair."""
+        return self in (CameraState.STALLED, CameraState.UNAUTHORISED, CameraState.STUCK)
+
+    @property
+    def sending(self) -> bool:
+        return self in (CameraState.ALIVE, CameraState.NIGHT, CameraState.MOVED)
+
+
+class StateRecord:
+    """The current state, from what each request showed. A single failure does not change it: a state ends when it has
+    not been seen for `hold_s` seconds. Rejected passwords count at once, and so does the first good image afterwards.
+
+    Args: now, hold_s: seconds of the caller's clock.
+    """
+
+    def __init__(self, now: float, hold_s: float) -> None:
+        self.state = self.latest = CameraState.CONNECTING
+        """The camera's state, and what the latest request showed."""
+        self.since = self._seen = now
+        self._hold_s = hold_s
+        self.why = ""
+        """Reason of the latest failure; empty: the latest request succeeded."""
+
+    def saw(self, state: CameraState, now: float, why: str = "") -> bool:
+        """Take what a request showed; return whether the camera's state changed."""
+        self.latest, self.why = state, why
+        recovered = self.state.failing and state in (CameraState.ALIVE, CameraState.NIGHT)
+        at_once = self.state is CameraState.CONNECTING or state is CameraState.UNAUTHORISED or recovered
+        if state is self.state:
+            self._seen = now
+        elif at_once or now - self._seen >= self._hold_s:
+            self.state, self.since, self._seen = state, now, now
+            return True
+        return False
 
 
 @dataclass(frozen=True)

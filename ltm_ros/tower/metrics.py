@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from ltm_ros.runtime.health import CameraState
 from ltm_ros.tower.tower_status import OUTBOX_KEYS, TowerStatus
 
 METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
@@ -43,11 +44,9 @@ class TowerCollector(Collector):
 
     def _tower(self) -> Iterator[Metric]:
         status = self._status
-        build = GaugeMetricFamily(
-            "ltm_build_info", "Versions of the running software", labels=("site", *_names(status.versions))
-        )
-        build.add_metric((status.site, *status.versions.values()), 1)
-        yield build
+        names = tuple(name.replace("-", "_") for name in status.versions)
+        build = (status.site, *status.versions.values()), 1
+        yield _gauge("ltm_build_info", "Versions of the running software", [build], ("site", *names))
         yield GaugeMetricFamily("ltm_alive", "Whether every node reports (/healthz)", value=status.alive)
         yield GaugeMetricFamily(
             "ltm_ready", "Whether every node reports and every camera sends (/readyz)", value=status.ready
@@ -64,24 +63,28 @@ class TowerCollector(Collector):
         yield GaugeMetricFamily("ltm_link_up", "Whether the region's map is connected", value=outbox.link_up)
 
     def _cameras(self) -> Iterator[Metric]:
-        age = GaugeMetricFamily("ltm_frame_age_seconds", "Age of the newest frame", labels=("camera",))
+        cameras = self._status.cameras
+        states = [((one.name, state), one.state is state) for one in cameras for state in CameraState]
+        yield _gauge("ltm_camera_state", "Whether a camera is in a state", states, ("camera", "state"))
+        since = "ltm_camera_state_since_timestamp_seconds"
+        yield _gauge(since, "Start of a camera's state", [((one.name,), one.since_s) for one in cameras], ("camera",))
+        ages = [((one.name,), one.frame_age_s) for one in cameras if one.frame_age_s is not None]
+        yield _gauge("ltm_frame_age_seconds", "Age of the newest frame", ages, ("camera",))
+        wrong = [((one.name,), bool(one.wrong)) for one in cameras]
+        yield _gauge("ltm_camera_wrong", "Whether a camera has a problem", wrong, ("camera",))
         finished = CounterMetricFamily("ltm_frames_finished", "Frames processed by all nodes", labels=("camera",))
-        verdicts = CounterMetricFamily(
-            "ltm_pose_verdicts", "Frames by state of their pose", labels=("camera", "verdict")
-        )
-        doubted = GaugeMetricFamily("ltm_camera_wrong", "Whether a camera has a problem", labels=("camera",))
-        for camera in self._status.cameras:
-            if camera.frame_age_s is not None:
-                age.add_metric((camera.name,), camera.frame_age_s)
+        for camera in cameras:
             finished.add_metric((camera.name,), camera.finished)
-            doubted.add_metric((camera.name,), bool(camera.wrong))
         judged: Counter[tuple[str, str]] = Counter()
         for node in self._status.nodes:
             for verdict, count in node.counts("noted.verdict.").items():
                 judged[node.camera, verdict] += count
-        for (name, verdict), count in judged.items():
-            verdicts.add_metric((name, verdict), count)
-        yield from (age, finished, verdicts, doubted)
+        verdicts = CounterMetricFamily(
+            "ltm_pose_verdicts", "Frames by state of their pose", labels=("camera", "verdict")
+        )
+        for labels, count in judged.items():
+            verdicts.add_metric(labels, count)
+        yield from (finished, verdicts)
 
     def _nodes(self) -> Iterator[Metric]:
         up = GaugeMetricFamily("ltm_node_up", "Whether a node reports", labels=NODE)
@@ -138,21 +141,26 @@ class TowerCollector(Collector):
         yield CounterMetricFamily(
             "ltm_clock_steps", "Number of clock steps of a second or more", value=status.clock_steps
         )
-        free = GaugeMetricFamily("ltm_disk_free_bytes", "Free space of a storage folder", labels=("folder",))
-        total = GaugeMetricFamily("ltm_disk_bytes", "Size of that file system", labels=("folder",))
-        for disk in status.disks:
-            if disk.total >= 0:
-                free.add_metric((disk.folder,), disk.free)
-                total.add_metric((disk.folder,), disk.total)
-        yield from (free, total)
+        disks = [disk for disk in status.disks if disk.total >= 0]
+        free = [((disk.folder,), disk.free) for disk in disks]
+        yield _gauge("ltm_disk_free_bytes", "Free space of a storage folder", free, ("folder",))
+        total = [((disk.folder,), disk.total) for disk in disks]
+        yield _gauge("ltm_disk_bytes", "Size of that file system", total, ("folder",))
         yield GaugeMetricFamily("ltm_memory_bytes", "Total memory of the machine", value=status.memory_total)
         yield GaugeMetricFamily(
             "ltm_memory_available_bytes", "Available memory of the machine", value=status.memory_available
         )
-        used = GaugeMetricFamily("ltm_process_memory_bytes", "Memory of a process (PSS)", labels=("process",))
-        for name, size in status.process_memory.items():
-            used.add_metric((name,), size)
-        yield used
+        used = [((name,), size) for name, size in status.process_memory.items()]
+        yield _gauge("ltm_process_memory_bytes", "Memory of a process (PSS)", used, ("process",))
+
+
+def _gauge(
+    name: str, text: str, samples: Sequence[tuple[tuple[str, ...], float]], labels: Sequence[str]
+) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, text, labels=labels)
+    for values, value in samples:
+        family.add_metric(values, value)
+    return family
 
 
 def exposition(status: TowerStatus) -> bytes:
@@ -164,7 +172,3 @@ def exposition(status: TowerStatus) -> bytes:
 
 def _has_own(key: str) -> bool:
     return key in OWN or key.startswith(("dropped.", "noted.", "reason.", "latency_", "work_"))
-
-
-def _names(versions: Iterable[str]) -> tuple[str, ...]:
-    return tuple(name.replace("-", "_") for name in versions)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from ltm_ros.runtime.clocks import KernelClock
+from ltm_ros.runtime.health import CameraState
 from ltm_ros.tower.machine import Disk
 
 SILENT_S = 10.0
@@ -75,7 +76,14 @@ class NodeState(StatedValues):
 
 @dataclass(frozen=True)
 class CameraStatus:
+    """State of a camera. Its node `source` decides it; without one, and for frames that do not arrive, their age."""
+
     name: str
+    state: CameraState
+    since_s: float
+    """Start of the state, in seconds by the system clock."""
+    why: str
+    """Reason of the state, or of the latest failure; empty: none."""
     frame_age_s: float | None
     """Seconds since the stamp of its newest frame; None: no frame yet."""
     frames_in: int
@@ -131,14 +139,10 @@ class TowerStatus:
     @property
     def ready(self) -> bool:
         """Return whether every node reports and every camera sends: the answer of `/readyz`."""
-        return self.alive and all(_fresh(camera, self.frame_limit_s) for camera in self.cameras)
+        return self.alive and all(camera.state.sending for camera in self.cameras)
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self) | {"alive": self.alive, "ready": self.ready}
-
-
-def _fresh(camera: CameraStatus, limit_s: float) -> bool:
-    return camera.frame_age_s is not None and abs(camera.frame_age_s) <= limit_s
 
 
 class TowerWatch:
@@ -152,6 +156,8 @@ class TowerWatch:
         self._site, self._frame_limit_s = site, frame_limit_s
         self._expected = list(expected)
         self._reports: dict[str, NodeReport] = {}
+        self._states: dict[str, tuple[CameraState, float]] = {}
+        """State of each camera, and its start by the system clock."""
 
     @property
     def reports(self) -> Mapping[str, NodeReport]:
@@ -175,8 +181,7 @@ class TowerWatch:
     ) -> TowerStatus:
         """Return the status. `now_s`: by the clock of `hear`; `time_s`: by the clock that stamps frames."""
         nodes = [self._node(name, now_s) for name in self._expected]
-        names = dict.fromkeys(node.camera for node in nodes if node.camera)
-        cameras = [self._camera(name, time_s) for name in names]
+        cameras = self.cameras(now_s, time_s)
         outbox = self._outbox()
         steps = max((r.counts("noted.").get("clock_step", 0) for r in self._reports.values()), default=0)
         return TowerStatus(
@@ -196,6 +201,10 @@ class TowerWatch:
             wrong=tuple(_sentences(nodes, cameras, clock, disks, outbox)),
         )
 
+    def cameras(self, now_s: float, time_s: float) -> list[CameraStatus]:
+        """Return the state of each camera; clocks as for `status`."""
+        return [self._camera(name, now_s, time_s) for name in dict.fromkeys(map(camera_of, self._expected)) if name]
+
     def _outbox(self) -> OutboxState | None:
         report = self._reports.get(f"/{self._site}/uplink")
         numbers = [report.number(key) if report else None for key in OUTBOX_KEYS]
@@ -214,7 +223,7 @@ class TowerWatch:
             return NodeState(name, camera, "silent", f"no report for {age_s:.0f} s", age_s, report.values)
         return NodeState(name, camera, "troubled" if report.troubled else "ok", report.message, age_s, report.values)
 
-    def _camera(self, name: str, time_s: float) -> CameraStatus:
+    def _camera(self, name: str, now_s: float, time_s: float) -> CameraStatus:
         own = {r.name.rpartition("/")[2]: r for r in self._reports.values() if camera_of(r.name) == name}
         dropped: dict[str, int] = {}
         for report in own.values():
@@ -227,28 +236,59 @@ class TowerWatch:
         if mount := (own["pose"].values.get("mount", "") if "pose" in own else ""):
             pose = f"{pose}; mount {mount}" if pose else f"mount {mount}"
         age_s = None if stamp is None else time_s - stamp
+        state, why = self._state(name, now_s, age_s)
         return CameraStatus(
             name=name,
+            state=state,
+            since_s=self._since(name, state, time_s),
+            why=why,
             frame_age_s=age_s,
             frames_in=int(capture.number("frames_in") or 0) if capture else 0,
             finished=int(capture.number("finished") or 0) if capture else 0,
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,
-            wrong=self._camera_wrong(name, age_s, pose, judge),
+            wrong=_camera_wrong(name, state, why, pose, judge),
         )
 
-    def _camera_wrong(self, name: str, age_s: float | None, pose: str, judge: NodeReport | None) -> str:
+    def _state(self, name: str, now_s: float, age_s: float | None) -> tuple[CameraState, str]:
+        """Return the state of a camera and its reason. `age_s`: age of its newest frame; None: no frame."""
+        place, state, why, limit_s = f"/{self._site}/{name}/source", CameraState.ALIVE, "", self._frame_limit_s
+        if place in self._expected:
+            node = self._node(place, now_s)
+            stated = node.values.get("state", "")
+            if node.state == "silent" or stated not in list(CameraState):
+                return CameraState.STALLED if node.state == "silent" else CameraState.CONNECTING, f"source: {node.said}"
+            state, why = CameraState(stated), node.values.get("state_why", "")
+            limit_s = max(limit_s, node.number("stalled_after_s") or 0.0)
+            if state.failing or state in (CameraState.CONNECTING, CameraState.NIGHT):
+                return state, why or "no image yet" * (state is CameraState.CONNECTING)
         if age_s is None:
-            return f"{name}: no frame since the start; check that the camera is on and publishes to its topics"
-        if age_s > self._frame_limit_s:
-            return f"{name}: no new frame for {_time(age_s)}"
-        if age_s < -self._frame_limit_s:
-            return f"{name}: the camera's clock is {_time(-age_s)} ahead of the system clock"
-        if "pose_suspected" in pose or "slipped" in pose:
-            why = judge.values.get("last_verdict", "") if judge else ""
-            return f"{name}: the pose is uncertain{f' ({why})' if why else ''}; check whether the mount has moved"
-        return ""
+            why = "no frame since the start; check that the camera is on and publishes to its topics"
+            return CameraState.CONNECTING, why
+        if age_s > limit_s:
+            return CameraState.STALLED, f"no new frame for {_time(age_s)}{f' ({why})' if why else ''}"
+        if age_s < -limit_s:
+            return CameraState.STALLED, f"the camera's clock is {_time(-age_s)} ahead of the system clock"
+        return state, why
+
+    def _since(self, name: str, state: CameraState, time_s: float) -> float:
+        known, since_s = self._states.get(name, (None, -math.inf))
+        if known is not state:
+            source = self._reports.get(f"/{self._site}/{name}/source")
+            own = source.number("state_since") if source and source.values.get("state") == state else None
+            since_s = own if own is not None and max(since_s, 0.0) < own <= time_s else time_s
+            self._states[name] = state, since_s
+        return since_s
+
+
+def _camera_wrong(name: str, state: CameraState, why: str, pose: str, judge: NodeReport | None) -> str:
+    if not state.sending:
+        return f"{name}: {why or state}"
+    if "pose_suspected" in pose or "slipped" in pose:
+        why = judge.values.get("last_verdict", "") if judge else ""
+        return f"{name}: the pose is uncertain{f' ({why})' if why else ''}; check whether the mount has moved"
+    return ""
 
 
 def camera_of(name: str) -> str:
@@ -278,7 +318,12 @@ def _sentences(
             f"no connection to the region's map: {outbox.frames} frames are queued in the outbox, the oldest for "
             f"{_time(outbox.age_s)}"
         )
-    said += [f"{node.name}: {node.said}" for node in nodes if node.state == "troubled"]
+    told = {f"{camera.name}/source" for camera in cameras if camera.wrong}
+    said += [
+        f"{node.name}: {node.said}"
+        for node in nodes
+        if node.state == "troubled" and node.name.partition("/")[2].partition("/")[2] not in told
+    ]
     return said
 
 

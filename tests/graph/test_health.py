@@ -203,7 +203,7 @@ def test_a_person_reads_the_same_and_learns_what_is_down(tower: Tower) -> None:
     command = [sys.executable, "-c", LTM, "status", str(tower.path)]
     ran = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert re.search(r"│ tower +│ +[\d.]+ s ago +│ +3 +│ +3 +│", ran.stdout), ran.stdout
+    assert re.search(r"│ tower +│ alive +│ [\d :-]+│ +[\d.]+ s ago +│ +3 +│ +3 +│", ran.stdout), ran.stdout
     assert f"/{NAME}/fuel_map" in ran.stdout
 
     log = tower.console.parent / "logs/fuel_map.log"

@@ -9,6 +9,7 @@ import re
 import secrets
 import socket
 import ssl
+import subprocess
 import threading
 import time
 from base64 import b64decode
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from email.utils import formatdate
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -292,6 +294,17 @@ def running(camera: HttpCamera | None = None, certificate: tuple[str, str] | Non
         thread.join()
         server.hang_up()
         server.server_close()
+
+
+def certificate(folder: Path, name: str) -> tuple[str, str]:
+    """Files of a self-signed certificate for `name`, and of its key."""
+    made = folder / f"{name}.pem", folder / f"{name}.key"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
+         "-subj", "/CN=camera", "-addext", f"subjectAltName={name}", "-keyout", str(made[1]), "-out", str(made[0])],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return str(made[0]), str(made[1])
 
 
 def _md5(text: str) -> str:

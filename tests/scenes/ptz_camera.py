@@ -57,6 +57,10 @@ class FakeHead:
     password: str = ""
     """Of ONVIF's signed requests and of Reolink's log-in; empty: not looked at."""
     clock_ahead: float = 0.0
+    time: str = "open"
+    """Who may ask ONVIF for it: `open`: all; `signed`: who has the password; `none`: it is not said."""
+    has_ptz: bool = True
+    """By ONVIF."""
     stated_picture: str = "http://{}/snapshot.jpg"
     """By ONVIF; its own host in place of {}."""
     commands: list[str] = field(default_factory=list)
@@ -199,7 +203,7 @@ class FakeHead:
         root = ElementTree.fromstring(request.body)
         call = next(iter(root.find(f"{{{_SOAP}}}Body") or []))
         name = call.tag.rpartition("}")[2]
-        if name != "GetSystemDateAndTime" and not self._signed(root):
+        if (name != "GetSystemDateAndTime" or self.time == "signed") and not self._signed(root):
             fault = (
                 "<s:Fault><s:Code><s:Value>s:Sender</s:Value><s:Subcode><s:Value>ter:NotAuthorized</s:Value></s:Subcode>"
                 '</s:Code><s:Reason><s:Text xml:lang="en">Sender not Authorized</s:Text></s:Reason></s:Fault>'
@@ -214,14 +218,19 @@ class FakeHead:
             day = f"<tt:Year>{now.tm_year}</tt:Year><tt:Month>{now.tm_mon}</tt:Month><tt:Day>{now.tm_mday}</tt:Day>"
             hour = f"<tt:Hour>{now.tm_hour}</tt:Hour><tt:Minute>{now.tm_min}</tt:Minute>"
             hour += f"<tt:Second>{now.tm_sec}</tt:Second>"
-            inside = f"<tt:UTCDateTime><tt:Time>{hour}</tt:Time><tt:Date>{day}</tt:Date></tt:UTCDateTime>"
+            inside = (
+                ""
+                if self.time == "none"
+                else f"<tt:UTCDateTime><tt:Time>{hour}</tt:Time><tt:Date>{day}</tt:Date></tt:UTCDateTime>"
+            )
         elif name == "GetCapabilities":
             inside = "".join(
                 f"<tt:{service}><tt:XAddr>{host}/{service.lower()}</tt:XAddr></tt:{service}>"
-                for service in ("Media", "PTZ")
+                for service in ("Media", "PTZ")[: 1 + self.has_ptz]
             )
         elif name == "GetProfiles":
             head = "<tt:PTZConfiguration token='p'><tt:Name>p</tt:Name></tt:PTZConfiguration>"
+            head *= self.has_ptz
             inside = f"<trt:Profiles token='still'/><trt:Profiles token='main'>{head}</trt:Profiles>"
         elif name in ("GetSnapshotUri", "GetStreamUri"):
             place = self.stated_picture if name == "GetSnapshotUri" else "rtsp://{}/stream"

@@ -79,7 +79,12 @@ class Sourced:
 
     @property
     def state(self) -> str:
-        return self.source.state.value
+        """What the latest request showed; `source.record.state` changes later."""
+        return self.source.record.latest.value
+
+    @property
+    def why(self) -> str:
+        return self.source.record.why
 
     def steps(self, count: int) -> list[float]:
         """The pauses that followed; the clock does not move."""

@@ -94,6 +94,12 @@ class Login:
         """Return the login. Raises UnauthorisedError if the password cannot be read."""
         return cls(settings.user, None if settings.password is None else read_secret(settings.password))
 
+    def rejected(self, how: str) -> UnauthorisedError:
+        """Return the error of a rejected login; `how`: the camera's answer."""
+        if not self.user:
+            return UnauthorisedError(f"the camera requires a login ({how}): set user and password")
+        return UnauthorisedError(f"the camera rejected user {self.user} ({how}). Check the user name and password")
+
     def filled(self, url: str) -> str:
         """Return `url` with user and password inserted; the result is secret."""
         password = self.password.reveal() if self.password is not None else ""

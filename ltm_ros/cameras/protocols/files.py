@@ -21,7 +21,7 @@ from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.direction import PtzReading, Tolerance, at_rest
 from ltm_ros.cameras.protocols.exposure import exif_time
 from ltm_ros.cameras.protocols.http_client import HttpClient, http_time
-from ltm_ros.cameras.protocols.http_pictures import check_begins_as_picture
+from ltm_ros.cameras.protocols.http_pictures import picture_in
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
 from ltm_ros.runtime.clocks import Clock
 
@@ -174,7 +174,7 @@ class CameraListReader:
             return Nothing.UNCHANGED
         before = reading_of(entry, self._config)
         answer = self._client.get(self._image)
-        check_begins_as_picture(answer)
+        picture = picture_in(answer)
         entry = self._listed()
         after = reading_of(entry, self._config)
         if entry.get(self._config.time_key) != stated:
@@ -190,7 +190,7 @@ class CameraListReader:
             taken=time_of(stated) or http_time(answer.headers, "Last-Modified"),
             answered=http_time(answer.headers, "Date"),
         )
-        return CameraImage(timing, jpeg=answer.body, direction=direction)
+        return CameraImage(timing, jpeg=picture, direction=direction)
 
     def close(self) -> None:
         self._client.close()

@@ -6,21 +6,21 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import socket
+import re
 import ssl
-import threading
 import time
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import httpx
 
+from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
 from ltm_ros.cameras.protocols.picture import CameraTime
 
 REFUSED = (401, 403, 423)
@@ -48,26 +48,6 @@ class HttpResponse:
     arrived: float
 
 
-class AutomaticAuth(httpx.Auth):
-    """Digest authentication if the camera offers it, else basic; queries the offer once per connection, without a
-    password.
-    """
-
-    def __init__(self, user: str, password: str) -> None:
-        self._digest = httpx.DigestAuth(user, password)
-        self._basic = httpx.BasicAuth(user, password)
-        self._chosen: httpx.Auth | None = None
-
-    def auth_flow(self, request: httpx.Request) -> Generator[httpx.Request, httpx.Response, None]:
-        if self._chosen is None:
-            response = yield request
-            if response.status_code != 401:
-                return
-            offers = " ".join(response.headers.get_list("www-authenticate")).lower()
-            self._chosen = self._digest if "digest" in offers else self._basic
-        yield from self._chosen.auth_flow(request)
-
-
 class HttpClient:
     """A connection to one camera, for one thread. Raises UnauthorisedError if the password cannot be read, SourceError
     if the certificates cannot.
@@ -77,17 +57,14 @@ class HttpClient:
         self._login = Login.of(settings)
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
-        self._sockets: list[socket.socket] = []
-        """Sockets of its newest connections."""
-        self._late = threading.Event()
+        self._deadline = Deadline()
         self._client = httpx.Client(
             auth=self._auth(settings),
-            verify=_certificates(settings),
+            transport=CameraTransport(_certificates(settings), KEEP_S, self._deadline),
             timeout=settings.timeout,
             # A redirect would send the password to another host.
             follow_redirects=False,
             trust_env=False,
-            limits=httpx.Limits(max_connections=2, keepalive_expiry=KEEP_S),
             headers={"user-agent": "ltm"},
         )
 
@@ -113,14 +90,21 @@ class HttpClient:
             self.within(self._whole_s),
             self.stream(url, headers, method, body, accepted) as (response, asked, arrived),
         ):
+            if response.headers.get("content-type", "").lower().startswith("multipart/x-mixed-replace"):
+                raise SourceError("the camera answered with a stream of images: set kind: mjpeg")
             whole = bytearray()
-            for part in self.parts(response, asked + self._whole_s):
-                whole += part
-                if len(whole) > self._most_bytes:
-                    raise PictureError(
-                        f"answer of more than {self._most_bytes} bytes: configure smaller images in the camera, "
-                        "or raise image_bytes under `limits:` in the site file"
-                    )
+            try:
+                for part in response.iter_bytes():
+                    whole += part
+                    if len(whole) > self._most_bytes:
+                        raise PictureError(
+                            f"answer of more than {self._most_bytes} bytes: configure smaller images in the camera, "
+                            "or raise image_bytes under `limits:` in the site file"
+                        )
+            except (httpx.ReadTimeout, httpx.RemoteProtocolError):
+                # The stated length is too large, or the last chunk is missing; a whole JPEG is accepted.
+                if not is_whole_jpeg(whole):
+                    raise
             return HttpResponse(response.status_code, response.headers, bytes(whole), asked, arrived)
 
     @contextlib.contextmanager
@@ -146,78 +130,46 @@ class HttpClient:
             self._client.event_hooks = {"request": [note], "response": []}
             with self.within(self._whole_s):
                 response = stack.enter_context(
-                    self._client.stream(
-                        method,
-                        self._login.filled(url),
-                        headers=dict(headers or {}),
-                        content=body,
-                        extensions={"trace": self._trace},
-                    )
+                    self._client.stream(method, self._login.filled(url), headers=dict(headers or {}), content=body)
                 )
             arrived = time.monotonic()
             self._check(response, accepted)
             yield response, asked, arrived
 
-    def parts(self, response: httpx.Response, until: float) -> Iterator[bytes]:
-        """Yield the body as it arrives. Raises SourceError after `until`."""
-        for part in response.iter_bytes():
-            yield part
-            if time.monotonic() > until:
-                raise SourceError(f"the camera took more than {self._whole_s:g} s for one image")
-
     @contextlib.contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Raise SourceError in the body after the given seconds. A limit for each part is not enough: httpx waits for
-        the end of a header that comes letter by letter, and the watchdog would end the process of all cameras.
-        """
-        late = threading.Event()
-
-        def hang_up() -> None:
-            late.set()
-            self._late.set()
-            for one in list(self._sockets):
-                _hang_up(one)
-
-        timer = threading.Timer(seconds, hang_up)
-        timer.daemon = True
-        timer.start()
+        """Raise SourceError in the body after the given seconds."""
+        former, until = self._deadline.until, time.monotonic() + seconds
+        self._deadline.until = min(former, until)
         try:
             yield
-        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError) as error:
-            if late.is_set() and not isinstance(error, UnauthorisedError):
+        except UnauthorisedError:
+            raise
+        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError):
+            if time.monotonic() >= until:
                 raise SourceError(f"the camera took more than {seconds:g} s for one image") from None
             raise
         finally:
-            timer.cancel()
-            if late.is_set():
-                self._late.clear()
-
-    def _trace(self, event: str, told: Mapping[str, Any]) -> None:
-        """Record new connections of httpcore."""
-        if event in ("connection.connect_tcp.complete", "connection.start_tls.complete"):
-            made = told["return_value"].get_extra_info("socket")
-            self._sockets = [*[one for one in self._sockets if one.fileno() >= 0][-2:], made]
-            if self._late.is_set():
-                _hang_up(made)
+            self._deadline.until = former
 
     def _auth(self, settings: HttpSettings) -> httpx.Auth | None:
         if settings.user is None or "{password}" in settings.url:
             return None
         password = self._login.password.reveal() if self._login.password is not None else ""
-        kinds: dict[str, Any] = {"basic": httpx.BasicAuth, "digest": httpx.DigestAuth, "auto": AutomaticAuth}
-        made: httpx.Auth = kinds[settings.authentication](settings.user, password)
-        return made
+        kind = settings.authentication
+        return CameraAuth(settings.user, password, ("digest", "basic") if kind == "auto" else (kind,))
 
     def _check(self, response: httpx.Response, accepted: Collection[int]) -> None:
         status = response.status_code
         if status in accepted:
             return
         if status in REFUSED:
-            who = f"user {self._login.user}" if self._login.user else "a request without user and password"
-            raise UnauthorisedError(f"the camera rejected {who} (HTTP {status}). Check the user name and password")
+            raise self._login.rejected(f"HTTP {status}")
         if 300 <= status < 400:
             place = self._login.redact(response.headers.get("location", "elsewhere"))
-            raise SourceError(f"the camera redirects to {place} (HTTP {status}): set this address as url")
+            remedy = "check the url and the authentication" if _LOGIN.search(place) else "set this address as url"
+            page = "its login page " if _LOGIN.search(place) else ""
+            raise SourceError(f"the camera redirects to {page}{place} (HTTP {status}): {remedy}")
         raise SourceError(f"the camera answered HTTP {status} {response.reason_phrase}".rstrip())
 
     @contextlib.contextmanager
@@ -226,22 +178,49 @@ class HttpClient:
         try:
             yield
         except httpx.TimeoutException as error:
-            what = "the connection" if isinstance(error, httpx.ConnectTimeout) else "an answer"
-            raise SourceError(
-                f"the camera does not respond: no {what.removeprefix('the ').removeprefix('an ')} in time"
-            ) from None
+            what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
+            raise SourceError(f"the camera does not respond: no {what} in time") from None
         except httpx.ConnectError as error:
-            raise SourceError(f"no connection: {self._login.redact(error)}") from None
-        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
+            raise SourceError(f"no connection: {self._login.redact(error)}{_remedy(str(error))}") from None
+        except (httpx.InvalidURL, UnicodeError) as error:
+            raise SourceError(f"the url is invalid: {self._login.redact(error)}") from None
+        except (httpx.HTTPError, httpx.StreamError, OSError, ValueError) as error:
             kind = type(error).__name__
             raise SourceError(
                 f"the camera closed the connection or did not answer HTTP ({kind}): {self._login.redact(error)}"
             ) from None
 
 
-def _hang_up(connection: socket.socket) -> None:
-    with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_RDWR)
+def is_whole_jpeg(data: bytes | bytearray) -> bool:
+    """Return whether data begins and ends as a JPEG; some cameras add line breaks or zeros."""
+    return data.lstrip(b"\r\n")[:2] == b"\xff\xd8" and data.rstrip(b"\r\n\0")[-2:] == b"\xff\xd9"
+
+
+_LOGIN = re.compile(r"(?i)log[io]n|signin|(?<![a-z])(log|sign)[\s_-]in(?![a-z])|password")
+
+
+def page_in(body: bytes) -> str:
+    """Return what a web page is that a camera sends instead of an image; empty: it is none."""
+    text = body[:8192].decode("utf-8", "replace")
+    if not re.search(r"(?i)<\s*(!doctype html|html|head|body|script|meta|title)\b", text):
+        return ""
+    title = re.search(r"(?is)<title[^>]*>\s*(.*?)\s*</title", text)
+    place = re.search(r"(?i)(?:\burl=|location(?:\.href)?\s*=|location\.replace\()\s*['\"]?([^'\"\s>)]+)", text)
+    kind = "its login page" if _LOGIN.search(text) else "a page" if place else "a web page"
+    named = f' "{plain(redacted(title[1]), 60)}"' if title and title[1] else ""
+    return kind + named + (f" that redirects to {plain(redacted(place[1]), 100)}" if place else "")
+
+
+def _remedy(why: str) -> str:
+    """Return what to do about an error of TLS; empty: it is none."""
+    why = why.lower()
+    if "hostname mismatch" in why or "ip address mismatch" in why:
+        return ": the certificate is for another host; set check_name: false (--any-name)"
+    if "self-signed" in why or "self signed" in why or "unable to get" in why:
+        return ": save the camera's certificate as a PEM file, and name this file as ca (--ca)"
+    if "expired" in why or "not yet valid" in why:
+        return ": renew the certificate in the camera, and check both clocks"
+    return ": the port does not speak https; use http://, or another port" if "wrong_version_number" in why else ""
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from collections.abc import Iterator, Mapping
 
 import httpx
 
+from ltm_core.base.redaction import redacted
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
-from ltm_ros.cameras.protocols.http_client import WHOLE_FACTOR, HttpClient, HttpResponse, http_time
+from ltm_ros.cameras.protocols.http_client import (
+    WHOLE_FACTOR,
+    HttpClient,
+    HttpResponse,
+    http_time,
+    is_whole_jpeg,
+    page_in,
+)
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing, stated_number
 
-_SHOWN = 16
-"""Number of bytes of an invalid answer that an error shows."""
+_SHOWN, _SHOWN_TEXT = 16, 60
+"""Number of bytes of an invalid answer that an error shows, and of a text."""
 
 
 class SnapshotReader:
@@ -34,17 +43,17 @@ class SnapshotReader:
         answer = self._client.get(self._url, self._conditions)
         if answer.status == 304:
             return Nothing.UNCHANGED
-        check_begins_as_picture(answer)
+        body = picture_in(answer)
         self._remember(answer)
         return CameraImage(
             Timing(
                 arrived=answer.arrived,
                 asked=answer.asked,
                 oldest=self._oldest,
-                taken=self._taken(answer),
+                taken=self._taken(answer, body),
                 answered=http_time(answer.headers, "Date"),
             ),
-            jpeg=answer.body,
+            jpeg=body,
         )
 
     def close(self) -> None:
@@ -62,29 +71,39 @@ class SnapshotReader:
         if modified is not None and self._modified_tells:
             self._conditions["If-Modified-Since"] = modified
 
-    def _taken(self, answer: HttpResponse) -> CameraTime | None:
-        stated = exif_time(answer.body)
+    def _taken(self, answer: HttpResponse, picture: bytes) -> CameraTime | None:
+        stated = exif_time(picture)
         if stated is not None:
             return stated
         return http_time(answer.headers, "Last-Modified") if self._modified_tells else None
 
 
-def check_begins_as_picture(answer: HttpResponse) -> None:
-    """Check that it is an image. Raises PictureError for a log-in page, an error text or an empty answer."""
-    if answer.body[:3] != b"\xff\xd8\xff" and answer.body[:8] != b"\x89PNG\r\n\x1a\n":
-        kind = answer.headers.get("content-type", "of unknown type")
-        begins = answer.body[:_SHOWN].hex(" ") or "nothing"
-        raise PictureError(
-            f"the camera answered {kind[:60]} of {len(answer.body)} bytes that begin with {begins}: that is "
-            "neither JPEG nor PNG; check the url"
-        )
+def picture_in(answer: HttpResponse) -> bytes:
+    """Return the image of an answer. Raises PictureError for a login page, an error text or an empty answer."""
+    body = answer.body.lstrip(b"\r\n")  # some cameras send an empty line too many
+    if body[:3] == _BEGIN or body[:8] == b"\x89PNG\r\n\x1a\n":
+        if body.rfind(b"\xff\xd9") < body.rfind(b"\xff\xda"):
+            raise PictureError(
+                f"the image has no end-of-image marker in {len(body)} bytes: the camera cuts it, or states too short a "
+                "Content-Length"
+            )
+        return body
+    if page := page_in(body):
+        raise PictureError(f"the camera answered with {page} instead of an image; check the url and the authentication")
+    kind, text = answer.headers.get("content-type", ""), body[:_SHOWN_TEXT].decode("latin-1")
+    begins = repr(redacted(text)) if text and text.isprintable() else body[:_SHOWN].hex(" ") or "nothing"
+    encoded = ", base64 instead of the bytes" if text.startswith(("/9j/", "data:image")) else ""
+    raise PictureError(
+        f"the camera answered {kind[:60] or 'of unknown type'} of {len(body)} bytes that begin with {begins}: that is "
+        f"neither JPEG nor PNG{encoded}; check the url"
+    )
 
 
+_BEGIN = b"\xff\xd8\xff"
 _OLDEST_S = 0.3
 """Maximum age in seconds of an image that is sent right after its exposure."""
 _HEAD_BYTES = 4 << 10
 """Maximum bytes of a part's header."""
-_BEGIN = b"\xff\xd8\xff"
 
 
 class MjpegReader:
@@ -96,7 +115,7 @@ class MjpegReader:
         self._open = contextlib.ExitStack()
         try:
             response, _, _ = self._open.enter_context(self._client.stream(config.url))
-            boundary = _boundary(response)
+            boundary = _declared_boundary(response)
         except BaseException:
             self.close()
             raise
@@ -131,23 +150,24 @@ class MjpegReader:
 
     def _split(self, response: httpx.Response, boundary: bytes) -> Iterator[tuple[dict[str, str], bytes, float]]:
         """Yield each part's header, its body, and the arrival time of its last byte."""
-        parts, until = PartSplitter(boundary, self._most_bytes), time.monotonic() + self._whole_s
+        parts = PartSplitter(boundary, self._most_bytes)
         for chunk in response.iter_bytes():
             for head, body in parts.feed(chunk):
-                until = time.monotonic() + self._whole_s
                 yield head, body, time.monotonic()
-            if time.monotonic() > until:
-                raise SourceError(f"no complete image for {self._whole_s:g} s")
 
 
 class PartSplitter:
-    """Splits a multipart answer into its parts, by the stated length or by the boundary. Source: RFC 2046, 5.1; cameras
-    implement half of it.
+    """Splits a multipart answer into its parts, by the line that the stream begins with, because cameras write dashes
+    and case otherwise than they declare; else by `declared`. A stated length is used if an image ends there. Source:
+    RFC 2046, 5.1; cameras implement half of it.
     """
 
-    def __init__(self, boundary: bytes, most_bytes: int) -> None:
-        self._boundary, self._most_bytes = boundary, most_bytes
+    def __init__(self, declared: bytes, most_bytes: int) -> None:
+        self._declared, self._most_bytes = declared.lstrip(b"-"), most_bytes
+        self._mark = b""
         self._buffer = bytearray()
+        self._sought = 0
+        """Number of bytes in which no end of the image was found."""
 
     def feed(self, chunk: bytes) -> Iterator[tuple[dict[str, str], bytes]]:
         """Return header and body of each completed part. Raises SourceError if no part can be completed."""
@@ -159,24 +179,58 @@ class PartSplitter:
 
     def _take(self) -> tuple[dict[str, str], bytes] | None:
         buffer = self._buffer
-        begin = buffer.find(self._boundary)
-        head_end = -1 if begin < 0 else buffer.find(b"\r\n\r\n", begin)
-        if head_end < 0:
+        begin = self._line(0)
+        if begin is None or len(buffer) < begin[1] + 2:
             return None
-        head = _head(bytes(buffer[begin:head_end]))
-        start = head_end + 4
-        length = stated_number(head.get("content-length"))
-        if length is None:
-            end = buffer.find(self._boundary, start)
-        elif 0 < length <= self._most_bytes:
-            end = start + int(length)
-        else:
-            raise SourceError(f"an image of {length:g} bytes is announced; the maximum is {self._most_bytes}")
-        if end < 0 or len(buffer) < end:
-            return None
-        body = bytes(buffer[start:end])
+        head, start = dict[str, str](), begin[1]
+        if buffer[start : start + 2] != _BEGIN[:2]:
+            blank = _BLANK.search(buffer, start - 1)
+            if blank is None:
+                return None
+            head, start = _head(bytes(buffer[start : blank.start()])), blank.end()
+        length = int(stated_number(head.get("content-length")) or 0)
+        if length > self._most_bytes:
+            raise SourceError(f"an image of {length} bytes is announced; the maximum is {self._most_bytes}")
+        end = start + length
+        if length <= 0 or len(buffer) < end or not is_whole_jpeg(buffer[start:end]):
+            following = self._line(start)
+            # Before the stated length has come, what looks like a boundary may be a part of the image.
+            if following is None or (len(buffer) < end and not is_whole_jpeg(buffer[start : following[0]])):
+                return None
+            end = following[0]
+        body = bytes(buffer[start:end]).strip(b"\r\n")
         del buffer[:end]
-        return head, body.rstrip(b"\r\n") if length is None else body
+        self._sought = 0
+        return head, body
+
+    def _line(self, start: int) -> tuple[int, int] | None:
+        """Return begin and end of the next line between two parts."""
+        buffer = self._buffer
+        if not self._mark:
+            first = _FIRST_LINE.match(buffer)
+            if first is None and len(buffer) < _FIRST_BYTES:
+                return None
+            line = b"" if first is None else first[1].rstrip()
+            given = line.startswith(b"--") or (self._declared and self._declared.lower() in line.lower())
+            self._mark = line if given else b"--" + self._declared
+            if self._mark == b"--":
+                raise SourceError("the stream has no boundary between its images; check the url")
+        at = max(start, self._sought) if start else 0
+        while (at := buffer.find(self._mark, at)) >= 0:
+            ends = _LINE_END.match(buffer, at + len(self._mark))
+            if ends is not None and (
+                bytes(buffer[max(at - 1, 0) : at]) in (b"", b"\n") or buffer[at - 2 : at] == b"\xff\xd9"
+            ):
+                return at, ends.end()
+            at += 1
+        self._sought = max(len(buffer) - _HEAD_BYTES, 0) if start else 0
+        return None
+
+
+_BLANK = re.compile(rb"\n\r?\n")
+_FIRST_BYTES = 1024
+_FIRST_LINE = re.compile(rb"[\r\n]{0,16}([^\r\n]{1,200})\r?\n")
+_LINE_END = re.compile(rb"(?:--)?[ \t]{0,80}\r?\n")
 
 
 def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
@@ -184,14 +238,17 @@ def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
     return Timing(arrived=arrived, oldest=_OLDEST_S, stream=stated_number(head.get("x-timestamp")))
 
 
-def _boundary(response: httpx.Response) -> bytes:
+def _declared_boundary(response: httpx.Response) -> bytes:
+    """Return the stated boundary; empty: none. Raises SourceError if the answer is no stream."""
     kind: str = response.headers.get("content-type", "")
-    _, found, boundary = kind.partition("boundary=")
-    if "multipart" not in kind.lower() or not found:
-        raise SourceError(f"the camera answered {kind[:60] or 'no type'}, not a stream of JPEGs; check the url")
-    return b"--" + boundary.split(";")[0].strip().strip('"').removeprefix("--").encode()
+    if "multipart" not in kind.lower():
+        page = "" if "image/" in kind else page_in(next(response.iter_bytes(), b""))
+        remedy = "set kind: snapshot" if "image/" in kind else "check the url"
+        raise SourceError(f"the camera answered {page or kind[:60] or 'no type'}, not a stream of JPEGs; {remedy}")
+    found = re.search(r'(?i)boundary\s*=\s*(?:"([^"]*)"|([^;]*))', kind)
+    return (found[1] or found[2] or "").strip().encode() if found else b""
 
 
 def _head(data: bytes) -> dict[str, str]:
-    lines = (line.partition(b":") for line in data.split(b"\r\n")[1:])
+    lines = (line.partition(b":") for line in data.splitlines())
     return {name.decode("latin-1").strip().lower(): value.decode("latin-1").strip() for name, _, value in lines}

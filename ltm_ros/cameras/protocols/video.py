@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import re
+import socket
 import time
 from collections.abc import Iterator
 from typing import Any, Protocol
@@ -10,6 +14,7 @@ from urllib.parse import quote, urlsplit, urlunsplit
 from ltm_core.base.types import UInt8Array
 from ltm_core.site.source_config import RtspConfig, V4l2Config
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError, UnauthorisedError
+from ltm_ros.cameras.protocols.http_wire import Challenge, challenges
 from ltm_ros.cameras.protocols.picture import CameraImage, CameraTime, Nothing, Timing
 
 TURN_S = 2.0
@@ -115,7 +120,11 @@ class VideoReader:
         self._due = arrived + self._every
         stream = None if frame.pts is None else float(frame.pts * frame.time_base)
         begun = self._container.start_time_realtime
-        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=_rgb(frame))
+        try:
+            rgb: UInt8Array = frame.to_ndarray(format="rgb24")
+        except (self._av.error.FFmpegError, ValueError, MemoryError) as error:
+            raise PictureError(f"an image of the stream cannot be converted: {self._origin.said(error)}") from None
+        return CameraImage(self._origin.timing(arrived, stream, begun / 1e6 if begun else None), rgb=rgb)
 
     def _decoded(self, packet: Any, alone: bool) -> list[Any]:
         try:
@@ -134,18 +143,18 @@ def _pyav() -> Any:
         import av
     except ImportError:
         raise SourceError('video needs PyAV: pip install "ltm[rtsp]"') from None
-    av.logging.set_level(None)  # its log lines contain URLs
+    av.logging.set_level(None)
+    # Its log lines contain URLs.
+    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
     return av
 
 
-def _rgb(frame: Any) -> UInt8Array:
-    array: UInt8Array = frame.to_ndarray(format="rgb24")
-    return array
-
-
+_MOST_HEAD = 16 << 10
 _READ_S = 5.0
 """Seconds without a packet after which FFmpeg gives a stream up; cameras send several per second."""
 _ANALYSE_US = "1000000"
+_STATUS = re.compile(r"method (\w+) failed: (\d{3}) \(([^)\n]{0,60})")
+"""What FFmpeg logs if the camera rejects a request."""
 
 
 class RtspReader(VideoReader):
@@ -169,16 +178,38 @@ class _Stream:
             "fflags": "nobuffer",
             "analyzeduration": _ANALYSE_US,
         }
+        timeouts = self._config.timeout, min(self._config.timeout, _READ_S)
+        av.logging.set_level(av.logging.ERROR)  # for the status of the camera's answer, which no exception holds
         try:
-            return av.open(
-                self._address(), options=options, timeout=(self._config.timeout, min(self._config.timeout, _READ_S))
-            )
+            return av.open(self._address(), options=options, timeout=timeouts)
         except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError):
-            raise UnauthorisedError(
-                f"the camera rejected user {self._config.user or '(none)'}. Check the user name and password"
-            ) from None
+            raise self._rejected() from None
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            raise SourceError(f"no stream: {self.said(error)}") from None
+            status = _STATUS.search(str((getattr(error, "log", None) or ("", "", ""))[2]))
+            if status is None:
+                raise SourceError(f"no stream: {self.said(error)}") from None
+            method, code, words = status.groups()
+            said = f"the camera answered {code} {self._login.redact(words)} to RTSP {method}"
+            raise SourceError(f"no stream: {said}{self._remedy(code)}") from None
+        finally:
+            av.logging.set_level(None)
+
+    def _remedy(self, status: str) -> str:
+        if status == "461":
+            return f"; set transport: {'tcp' if self._config.transport == 'udp' else 'udp'}"
+        return "; too many viewers: close other streams" if status == "453" else ""
+
+    def _rejected(self) -> UnauthorisedError:
+        """Return the error of a rejected login. FFmpeg knows MD5 alone, and uses the last challenge of several."""
+        offers = _challenges_of(self._config) if self._config.user is not None else []
+        known = [one for one in offers if one.scheme == "basic" or one.hash_name == "MD5"]
+        if offers and (not known or offers[-1] not in known):
+            names = ", ".join(map(str, offers))[:200]
+            return UnauthorisedError(
+                f"the camera offers {names} for RTSP, of which only digest MD5 and basic are supported: select one of "
+                "these alone as RTSP authentication in the camera's settings, or use its snapshots (kind: snapshot)"
+            )
+        return self._login.rejected("RTSP")
 
     def _address(self) -> str:
         """Return the address with the password; the result is secret."""
@@ -205,6 +236,22 @@ class _Stream:
 
     def said(self, error: BaseException) -> str:
         return self._login.redact(getattr(error, "strerror", None) or type(error).__name__)
+
+
+def _challenges_of(config: RtspConfig) -> list[Challenge]:
+    """Return the challenges in a camera's answer to a request without a password; nothing for RTSP over TLS."""
+    parts = urlsplit(config.url)
+    if parts.scheme != "rtsp":
+        return []
+    head = b""
+    with contextlib.suppress(OSError, ValueError):
+        place = parts.hostname or "", parts.port or 554
+        with socket.create_connection(place, timeout=config.timeout) as connection:
+            connection.sendall(f"DESCRIBE {parts._replace(query='').geturl()} RTSP/1.0\r\nCSeq: 1\r\n\r\n".encode())
+            while b"\r\n\r\n" not in head and len(head) < _MOST_HEAD and (part := connection.recv(4096)):
+                head += part
+    lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n"))
+    return challenges(value for name, _, value in lines if name.lower() == "www-authenticate")
 
 
 class V4l2Reader(VideoReader):

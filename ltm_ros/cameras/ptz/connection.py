@@ -24,7 +24,7 @@ def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
         if url is None:
             parts = urlsplit(source.url)
             # A stream's port is not that of the camera's web pages.
-            place = parts.netloc if parts.scheme in ("http", "https") else (parts.hostname or "")
+            place = parts.netloc if parts.scheme in ("http", "https") else host_of(source.url)
             url = f"{'https' if parts.scheme == 'https' else 'http'}://{place}"
         if user is None:
             user, password = source.user, source.password
@@ -85,11 +85,24 @@ def split_address(url: str) -> SplitResult:
         raise SourceError(f"the camera reported an invalid address: {url[:60]!r}") from None
 
 
+def host_of(url: str) -> str:
+    """Return the host of an address, as a URL has it."""
+    host = split_address(url).hostname or ""
+    return f"[{host}]" if ":" in host else host
+
+
 def with_configured_host(stated: str, asked: str) -> str:
     """Return an address reported by the camera with scheme, host and port of `asked`: behind a gateway cameras report
-    other hosts, and a password goes only to the configured host. Raises SourceError.
+    other hosts, and a password goes only to the configured host. A stream keeps its scheme and port. Raises
+    SourceError.
     """
     parts, own = split_address(stated.strip()), split_address(asked)
+    if parts.scheme in ("rtsp", "rtsps"):
+        try:
+            port = f":{parts.port}" if parts.port else ""
+        except ValueError:
+            raise SourceError(f"the camera reported an invalid address: {stated[:60]!r}") from None
+        return urlunsplit((parts.scheme, host_of(asked) + port, parts.path, parts.query, ""))
     return urlunsplit((own.scheme, own.netloc, parts.path, parts.query, ""))
 
 
@@ -106,6 +119,13 @@ def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
             return None
         here = next((e for e in here.iter() if e is not here and local(e) == name), None)
     return here
+
+
+def span(root: ElementTree.Element, *names: str) -> tuple[float, float] | None:
+    """Return the numbers Min and Max below an element; None: not reported. Raises SourceError."""
+    place = found(root, *names)
+    ends = [] if place is None else [e for e in (found(place, "Min"), found(place, "Max")) if e is not None]
+    return (number(ends[0].text, names[-1]), number(ends[1].text, names[-1])) if len(ends) == 2 else None
 
 
 def number(text: str | None, what: str) -> float:

@@ -28,7 +28,7 @@ from ltm_core.site.source_config import (
 )
 from ltm_ros.cameras.protocols.credentials import Login, SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.direction import PtzReading
-from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of
+from ltm_ros.cameras.ptz.connection import Connection, found, local, number, parsed_xml, settings_of, span
 from ltm_ros.cameras.ptz.head import PtzHead, PtzLimits, spacing_for, token_of, tolerance_of
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
@@ -62,11 +62,8 @@ class IsapiPtzHead:
         root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
 
         def both(scale: float, *names: str) -> tuple[float, float] | None:
-            place = found(root, *names)
-            ends = None if place is None else (found(place, "Min"), found(place, "Max"))
-            if ends is None or ends[0] is None or ends[1] is None:
-                return None
-            return number(ends[0].text, names[-1]) * scale, number(ends[1].text, names[-1]) * scale
+            ends = span(root, *names)
+            return None if ends is None else (ends[0] * scale, ends[1] * scale)
 
         space = "AbsolutePanTiltPositionSpace"
         zoom = both(1.0 if self._tenths else 0.1, "AbsoluteZoomPositionSpace", "ZRange")

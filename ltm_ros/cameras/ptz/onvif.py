@@ -28,6 +28,7 @@ from ltm_ros.cameras.ptz.connection import (
     number,
     parsed_xml,
     settings_of,
+    span,
     with_configured_host,
 )
 from ltm_ros.cameras.ptz.head import PtzLimits, spacing_for, token_of, tolerance_of
@@ -45,6 +46,8 @@ _WSU = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-wssecurity-utili
 _DIGEST = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-username-token-profile-1.0#PasswordDigest"
 _BASE64 = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-soap-message-security-1.0#Base64Binary"
 _REFUSALS = ("NotAuthorized", "SenderNotAuthorized", "FailedAuthentication", "Sender not authorized")
+_CLOCKS_AGREE_S = 5.0
+"""Seconds by which a camera's clock may be off without being a reason to reject a request."""
 _TOLD = (200, 400, 401, 403, 500)
 """A fault is also an answer; cameras send it with any of these statuses."""
 
@@ -59,14 +62,20 @@ class SoapClient:
         self._login = Login.of(connection.settings)
         self._ahead: float | None = None
 
-    def clock_ahead(self) -> float:
-        """Return the seconds by which the camera's clock is ahead of this computer's."""
+    def clock_ahead(self) -> float | None:
+        """Return the seconds by which the camera's clock is ahead of this computer's; None: not reported."""
         before = time.time()
-        root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=False)
+        try:
+            root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=False)
+        except UnauthorisedError:
+            # Some cameras require a login even for the time: assume that both clocks agree.
+            self._ahead = 0.0
+            root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=True)
         middle = (before + time.time()) / 2
         utc = found(root, "UTCDateTime")
         if utc is None:
-            raise SourceError("the camera does not report its time by ONVIF, so that no request can be signed")
+            self._ahead = 0.0
+            return None
         fields = []
         for name in ("Year", "Month", "Day", "Hour", "Minute", "Second"):
             element = found(utc, name)
@@ -90,7 +99,10 @@ class SoapClient:
         except UnauthorisedError:
             # Its clock may have been set meanwhile: try once more before the password counts as wrong.
             known = self._ahead or 0.0
-            if abs(self.clock_ahead() - known) < 2.0:
+            ahead = self.clock_ahead() or 0.0
+            if abs(ahead - known) < 2.0:
+                if abs(ahead) > _CLOCKS_AGREE_S:
+                    raise self._login.rejected(f"ONVIF, NotAuthorized; its clock is {ahead:+.0f} s off") from None
                 raise
             return self._send(address, body, signed=True)
 
@@ -104,22 +116,18 @@ class SoapClient:
         kind = {"content-type": "application/soap+xml; charset=utf-8"}
         answer = self._connection.ask(address, "POST", envelope.encode(), kind, accepted=_TOLD)
         if answer.status in (401, 403) and b"Envelope" not in answer.body:
-            raise self._unauthorised(f"HTTP {answer.status}")
+            raise self._login.rejected(f"ONVIF, HTTP {answer.status}")
         root = parsed_xml(answer.body)
         fault = found(root, "Fault")
         if fault is not None:
             said = " ".join("".join(fault.itertext()).split())
             if any(refusal in said for refusal in _REFUSALS):
-                raise self._unauthorised("NotAuthorized")
+                raise self._login.rejected("ONVIF, NotAuthorized")
             raise SourceError(f"the camera rejected the ONVIF request: {self._login.redact(said)[:120]}")
         inside = found(root, "Body")
         if inside is None:
             raise SourceError(f"the camera answered <{local(root)[:40]}> instead of SOAP: check url and path of ptz")
         return inside
-
-    def _unauthorised(self, how: str) -> UnauthorisedError:
-        who = f"user {self._login.user}" if self._login.user else "a request without user and password"
-        return UnauthorisedError(f"the camera rejected {who} by ONVIF ({how}). Check the user name and password")
 
     def _security(self) -> str:
         nonce = secrets.token_bytes(16)
@@ -155,7 +163,7 @@ class OnvifPtzHead:
         self._device = self._connection.settings.url + config.path
         self.soap = SoapClient(self._connection, self._device)
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
-        self._addresses: tuple[str, str] | None = None
+        self._addresses: dict[str, str] = {}
         self._profile = config.profile
 
     def read(self) -> PtzReading:
@@ -177,12 +185,8 @@ class OnvifPtzHead:
         root = self._ask("GetNodes", with_profile=False)
 
         def both(space: str, axis: str, scale: tuple[float, float] | None) -> tuple[float, float] | None:
-            place = found(root, space, axis)
-            ends = None if place is None else (found(place, "Min"), found(place, "Max"))
-            if ends is None or ends[0] is None or ends[1] is None:
-                return None
-            low, high = number(ends[0].text, axis), number(ends[1].text, axis)
-            return (low, high) if scale is None else (_scaled(low, scale), _scaled(high, scale))
+            ends = span(root, space, axis)
+            return ends if scale is None or ends is None else (_scaled(ends[0], scale), _scaled(ends[1], scale))
 
         turn = "AbsolutePanTiltPositionSpace"
         pan = both(turn, "XRange", self._config.pan_range_deg)
@@ -202,12 +206,13 @@ class OnvifPtzHead:
 
     def picture_addresses(self) -> tuple[str | None, str | None]:
         """Return the URLs of a snapshot and of a stream that the camera reports."""
-        media, _ = self._services()
-        token = {"ProfileToken": self._token()}
+        media, token = self._service("Media"), {"ProfileToken": self._token(with_ptz=False)}
         found_at: list[str | None] = []
         for name, setup in (("GetSnapshotUri", ""), ("GetStreamUri", STREAM_SETUP)):
             try:
                 place = found(self.soap.call(media, MEDIA, name, token, setup), "Uri")
+            except UnauthorisedError:
+                raise
             except SourceError:
                 place = None
             found_at.append(None if place is None else place.text)
@@ -219,36 +224,37 @@ class OnvifPtzHead:
     def _ask(
         self, name: str, arguments: Mapping[str, str] | None = None, with_profile: bool = True
     ) -> ElementTree.Element:
-        _, address = self._services()
+        address = self._service("PTZ")
         whole = {"ProfileToken": self._token()} if with_profile else {}
         return self.soap.call(address, PTZ, name, {**whole, **(arguments or {})})
 
-    def _services(self) -> tuple[str, str]:
-        """Return the addresses of the media and PTZ services, at the configured host."""
-        if self._addresses is None:
+    def _service(self, name: str) -> str:
+        """Return the address of a service, at the configured host. Raises SourceError if the camera lacks it."""
+        if not self._addresses:
             root = self.soap.call(self._device, DEVICE, "GetCapabilities", {"Category": "All"})
-            places = []
-            for name in ("Media", "PTZ"):
-                address = found(root, name, "XAddr")
-                if address is None or not address.text:
-                    what = "no PTZ head" if name == "PTZ" else "no images"
-                    raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-                places.append(with_configured_host(address.text, self._connection.settings.url))
-            self._addresses = places[0], places[1]
-        return self._addresses
+            for known in ("Media", "PTZ"):
+                address = found(root, known, "XAddr")
+                if address is not None and address.text:
+                    self._addresses[known] = with_configured_host(address.text, self._connection.settings.url)
+        if name not in self._addresses:
+            what = "no PTZ head" if name == "PTZ" else "no images"
+            raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
+        return self._addresses[name]
 
-    def _token(self) -> str:
-        if self._profile is None:
-            media, _ = self._services()
-            root = self.soap.call(media, MEDIA, "GetProfiles")
-            profiles = [e for e in root.iter() if local(e) == "Profiles" and e.get("token")]
-            with_ptz = [e for e in profiles if found(e, "PTZConfiguration") is not None]
-            if not with_ptz:
-                raise SourceError(
-                    "none of the camera's media profiles has a PTZ head: select one in the camera's settings"
-                )
-            self._profile = with_ptz[0].get("token") or ""
-        return self._profile
+    def _token(self, with_ptz: bool = True) -> str:
+        """Return the token of the first media profile, of those with a PTZ head if there are any."""
+        if self._profile is not None:
+            return self._profile
+        root = self.soap.call(self._service("Media"), MEDIA, "GetProfiles")
+        profiles = [e for e in root.iter() if local(e) == "Profiles" and e.get("token")]
+        turning = [e for e in profiles if found(e, "PTZConfiguration") is not None]
+        if turning:
+            self._profile = turning[0].get("token") or ""
+            return self._profile
+        if with_ptz or not profiles:
+            what = "has a PTZ head" if profiles else "exists"
+            raise SourceError(f"no media profile of the camera {what}: select or add one in the camera's settings")
+        return profiles[0].get("token") or ""
 
 
 def _scaled(value: float, ends: tuple[float, float]) -> float:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from PIL import Image
 from scenes import rtsp_camera
-from scenes.http_camera import HttpCamera, running
+from scenes.http_camera import HttpCamera, Request, certificate, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
 from typer.testing import CliRunner
@@ -380,3 +380,49 @@ def test_the_table_shows_states_in_words_and_no_markup_of_a_stranger() -> None:
 def test_watch_needs_a_source(small: SmallSite) -> None:
     with pytest.raises(ConfigError, match="no camera has a section `source`"):
         run("watch", small.path, "--once")
+
+
+@pytest.mark.parametrize("with_ptz", [False, True])
+def test_probe_finds_the_picture_of_an_onvif_camera_with_or_without_a_head(
+    camera: HttpCamera, head: FakeHead, with_ptz: bool
+) -> None:
+    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
+    camera.routes["/own.jpg"] = Request.snapshot
+    head.has_ptz, head.stated_picture = with_ptz, "http://{}/own.jpg?channel=1"
+    head.user, head.password = "viewer", PASSWORD
+    said = run("probe", camera.url("/none.jpg"), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
+    assert f"url: {camera.url('/own.jpg')}?channel=1" in said
+    assert ("kind: onvif" in said) is with_ptz
+
+
+def test_probe_finds_dahua_s_picture_by_the_bare_address(camera: HttpCamera) -> None:
+    camera.routes = {
+        "/cgi-bin/snapshot.cgi": Request.snapshot,
+        "/snapshot.jpg": lambda request: request.answer(404, b"", ""),
+    }
+    assert f"url: {camera.url('/cgi-bin/snapshot.cgi')}" in run("probe", camera.url(""))
+
+
+def test_a_camera_that_signs_its_clock_or_reports_none_is_read(camera: HttpCamera, head: FakeHead) -> None:
+    camera.routes = {place: route for place, route in camera.routes.items() if place.startswith("/onvif")}
+    head.user, head.password, head.time = "viewer", PASSWORD, "signed"
+    login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
+    assert "kind: onvif" in run("probe", camera.url(), *login)
+    head.time = "none"
+    assert "kind: onvif" in run("probe", camera.url(), *login)
+    head.clock_ahead = 900.0
+    with pytest.raises(UnauthorisedError):
+        run("probe", camera.url(), *login)
+
+
+def test_the_message_of_a_self_signed_certificate_names_the_option(tmp_path: Path) -> None:
+    shown = certificate(tmp_path, "IP:127.0.0.1")
+    with running(certificate=shown) as camera:
+        with pytest.raises(ConfigError, match="--ca"):
+            run("probe", camera.url())
+        assert camera.url() in run("probe", camera.url(), "--ca", shown[0])
+    other = certificate(tmp_path, "DNS:camera")
+    with running(certificate=other) as camera, pytest.raises(ConfigError, match="--any-name"):
+        run("probe", camera.url(), "--ca", other[0])
+    with running() as camera, pytest.raises(ConfigError, match="http://"):
+        run("probe", camera.url().replace("http:", "https:"))

@@ -81,6 +81,12 @@ def test_trouble_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     now += 2.0
     assert not health.troubled
     assert health.summary()["last_error"] == "image: garbage"
+    assert health.message == "ok"
+    health.lasting("unauthorised: HTTP 401")
+    now += 600.0
+    assert (health.troubled, health.message) == (True, "unauthorised: HTTP 401")
+    health.lasting("")
+    assert not health.troubled
 
 
 def test_latencies_in_milliseconds_of_the_last_messages() -> None:

@@ -98,7 +98,7 @@ def test_a_hundred_real_streams_leave_nothing_behind(monkeypatch: pytest.MonkeyP
 
         def connect() -> None:
             sourced.frames.clear()
-            wait_for(lambda: sourced.source.step() >= 0 and sourced.frames, "a picture", lambda: sourced.source.why)
+            wait_for(lambda: sourced.source.step() >= 0 and sourced.frames, "a picture", lambda: sourced.why)
             sourced.source.close()
 
         grew = grown(connect, STREAMS, WARM_UP // 10)

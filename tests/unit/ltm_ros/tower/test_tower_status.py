@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from scenes.tower_words import NODES, healths, status_of, watch_of
+from scenes.tower_words import NODES, NOW_S, healths, status_of, watch_of
 
-from ltm_ros.tower.tower_status import KEYS, LENGTH, OutboxState, TowerWatch
+from ltm_ros.nodes.health import camera_diagnostic
+from ltm_ros.runtime.health import CameraState, Health
+from ltm_ros.tower.metrics import exposition
+from ltm_ros.tower.tower_status import KEYS, LENGTH, CameraStatus, OutboxState, TowerWatch
 
 
 def test_a_tower_that_has_not_begun_is_neither_alive_nor_ready() -> None:
@@ -78,3 +81,85 @@ def test_strangers_are_not_listened_to_and_words_are_bounded() -> None:
     assert len(report.values) == KEYS
     assert max(map(len, report.values.values())) == len(report.message) == LENGTH
     assert report.number("k1") is None, "a number too large to be one"
+
+
+SOURCES = (*NODES, "/ridge/north/source")
+REFUSED = "192.0.2.20 rejected user viewer (HTTP 401). Check the user name and password"
+SINCE = NOW_S - 50.0
+
+
+def of_source(age_s: float, **said: object) -> tuple[TowerWatch, CameraStatus]:
+    """Camera north with a source: what its state is while its newest frame is so old."""
+    made = healths()
+    made["/ridge/north/capture"].gauge("newest_stamp", f"{NOW_S - age_s:.3f}")
+    made["/ridge/north/source"] = Health()
+    for key, value in said.items():
+        made["/ridge/north/source"].gauge(key, value)
+    watch = TowerWatch("ridge", SOURCES, frame_limit_s=120.0)
+    for name, health in made.items():
+        watch.hear(name, health.troubled, health.message, health.summary(), now_s=50.0)
+    return watch, watch.cameras(51.0, NOW_S)[0]
+
+
+@pytest.mark.parametrize(
+    ("age_s", "said", "state", "why"),
+    [
+        (4.5, {"state": "unauthorised", "state_why": REFUSED}, "unauthorised", REFUSED),
+        (4.5, {"state": "alive"}, "alive", ""),
+        (4.5, {"state": "alive", "state_why": "no connection"}, "alive", "no connection"),
+        (9000.0, {"state": "night", "state_why": "dark"}, "night", "dark"),
+        (150.0, {"state": "alive"}, "stalled", "no new frame for 2 min"),
+        (150.0, {"state": "alive", "stalled_after_s": 900}, "alive", ""),
+        (150.0, {"state": "moved", "state_why": "moving"}, "stalled", "no new frame for 2 min (moving)"),
+        (-7200.0, {"state": "alive"}, "stalled", "the camera's clock is 2.0 h ahead of the system clock"),
+        (4.5, {"state": "connecting"}, "connecting", "no image yet"),
+        (4.5, {"state": "nonsense"}, "connecting", "source: ok"),
+        (4.5, {}, "connecting", "source: ok"),
+    ],
+)
+def test_a_camera_has_the_state_of_its_source(age_s: float, said: dict[str, object], state: str, why: str) -> None:
+    watch, camera = of_source(age_s, state_since=SINCE, **said)
+    assert (camera.state, camera.why) == (state, why)
+    sending = state in ("alive", "night")
+    assert (camera.wrong == "") is sending
+    assert camera.since_s == (SINCE if said.get("state") == state else NOW_S)
+    diagnostic = camera_diagnostic("ridge", camera)
+    assert diagnostic.name == "/ridge/north"
+    assert diagnostic.level == (b"\0" if sending else b"\1" if state == "connecting" else b"\2")
+    assert {pair.key: pair.value for pair in diagnostic.values}["state"] == state
+    scraped = exposition(status_of(watch)).decode()
+    shown = [one.value for one in CameraState if f'ltm_camera_state{{camera="north",state="{one}"}} 1.0' in scraped]
+    assert shown == [state]
+    assert status_of(watch).as_dict()["cameras"][0]["state"] == state
+
+
+def test_a_state_keeps_its_beginning_until_it_changes() -> None:
+    watch = watch_of(healths())
+    east = {now: watch.cameras(51.0 + now, NOW_S + now)[1] for now in (0.0, 7.0)}
+    assert [one.since_s for one in east.values()] == [NOW_S, NOW_S]
+    watch.hear("/ridge/east/capture", False, "ok", {"newest_stamp": str(NOW_S + 8)}, 60.0)
+    assert [watch.cameras(60.0, NOW_S + now)[1].since_s for now in (9.0, 12.0)] == [NOW_S + 9] * 2
+
+
+@pytest.mark.parametrize("since", ["-1e300", "1e300", "nan", "noon"])
+def test_a_beginning_that_is_no_time_is_not_believed(since: str) -> None:
+    _, camera = of_source(4.5, state="alive", state_since=since)
+    assert camera.since_s == NOW_S
+    assert camera_diagnostic("ridge", camera).message.startswith("alive since")
+
+
+def test_a_source_that_falls_silent_is_a_camera_that_fails() -> None:
+    watch, _ = of_source(4.5, state="alive")
+    assert watch.cameras(60.1, NOW_S)[0].state == "stalled"
+
+
+def test_what_a_source_says_is_listed_once() -> None:
+    made = healths()
+    made["/ridge/north/source"] = Health()
+    made["/ridge/north/source"].lasting(f"unauthorised: {REFUSED}")
+    watch, _ = of_source(4.5, state="unauthorised", state_why=REFUSED)
+    source = made["/ridge/north/source"]
+    watch.hear(
+        "/ridge/north/source", source.troubled, source.message, {"state": "unauthorised", "state_why": REFUSED}, 50.0
+    )
+    assert [line for line in status_of(watch).wrong if "192.0.2.20" in line] == [f"north: {REFUSED}"]

@@ -123,12 +123,12 @@ def test_a_folder_that_is_gone_and_one_in_which_nothing_new_comes_are_stalled(tm
     sourced = Sourced(settings(kind="folder", path=str(folder), stalled_after=40), clock)
     sourced.steps(1)
     assert sourced.state == "stalled"
-    assert "is not a readable folder" in sourced.source.why
+    assert "is not a readable folder" in sourced.why
     write(folder / "a.jpg", jpeg(scene()))
     sourced.steps(3)
     assert (sourced.state, len(sourced.frames)) == ("alive", 1)
     clock.turn(41.0)
     sourced.steps(1)
-    assert (sourced.state, sourced.source.why) == ("stalled", "no new image")
+    assert (sourced.state, sourced.why) == ("stalled", "no new image")
     with pytest.raises(SourceError, match="zone"):
         reader(folder, zone="Middle/Earth")

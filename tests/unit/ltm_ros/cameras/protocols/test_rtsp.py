@@ -30,7 +30,7 @@ def until(sourced: Sourced, frames: int, patience_s: float = 40.0) -> None:
     deadline = time.monotonic() + patience_s
     while len(sourced.frames) < frames:
         time.sleep(min(sourced.source.step(), 0.2))
-        assert time.monotonic() < deadline, (sourced.state, sourced.source.why)
+        assert time.monotonic() < deadline, (sourced.state, sourced.why)
 
 
 def errors_and_told(sourced: Sourced) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +78,7 @@ def test_a_wrong_password_is_refused_and_not_told(monkeypatch: pytest.MonkeyPatc
         assert (sourced.state, pause >= 600) == ("unauthorised", True)
         with pytest.raises(UnauthorisedError) as caught:
             open_reader(sourced.config, 1 << 20, sourced.clock)
-        said = "".join(traceback.format_exception(caught.value)) + str(sourced.health.summary()) + sourced.source.why
+        said = "".join(traceback.format_exception(caught.value)) + str(sourced.health.summary()) + sourced.why
         assert "guess" not in said
 
 
@@ -88,7 +88,7 @@ def test_a_closed_port_and_another_path_are_told() -> None:
             sourced = Sourced(settings(kind="rtsp", url=url, timeout=2.0), SystemClock(), CALIBRATION)
             sourced.steps(1)
             assert sourced.state == "stalled"
-            assert "no stream" in sourced.source.why
+            assert "no stream" in sourced.why
 
 
 @pytest.mark.slow

@@ -129,7 +129,7 @@ def test_nothing_that_a_source_says_holds_it(
         else:
             sourced.steps(2)
         sourced.source.report()
-        said = f"{sourced.health.summary()} {sourced.source.why} {sourced.health.last_error} {config!r} {caplog.text}"
+        said = f"{sourced.health.summary()} {sourced.why} {sourced.health.last_error} {config!r} {caplog.text}"
         assert_silent(said)
         assert_silent(str(sourced.frames))
         sourced.source.close()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import datetime
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from scenes.http_camera import Behaviour, HttpCamera, running
+from scenes.http_camera import Behaviour, HttpCamera, certificate, running
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import exif_of, jpeg, scene, time_in, with_time
 
@@ -80,20 +79,10 @@ def test_cmyk_comes_through_with_its_colours() -> None:
     with running(HttpCamera(Behaviour(render=lambda _: jpeg(image, "CMYK")))) as camera:
         sourced = Sourced(settings(kind="snapshot", url=camera.url(), every=1), SystemClock())
         sourced.steps(1)
-    assert sourced.state == "alive", sourced.source.why
+    assert sourced.state == "alive", sourced.why
     shown = decode_rgb(sourced.frames[0].jpeg or b"")
     assert abs(shown.astype(int) - image).mean() < 6
     assert time_in(shown) == pytest.approx(time_in(image), abs=1e-3)
-
-
-def certificate(folder: Path, name: str) -> tuple[str, str]:
-    made = folder / f"{name}.pem", folder / f"{name}.key"
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
-         "-subj", "/CN=camera", "-addext", f"subjectAltName={name}", "-keyout", str(made[1]), "-out", str(made[0])],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    return str(made[0]), str(made[1])
 
 
 def test_a_certificate_is_checked_against_what_the_site_file_names(tmp_path: Path) -> None:
@@ -109,7 +98,7 @@ def test_a_certificate_is_checked_against_what_the_site_file_names(tmp_path: Pat
             sourced = Sourced(config, SystemClock())
             sourced.steps(1)
             states.append(sourced.state)
-            assert sourced.state == "alive" or "certificate" in sourced.source.why.lower()
+            assert sourced.state == "alive" or "certificate" in sourced.why.lower()
     assert states == ["alive", "stalled", "stalled", "stalled", "alive"]
 
 

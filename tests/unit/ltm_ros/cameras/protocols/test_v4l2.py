@@ -58,7 +58,7 @@ def test_a_cameras_pictures_with_its_own_times(asked: list[tuple[Any, dict[str, 
     assert shown == [pytest.approx(number / RATE, abs=0.001) for number in range(PICTURES)]
     assert {frame.told_by for frame in sourced.frames} == {"timestamp"}
     # A camera that is pulled out ends its video.
-    assert (sourced.state, sourced.source.why) == (
+    assert (sourced.state, sourced.why) == (
         "stalled",
         "the stream has ended: the camera closed it or is not reachable",
     )
@@ -76,7 +76,7 @@ def test_a_camera_that_is_not_there_or_belongs_to_others_is_told(monkeypatch: py
     sourced = Sourced(camera(size=[320, 180]), SystemClock())
     sourced.steps(1)
     assert sourced.state == "stalled"
-    assert sourced.source.why == f"{NOBODY}: No such file or directory; requested video_size 320x180"
+    assert sourced.why == f"{NOBODY}: No such file or directory; requested video_size 320x180"
     assert [doubt.partition(":")[0] for doubt in doubts_of(sourced.config)] == [f"{NOBODY} does not exist"]
 
     def refused(*given: Any, **more: Any) -> Any:
@@ -84,7 +84,7 @@ def test_a_camera_that_is_not_there_or_belongs_to_others_is_told(monkeypatch: py
 
     monkeypatch.setattr(av, "open", refused)
     sourced.steps(1)
-    assert "group video" in sourced.source.why
+    assert "group video" in sourced.why
 
 
 @pytest.mark.parametrize("device", ["video0", "/etc/passwd", "/dev/../etc/passwd"])
