@@ -25,7 +25,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
-from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMAGE_RAW, IMU, POSE
+from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, image_topics, other_inputs
 
 
 class FrameJoinConfig(StrictModel):
@@ -73,7 +73,8 @@ class FrameJoin:
         camera = site.camera(name)
         self._name, self._complete, self._health = name, complete, health
         self._stamp_and_size = stamp_and_size
-        self.image_topic = IMAGE_RAW if camera.image == "raw" else IMAGE_COMPRESSED
+        self.image_topics = image_topics(camera)
+        self._other_inputs = other_inputs(camera)
         self._fixed_pose: Pose | None = None
         self._fixed_covariance: Float64Array | None = None
         if camera.pose is not None:
@@ -108,14 +109,9 @@ class FrameJoin:
     @property
     def others(self) -> Mapping[Topic, Callable[[Any], None]]:
         """Return the other topics to join, by the site file, with their callbacks."""
-        topics: dict[Topic, Callable[[Any], None]] = {}
-        if self._fixed_calibration is None:
-            topics[CAMERA_INFO] = self.on_camera_info
-        if self._sensors is not None:
-            topics |= {FIX: self.on_fix, IMU: self.on_imu}
-        elif self._fixed_pose is None:
-            topics[POSE] = self.on_pose
-        return topics
+        takes = {CAMERA_INFO: self.on_camera_info, POSE: self.on_pose, FIX: self.on_fix, IMU: self.on_imu}
+        by_name = {topic.name: take for topic, take in takes.items()}
+        return {topic: by_name[topic.counted_name] for topic in self._other_inputs}
 
     def add_image(self, stamp_ns: int, image: Any) -> None:
         """Add an image. Raises the LtmError of a frame that it completes."""
