@@ -6,6 +6,7 @@ its last message has come. So memory holds only frames that overlap in time, wha
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -70,6 +71,7 @@ PARTS: Parts = {
 }
 """The parts that our nodes and importers write."""
 
+_log = logging.getLogger(__name__)
 _HEADER = struct.Struct("<4siI")
 
 
@@ -120,11 +122,14 @@ class FrameStream:
     def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)
         self._topics: dict[str, tuple[str, str, Topic, Take]] = {}
+        recorded = self._reader.topics()
         for camera in cameras:
             for part, sources in parts.items():
                 for topic, take in sources:
                     own = input_topic(site.cameras[camera], topic)
-                    self._topics.setdefault(camera_topic(site.name, camera, own), (camera, part, topic, take))
+                    name = camera_topic(site.name, camera, own)
+                    if recorded.get(name) in accepted_types(topic):
+                        self._topics[name] = (camera, part, topic, take)
         self._messages: Counter[tuple[str, int]] = Counter()
         self._parts: dict[tuple[str, int], set[str]] = defaultdict(set)
         self.counts: Counter[tuple[str, str]] = Counter()
@@ -141,11 +146,17 @@ class FrameStream:
         return cls(bag, site, list(site.cameras), parts)
 
     def _stamped(self, topics: Collection[str]) -> Iterator[tuple[str, str, Topic, int, BagMessage]]:
-        """Yield messages with camera, part, topic and stamp, without those of another type."""
+        """Yield messages with camera, part, topic and stamp, without those of another type or without a header."""
         for message in self._reader.messages(topics):
             camera, part, topic, _ = self._topics[message.topic]
-            if message.type_name in accepted_types(topic) and message.encoding == "cdr":
-                yield camera, part, topic, raw_stamp(message), message
+            if message.type_name not in accepted_types(topic) or message.encoding != "cdr":
+                continue
+            try:
+                stamp = raw_stamp(message)
+            except RecordingError as error:
+                _log.warning("%s", error)
+                continue
+            yield camera, part, topic, stamp, message
 
     @property
     def topics(self) -> str:

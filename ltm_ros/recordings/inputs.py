@@ -13,7 +13,7 @@ from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.sections import CameraConfig
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.reader import decoded
+from ltm_msgs_py.bag.reader import TopicInfo, decoded
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import POSE_TYPES, as_stamped_pose, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
@@ -52,21 +52,33 @@ def decoded_input(topic: Topic, raw: bytes, type_name: str, encoding: str = "cdr
     return as_stamped_pose(message) if topic.type is POSE.type else message
 
 
-def recorded_inputs(site: Site, recorded: Mapping[str, str]) -> dict[str, Topic]:
-    """Return the input topics of a site's cameras in a recording, by absolute name. `recorded`: types by name.
-
-    Of a camera's two kinds of images, only the preferred one is taken.
+def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, Topic]:
+    """Return the input topics of a site's cameras in a recording, by absolute name. Of a camera's two kinds of images,
+    only the preferred one is taken.
     """
     found: dict[str, Topic] = {}
     for camera, config in site.cameras.items():
         images = {camera_topic(site.name, camera, topic): topic for topic in image_topics(config)}
         present = [name for name in images if name in recorded]
-        right = [name for name in present if recorded[name] in accepted_types(images[name])]
-        found |= {name: images[name] for name in (right or present)[:1]}
+        right = [name for name in present if recorded[name].type_name in accepted_types(images[name])]
+        for name in sorted(right or present, key=lambda name: recorded[name].message_count == 0)[:1]:
+            found[name] = images[name]
         others = (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES)
         named = {camera_topic(site.name, camera, topic): topic for topic in others}
         found |= {name: topic for name, topic in named.items() if name in recorded}
     return found
+
+
+def input_names(site: Site) -> tuple[list[str], list[str]]:
+    """Return the absolute names of a site's image topics, and of its other input topics."""
+    images = [(camera, topic) for camera, config in site.cameras.items() for topic in image_topics(config)]
+    others = [
+        (camera, input_topic(config, topic))
+        for camera, config in site.cameras.items()
+        for topic in CAMERA_INPUTS
+        if not is_image(topic)
+    ]
+    return tuple([camera_topic(site.name, *one) for one in chosen] for chosen in (images, others))  # type: ignore
 
 
 def is_image(topic: Topic) -> bool:

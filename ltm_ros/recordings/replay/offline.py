@@ -54,7 +54,7 @@ class Selection:
         """Open a bag. Raises RecordingError if it has no image of a camera of the site, or nothing in the span."""
         reader = BagReader(bag)
         recorded = reader.topics()
-        topics = recorded_inputs(site, recorded)
+        topics = recorded_inputs(site, reader.topic_infos())
         images = [name for name, topic in topics.items() if is_image(topic)]
         more = ((camera, topic) for camera in site.cameras for topic in CAMERA_TRUTH if truth)
         named = {camera_topic(site.name, camera, topic): topic for camera, topic in more}
@@ -116,7 +116,8 @@ class Selection:
 
 def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
     """Raise RecordingError if no frame was finished, with the topics of the bag beside the expected ones."""
-    if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames_in", "0")):
+    voted = [summary["frames_out"] for name, summary in summaries.items() if name.endswith("/fuel_votes")]
+    if not any(map(int, voted)):
         reasons = {why for summary in summaries.values() for key, why in summary.items() if key.startswith("reason.")}
         why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
         raise RecordingError(f"{bag}: no frame was finished: {why}. {beside_expected(site, BagReader(bag).topics())}")
