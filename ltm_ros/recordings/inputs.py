@@ -65,7 +65,10 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
             found[name] = images[name]
         others = (input_topic(config, topic) for topic in CAMERA_INPUTS if topic.type not in _IMAGES)
         named = {camera_topic(site.name, camera, topic): topic for topic in others}
-        found |= {name: topic for name, topic in named.items() if name in recorded}
+        needed = other_inputs(config)
+        for name, topic in named.items():
+            if name in recorded and (topic in needed or recorded[name].type_name in accepted_types(topic)):
+                found[name] = topic
     return found
 
 

@@ -26,7 +26,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
-from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, image_topics, other_inputs
+from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, camera_topic, image_topics, other_inputs
 
 _FASTER = ", or with two stamps around it, at most 0.25 s apart; else set nodes.capture.pose_tolerance"
 
@@ -76,7 +76,7 @@ class FrameJoin:
         stamp_and_size: Callable[[Any], tuple[int, tuple[int, int]]],
     ) -> None:
         camera = site.camera(name)
-        self._name, self._complete, self._health = name, complete, health
+        self._site_name, self._name, self._complete, self._health = site.name, name, complete, health
         self._stamp_and_size = stamp_and_size
         self.image_topics = image_topics(camera)
         self._other_inputs = other_inputs(camera)
@@ -185,7 +185,8 @@ class FrameJoin:
         cause = "no_calibration" if name == "calibration" else "no_pose"
         missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
         topics = {topic.counted_name: topic for topic in self._other_inputs}
-        what = f"{type_name_of(topics[missing].type())} on {topics[missing].name}"
+        name = camera_topic(self._site_name, self._name, topics[missing])
+        what = f"{type_name_of(topics[missing].type())} on {name}"
         more = _FASTER if missing == "pose" else ""
         self._health.drop(
             cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish {what} with the image's stamp{more}"

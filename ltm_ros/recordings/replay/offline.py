@@ -62,7 +62,7 @@ class Selection:
         if not images or reader.start_ns is None or reader.end_ns is None:
             raise RecordingError(
                 f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); "
-                f"{beside_expected(site, recorded)}"
+                f"{'; '.join((beside_expected(site, recorded), *reader.damage))}"
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
@@ -116,11 +116,11 @@ class Selection:
 
 def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
     """Raise RecordingError if no frame was finished, with the topics of the bag beside the expected ones."""
-    voted = [summary["frames_out"] for name, summary in summaries.items() if name.endswith("/fuel_votes")]
-    if not any(map(int, voted)):
+    if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
         reasons = {why for summary in summaries.values() for key, why in summary.items() if key.startswith("reason.")}
         why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
-        raise RecordingError(f"{bag}: no frame was finished: {why}. {beside_expected(site, BagReader(bag).topics())}")
+        beside = beside_expected(site, BagReader(bag).topics())
+        raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
 
 
 def require_whole(bag: Path, summaries: Mapping[str, Mapping[str, str]]) -> None:
