@@ -226,7 +226,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> 
                 terrain.close()
         failures = (*mapped.failures, *_lost(found, terrain))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
-        if refused := _too_many_failed(planned, failures):
+        if refused := _too_many_failed(planned, failures) or _empty(summary):
             results.write(RUN, _record(planned, summary))
             raise ArchiveError(refused)
         with TileStore.open_read_only(path, STORE_KIND) as store:
@@ -276,6 +276,14 @@ def _no_frames(planned: Plan) -> str:
     lost = (f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in manifest.failures[:5])
     beside = beside_expected(planned.site, manifest.recorded, options.cameras)
     return f"no frame was found, no map was written: {'; '.join((*lost, beside))}"
+
+
+def _empty(summary: Summary) -> str:
+    if summary.merged:
+        return ""
+    why = ", ".join(f"{count} x {reason}" for reason, count in summary.unused.items())
+    why = why or "none shows a cell of the fuel map; check the poses and the DEM's extent"
+    return f"no frame reached the map, none was written: {why}"
 
 
 def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import Header, String
 
-from ltm_core.site.sections import CameraConfig
 from ltm_ros.runtime.handler import Topic
+
+if TYPE_CHECKING:
+    from ltm_core.site.sections import CameraConfig
 
 IMAGE_RAW = Topic("image_raw", Image)
 IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)

@@ -115,9 +115,18 @@ class Selection:
 
 
 def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """Raise RecordingError if no frame was finished, with the topics of the bag beside the expected ones."""
+    """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
+    topics of the bag beside the expected ones.
+    """
     if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
-        reasons = {why for summary in summaries.values() for key, why in summary.items() if key.startswith("reason.")}
+        said = [(key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]
+        reasons = {text for (kind, _), text in said if kind == "reason"}
+        reasons |= {
+            f"{text} x {what}" for (kind, what), text in said if kind == "noted" and what.startswith("unusable")
+        }
+        if any(int(s["frames_out"]) for name, s in summaries.items() if name.endswith("/fuel_votes")):
+            why = "; ".join(sorted(reasons)) or "no frame shows a cell of it; check the poses and the DEM's extent"
+            raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
         why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
         beside = beside_expected(site, BagReader(bag).topics())
         raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
