@@ -17,7 +17,7 @@ from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.stamp import stamp_text, time_text
+from ltm_msgs_py.stamp import ns_to_time, stamp_of, stamp_text, time_text
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.recordings.inputs import beside_expected, decoded_input, is_image, recorded_inputs, warn_of_ignored
 from ltm_ros.runtime.handler import NodeType, Topic
@@ -85,19 +85,24 @@ class Selection:
     def __iter__(self) -> Iterator[BagMessage]:
         return self.reader.messages(list(self.topics), self.begin_ns, self.end_ns)
 
-    def decoded(self) -> Iterator[tuple[BagMessage, Any]]:
-        """Yield each message with its content; count those that are invalid and, at the end, those that are lost."""
+    def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
+        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
+        end, those that are lost.
+        """
         for message in self:
             self.health.received(message.topic)
             try:
                 content = self.content(message)
+                if shift_ns:
+                    content.header.stamp = ns_to_time(stamp_of(content) + shift_ns)
             except LtmError as error:
                 self.health.drop(cause_of(error), f"{error} ({message.topic}, {time_text(message.log_time_ns)})")
                 continue
             yield message, content
             self.health.published(message.topic)
         lost = self.reader.lost
-        if count := sum(number for topic, number in lost.items() if not topic or topic in self.topics):
+        count = sum(number for topic, number in lost.items() if not topic or topic in self.topics)
+        if count and "damage" not in self.health.dropped:  # only in the first round of a loop
             self.health.drop("damage", "; ".join(self.reader.damage), count)
 
     def content(self, message: BagMessage) -> Any:

@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_msgs_py.stamp import ns_to_time, stamp_of
+from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
@@ -133,14 +133,12 @@ class LivePlayer:
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift = 0, 0
         while True:
-            for message, content in self._selection.decoded():
+            for message, content in self._selection.decoded(shift):
                 self._sleep_until(message.log_time_ns + shift, stopped)
                 self._wait_for_room(stopped)
                 if stopped():
                     return published
                 self._publish_clock()  # no node may receive a message from its future
-                if shift:
-                    content.header.stamp = ns_to_time(stamp_of(content) + shift)
                 own = message.type_name == type_name_of(content)
                 self._publishers[message.topic].publish(message.raw if own and not shift else content)
                 published += 1
