@@ -5,10 +5,10 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from mcap.records import Channel
 
@@ -44,6 +44,14 @@ class BagMessage:
     type_name: str
     raw: bytes
     encoding: str = "cdr"
+
+
+class Logged(Protocol):
+    @property
+    def log_time_ns(self) -> int: ...
+
+
+MessageT = TypeVar("MessageT", bound=Logged)
 
 
 class BagReader:
@@ -107,25 +115,9 @@ class BagReader:
 
         `topics`: only these (None: all); a topic that is not in the bag gives no messages.
         """
-        # Files of a long recording follow each other: only those that overlap in time are open together.
-        waiting = sorted(
-            (f for f in self._files if f.start_ns is not None), key=lambda f: f.start_ns or 0, reverse=True
-        )
-        order = {id(file): number for number, file in enumerate(self._files)}
-        heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
-
-        def advance(number: int, stream: Iterator[BagMessage]) -> None:
-            if (message := next(stream, None)) is not None:
-                heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
-        while waiting or heads:
-            while waiting and (not heads or (waiting[-1].start_ns or 0) <= heads[0][0]):
-                file = waiting.pop()
-                advance(order[id(file)], self._messages_of(file, topics, start_ns, end_ns))
-            if heads:
-                _, number, message, stream = heapq.heappop(heads)
-                yield message
-                advance(number, stream)
+        begins = [file.start_ns for file in self._files]
+        for _, message in by_log_time(begins, lambda n: self._messages_of(self._files[n], topics, start_ns, end_ns)):
+            yield message
 
     def _messages_of(
         self, file: McapIndex, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
@@ -176,6 +168,31 @@ class BagReader:
                     is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),
                 )
         return topics
+
+
+def by_log_time(
+    begins: Sequence[int | None], stream_of: Callable[[int], Iterator[MessageT]]
+) -> Iterator[tuple[int, MessageT]]:
+    """Merge streams by log time, equal times in their order; yield each message after the number of its stream.
+
+    `begins`: of each stream, None: empty. Files of a long recording follow each other: only those that overlap in time
+    are open together.
+    """
+    waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
+    heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
+
+    def advance(number: int, stream: Iterator[MessageT]) -> None:
+        if (message := next(stream, None)) is not None:
+            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
+
+    while waiting or heads:
+        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
+            _, number = waiting.pop()
+            advance(number, stream_of(number))
+        if heads:
+            _, number, message, stream = heapq.heappop(heads)
+            yield number, message
+            advance(number, stream)
 
 
 def _type_of(file: McapIndex, channel: Channel) -> str:

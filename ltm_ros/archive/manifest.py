@@ -6,7 +6,6 @@ processed separately and in any order.
 
 from __future__ import annotations
 
-import heapq
 import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,6 +23,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
+from ltm_msgs_py.bag.reader import by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
 from ltm_ros.recordings.inputs import decoded_input
@@ -198,22 +198,10 @@ class _Picture:
 
 
 def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    """Merge by log time, and by file order for equal times; overlapping files are open together."""
+    """Merge by log time, with the file of each message."""
     begins = [min((scan.begins[t] for t in topics & scan.begins.keys()), default=None) for scan in scans]
-    waiting = sorted(((b, n) for n, b in enumerate(begins) if b is not None), reverse=True)
-    heads: list[tuple[int, int, ScannedMessage, Iterator[ScannedMessage]]] = []
-
-    def advance(number: int, stream: Iterator[ScannedMessage]) -> None:
-        if (message := next(stream, None)) is not None:
-            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
-    while waiting or heads:
-        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
-            _, number = waiting.pop()
-            advance(number, scans[number].messages(topics))
-        _, number, message, stream = heapq.heappop(heads)
+    for number, message in by_log_time(begins, lambda n: scans[n].messages(topics)):
         yield scans[number].name, message
-        advance(number, stream)
 
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:

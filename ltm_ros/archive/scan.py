@@ -27,7 +27,7 @@ from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.recordings.importing.photo_folder import POSES
-from ltm_ros.recordings.inputs import accepted_types, decoded_input, input_names, is_image, recorded_inputs
+from ltm_ros.recordings.inputs import accepted_types, decoded_input, is_image, recorded_inputs
 from ltm_ros.runtime.handler import Topic
 
 SCANS = "scans"
@@ -138,7 +138,7 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     """
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
     placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
-    name = f"{SCANS}/{digest(_VERSION, state, [*map(sorted, input_names(site))], placed)}.parquet"
+    name = f"{SCANS}/{digest(_VERSION, state, _topics_of(site), placed)}.parquet"
     if not results.has(name):
         if is_pose_list(recording.name):
             photos = photo_messages(recording.files[0], recording.files[1:], site, files)
@@ -149,6 +149,12 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
     damage, kept = tuple(about["damage"]), lambda: results.read(name)
     return Scan(recording.name, about["begins"], damage, about["lost"], about["recorded"], kept)
+
+
+def _topics_of(site: Site) -> list[object]:
+    """Return what decides which topics of a recording are read."""
+    cameras = ((name, one.image, one.source is None, one.topics.model_dump()) for name, one in site.cameras.items())
+    return [site.name, *sorted(cameras, key=itemgetter(0))]
 
 
 def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:

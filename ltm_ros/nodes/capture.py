@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -212,11 +213,7 @@ class CaptureHandler(Handler[CaptureConfig]):
 
 
 NODE = NodeType("capture", CaptureConfig, CaptureHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

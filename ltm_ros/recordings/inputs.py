@@ -72,18 +72,6 @@ def recorded_inputs(site: Site, recorded: Mapping[str, TopicInfo]) -> dict[str, 
     return found
 
 
-def input_names(site: Site) -> tuple[list[str], list[str]]:
-    """Return the absolute names of a site's image topics, and of its other input topics."""
-    images = [(camera, topic) for camera, config in site.cameras.items() for topic in image_topics(config)]
-    others = [
-        (camera, input_topic(config, topic))
-        for camera, config in site.cameras.items()
-        for topic in CAMERA_INPUTS
-        if not is_image(topic)
-    ]
-    return tuple([camera_topic(site.name, *one) for one in chosen] for chosen in (images, others))  # type: ignore
-
-
 def is_image(topic: Topic) -> bool:
     return topic.type in _IMAGES
 
