@@ -153,7 +153,7 @@ def _publish(
 
     from ltm_core.site.site_io import load_site
     from ltm_ros.cli.output import message_bar, stop_on_signals
-    from ltm_ros.recordings.replay.offline import Selection
+    from ltm_ros.recordings.replay.offline import RECORDING, Selection, require_whole
     from ltm_ros.recordings.replay.run import LivePlayer
     from ltm_ros.runtime.ros_environment import apply_to_process
 
@@ -167,3 +167,4 @@ def _publish(
     ):
         player.wait_for_listeners()
         player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)
+    require_whole(bag, {RECORDING: selection.health.summary()})

@@ -106,7 +106,8 @@ def _print_dry_run(console: Console, planned: Plan) -> None:
     )
     failures = (*planned.manifest.unread, *planned.manifest.failures)
     lost = [(one.place, one.cause, str(one.count), escape(one.why)) for one in failures]
-    if lost := [*lost, *(("", "damage", "", escape(note)) for note in planned.manifest.damage)]:
+    told = "; ".join(one.why for one in failures)
+    if lost := [*lost, *(("", "damage", "", escape(note)) for note in planned.manifest.damage if note not in told)]:
         print_table(console, "not used", ("camera", "cause", ">frames", "first reason"), lost)
 
 

@@ -114,10 +114,6 @@ class Selection:
         message = next(self.reader.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
         return None if message is None else self.content(message)
 
-    @property
-    def seconds(self) -> float:
-        return (self.end_ns - self.begin_ns) / 1e9
-
 
 def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
     """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
