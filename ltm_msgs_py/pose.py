@@ -30,6 +30,12 @@ from ltm_core.locating.region import MOST_VERTICES
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_msgs_py.stamp import make_header
 
+POSE_TYPES = (
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "nav_msgs/msg/Odometry",
+)
+"""Message types of poses that are read from recordings."""
 UNKNOWN_VARIANCES = (99_999.0,) * 3 + (np.pi**2,) * 3
 """Variances from here on mean unknown, in m^2 and rad^2: drivers write 99999, 1e6, 1e9 or the largest double, and a
 direction with a larger standard deviation than half a turn is unknown.
@@ -51,6 +57,27 @@ def pose_to_msg(
             raise PoseError(f"pose covariance must be a finite 6 x 6 matrix, got {values.tolist()}")
         msg.pose.covariance = values.ravel()
     return msg
+
+
+def as_stamped_pose(msg: Any) -> PoseWithCovarianceStamped:
+    """Return a message of `POSE_TYPES` as a pose with covariance; zeros if it has none.
+
+    Raises PoseError for the odometry of another frame than a camera's optical one.
+    """
+    if isinstance(msg, PoseWithCovarianceStamped):
+        return msg
+    child = getattr(msg, "child_frame_id", None)
+    if child is not None and not child.endswith("optical"):
+        raise PoseError(
+            f"the odometry is of the frame {child!r}, not of the camera's optical frame; record the pose of "
+            "<camera>_optical in map"
+        )
+    made = PoseWithCovarianceStamped(header=msg.header)
+    if child is None:
+        made.pose.pose = msg.pose
+    else:
+        made.pose = msg.pose
+    return made
 
 
 def msg_to_pose(msg: Any, frame_id: str | None = None) -> Pose:

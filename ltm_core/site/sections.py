@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -77,9 +77,26 @@ class WatchdogConfig(StrictModel):
     limit doubles after each consecutive start that was too slow."""
 
 
+TopicName = Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+
+
+class TopicsConfig(StrictModel):
+    """Absolute names of a camera's input topics, live and in recordings, instead of `/<site>/<camera>/...`."""
+
+    image: TopicName | None = None
+    """Topic in place of `image_raw/compressed` or `image_raw`."""
+    camera_info: TopicName | None = None
+    pose: TopicName | None = None
+    fix: TopicName | None = None
+    imu: TopicName | None = None
+
+
 class CameraConfig(StrictModel):
-    image: Literal["compressed", "raw"] = "compressed"
-    """Image topic to subscribe to: `image_raw/compressed` (JPEG or PNG) or `image_raw`."""
+    image: Literal["auto", "compressed", "raw"] = "auto"
+    """Image topic: `compressed` is `image_raw/compressed` (JPEG or PNG), `raw` is `image_raw`; `auto` takes what there
+    is."""
+    topics: TopicsConfig = TopicsConfig()
+    """Names of the camera's input topics, if they are not `/<site>/<camera>/...`."""
     calibration: CalibrationConfig | None = None
     """Calibration of the camera; None: the topic camera_info."""
     pose: PoseConfig | None = None
@@ -154,6 +171,8 @@ class CameraConfig(StrictModel):
             return self
         if self.calibration is None and (self.mount is None or self.mount.lens is None):
             raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+        if self.topics != TopicsConfig():
+            raise ValueError("a camera with a source publishes on its own topics: leave topics out")
         if self.image == "raw" and self.source.kind not in ("rtsp", "v4l2"):
             raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
         return self

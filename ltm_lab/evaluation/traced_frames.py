@@ -50,8 +50,8 @@ def traced_frames(bag: Path, site_path: Path, width: int, progress: Callable[[in
     whole = describe(site, site_path)
     nodes = tuple(node for node in whole if node.executable in _NODES)
     tracing = _Tracing(Graph(whole.site, nodes), width)
-    for done, message in enumerate(selection, start=1):
-        tracing.feed(message.topic, selection.reader.decode(message), message.log_time_ns)
+    for done, (message, content) in enumerate(selection.decoded(), start=1):
+        tracing.feed(message.topic, content, message.log_time_ns)
         progress(done, selection.message_count)
     tracing.finish()
     if not tracing.frames:

@@ -10,43 +10,34 @@ import errno
 import heapq
 import struct
 import zlib
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
-from mcap.stream_reader import StreamReader, breakup_chunk
-from zstandard import ZstdError
+from mcap.records import Channel, ChunkIndex, Message, MessageIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader
 
 from ltm_core.base.errors import RecordingError
+from ltm_msgs_py.bag.mcap_chunk import BROKEN, RECORD_HEAD, read_chunk, records_of
+from ltm_msgs_py.stamp import time_text
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_NS = 2**63 - 1
 """Latest time in ns that ROS supports; MCAP's own times go twice as far."""
 _OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
-_RECORD_HEAD = struct.Struct("<BQ")
 _TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
-_CHUNK_OPCODES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *range(128, 256)}
-_LARGEST_CHUNK = 128 << 20
-"""Maximum bytes of a chunk: recorders write chunks of a few megabytes, or of one larger message."""
 _LARGEST_SUMMARY = 256 << 20
 _MOST_WAITING = 256 << 20
 """Maximum bytes of messages in chunks that overlap in time."""
-_RECORDS_BESIDE = 1000
-"""Maximum number of records of a chunk beyond one per compressed byte; recorded ones take ten bytes and more."""
 
-# Exceptions of the mcap library and its dependencies for corrupt bytes.
-_BROKEN = (
-    *(McapError, ZstdError, struct.error, ValueError, LookupError),
-    *(RuntimeError, EOFError, MemoryError, OverflowError, OSError),
-)
+_CONTENT = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
+_MOST_INDEXED = 1 << 20
+"""Maximum bytes of the message index of one channel in a chunk."""
 
 
 @dataclass(frozen=True, order=True)
@@ -63,8 +54,9 @@ class _Entry:
 class McapIndex:
     """The channels of an MCAP file and the positions of its messages.
 
-    `damage`: unreadable parts, with byte offsets; empty for a complete file. `unread`: parts that the system failed to
-    read, maybe temporarily. `counts`: messages per channel id.
+    `damage`: unreadable parts, with byte offsets, times and topics; empty for a complete file. `lost`: their messages
+    by topic; under "", one for each part of unknown content. `unread`: parts that the system failed to read, maybe
+    temporarily. `counts`: messages per channel id.
     """
 
     path: Path
@@ -74,6 +66,7 @@ class McapIndex:
     start_ns: int | None = None
     end_ns: int | None = None
     damage: list[str] = field(default_factory=list)
+    lost: Counter[str] = field(default_factory=Counter)
     unread: list[str] = field(default_factory=list)
     _entries: list[_Entry] = field(default_factory=list)
 
@@ -81,15 +74,15 @@ class McapIndex:
     def open(cls, path: Path) -> McapIndex:
         """Read a file's index. Raises RecordingError when the file cannot be opened or is no MCAP."""
         index = cls(path)
-        try:
-            with path.open("rb") as stream:
+        with index._opened() as stream:
+            try:
                 magic = stream.read(len(MAGIC))
                 if magic != MAGIC:
                     raise RecordingError(_not_mcap(path, magic))
                 if not index._read_summary(stream):
                     index._scan(stream)
-        except OSError as error:
-            raise RecordingError(f"cannot read {path}: {error}") from error
+            except OSError as error:
+                raise RecordingError(f"cannot read {path}: {error}") from error
         return index
 
     def messages(
@@ -98,7 +91,7 @@ class McapIndex:
         """Yield messages of the given channels with start_ns <= log_time < end_ns, by log time, then by position in the
         file.
 
-        Corrupt chunks are skipped and noted in `damage`.
+        Corrupt chunks are skipped and noted in `damage`. Raises RecordingError if the file cannot be opened any more.
         """
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
         # most the chunks that overlap in time are in memory.
@@ -109,7 +102,7 @@ class McapIndex:
         ]
         heapq.heapify(waiting)
         held = 0
-        with self.path.open("rb") as stream:
+        with self._opened() as stream:
             while waiting:
                 _, offset, _, item = heapq.heappop(waiting)
                 if isinstance(item, Message):
@@ -128,11 +121,17 @@ class McapIndex:
                     overlap = (
                         f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} is the limit"
                     )
-                    self._note(offset, ValueError(overlap))
+                    self._note(stream, offset, ValueError(overlap))
                     continue
                 held += size
                 for message in wanted:
                     heapq.heappush(waiting, message)
+
+    def _opened(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except OSError as error:
+            raise RecordingError(f"cannot read {self.path}: {error}") from error
 
     def _read_summary(self, stream: BinaryIO) -> bool:
         """Read the summary section; return False if the file has no valid one."""
@@ -141,7 +140,7 @@ class McapIndex:
             if section is None:
                 return False
             records = list(StreamReader(BytesIO(section), skip_magic=True, emit_chunks=True).records)
-        except _BROKEN as error:
+        except BROKEN as error:
             if _refused(error):
                 self.unread.append(f"{self.path}: its index cannot be read ({type(error).__name__}: {error})")
             return False
@@ -166,33 +165,35 @@ class McapIndex:
         offset = len(MAGIC)
         while True:
             stream.seek(offset)
-            head = stream.read(_RECORD_HEAD.size)
-            if len(head) < _RECORD_HEAD.size:
+            head = stream.read(RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:
                 self.damage.append(
                     f"{self.path} ends at byte {size} without a footer (was its recorder killed?); all records "
                     f"before byte {offset} are used"
                 )
                 return
-            opcode, length = _RECORD_HEAD.unpack(head)
-            if offset + _RECORD_HEAD.size + length > size:
-                self.damage.append(
+            opcode, length = RECORD_HEAD.unpack(head)
+            if offset + RECORD_HEAD.size + length > size:
+                lost, what = self._held(stream, offset) if opcode in _CONTENT else (Counter[str](), "")
+                self._damaged(
                     f"{self.path} is truncated: the record at byte {offset} should have {length} bytes, the file "
-                    f"ends at byte {size} (was its recorder killed?); all records before it are used"
+                    f"ends at byte {size} (was its recorder killed?){what}; all records before it are used",
+                    lost,
                 )
                 return
             if opcode == Opcode.FOOTER and offset + _TAIL.size == size:
                 return
             if opcode == Opcode.FOOTER or opcode not in _OPCODES:
-                self._note(offset, ValueError(f"unexpected opcode {opcode}"))
+                self._note(stream, offset, ValueError(f"unexpected opcode {opcode}"))
             try:
                 self._take(stream, offset, opcode, length)
-            except _BROKEN as error:
-                self._note(offset, error)
-            offset += _RECORD_HEAD.size + length
+            except BROKEN as error:
+                self._note(stream, offset, error)
+            offset += RECORD_HEAD.size + length
 
     def _take(self, stream: BinaryIO, offset: int, opcode: int, length: int) -> None:
         if opcode == Opcode.CHUNK:
-            records = _records(_read_chunk(stream, offset))
+            records = records_of(read_chunk(stream, offset))
             for record in records:
                 if isinstance(record, Schema):
                     self.schemas[record.id] = record
@@ -212,10 +213,7 @@ class McapIndex:
             messages = [Message.read(body, length)]
         else:
             return
-        known = [m for m in messages if m.channel_id in self.channels]
-        if len(known) < len(messages):
-            self.damage.append(f"{self.path}: at byte {offset}, {len(messages) - len(known)} messages have no channel")
-        known = self._of_our_time(known, offset)
+        known = self._valid(messages, offset)
         if not known:
             return
         for message in known:
@@ -229,37 +227,73 @@ class McapIndex:
         """Return the messages of a chunk (or the one message) at an entry; none, with a note, if it is corrupt."""
         try:
             if entry.is_chunk:
-                records = _records(_read_chunk(stream, entry.offset))
-                known = [r for r in records if isinstance(r, Message) and r.channel_id in self.channels]
-                return self._of_our_time(known, entry.offset)
+                records = records_of(read_chunk(stream, entry.offset))
+                return self._valid([record for record in records if isinstance(record, Message)], entry.offset)
             stream.seek(entry.offset)
-            _, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-            return self._of_our_time([Message.read(ReadDataStream(BytesIO(stream.read(length))), length)], entry.offset)
-        except _BROKEN as error:
-            self._note(entry.offset, error)
+            _, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+            return self._valid([Message.read(ReadDataStream(BytesIO(stream.read(length))), length)], entry.offset)
+        except BROKEN as error:
+            self._note(stream, entry.offset, error)
             return []
 
-    def _of_our_time(self, messages: list[Message], offset: int) -> list[Message]:
-        """Return messages with valid times; note the others."""
-        kept = [message for message in messages if max(message.log_time, message.publish_time) <= LATEST_NS]
-        if len(kept) < len(messages):
-            latest = max(max(message.log_time, message.publish_time) for message in messages)
+    def _valid(self, messages: list[Message], offset: int) -> list[Message]:
+        """Return messages of a known channel with valid times; note the others."""
+        known = [message for message in messages if message.channel_id in self.channels]
+        if len(known) < len(messages):
+            missing = len(messages) - len(known)
+            self._damaged(f"{self.path}: at byte {offset}, {missing} messages have no channel", Counter({"": missing}))
+        kept = [message for message in known if max(message.log_time, message.publish_time) <= LATEST_NS]
+        if len(kept) < len(known):
+            latest = max(max(message.log_time, message.publish_time) for message in known)
+            late = (m.channel_id for m in known if max(m.log_time, m.publish_time) > LATEST_NS)
             self._damaged(
-                f"{self.path}: at byte {offset}, {len(messages) - len(kept)} messages have times up to {latest} "
-                f"ns, later than {LATEST_NS} ns, and are ignored"
+                f"{self.path}: at byte {offset}, {len(known) - len(kept)} messages have times up to {latest} "
+                f"ns, later than {LATEST_NS} ns, and are ignored",
+                self._by_topic(late),
             )
         return kept
 
-    def _note(self, offset: int, error: BaseException) -> None:
-        note = f"{self.path}: the record at byte {offset} is corrupt and ignored ({type(error).__name__}: {error})"
-        if self._damaged(note) and _refused(error):
+    def _by_topic(self, channel_ids: Iterable[int]) -> Counter[str]:
+        return Counter(self.channels[i].topic if i in self.channels else "" for i in channel_ids)
+
+    def _held(self, stream: BinaryIO, offset: int) -> tuple[Counter[str], str]:
+        """Return the messages by topic that a damaged record held, and its topics and times in words: by the message
+        indexes after a chunk, else the times in its first bytes.
+        """
+        indexed: list[tuple[int, int]] = []
+        times: tuple[int, ...] = ()
+        try:
+            stream.seek(offset)
+            opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+            if opcode == Opcode.CHUNK:
+                times = struct.unpack("<QQ", stream.read(16))
+                stream.seek(offset + RECORD_HEAD.size + length)
+                while (head := RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size)))[0] == Opcode.MESSAGE_INDEX:
+                    index = MessageIndex.read(ReadDataStream(BytesIO(stream.read(min(head[1], _MOST_INDEXED)))))
+                    indexed += [(time, index.channel_id) for time, _ in index.records]
+        except BROKEN:
+            pass  # the rest of what it held is unknown
+        lost = self._by_topic(channel for _, channel in indexed) or Counter({"": 1})
+        times = tuple(time for time, _ in indexed) or times
+        known = max(times, default=LATEST_NS) < LATEST_NS
+        span = f" from {time_text(min(times))} to {time_text(max(times))}" if known else ""
+        named = ", ".join(f"{count} of {topic or 'an unknown topic'}" for topic, count in sorted(lost.items()))
+        return lost, f"; lost{span}: {named if indexed else 'an unknown number of messages'}"
+
+    def _note(self, stream: BinaryIO, offset: int, error: BaseException) -> None:
+        lost, what = self._held(stream, offset)
+        note = (
+            f"{self.path}: the record at byte {offset} is corrupt and ignored ({type(error).__name__}: {error}){what}"
+        )
+        if self._damaged(note, lost) and _refused(error):
             self.unread.append(note)
 
-    def _damaged(self, note: str) -> bool:
+    def _damaged(self, note: str, lost: Counter[str]) -> bool:
         """Note damage; return whether it is new, because parts may be read repeatedly."""
         if note in self.damage:
             return False
         self.damage.append(note)
+        self.lost += lost
         return True
 
 
@@ -281,52 +315,6 @@ def _sound_summary(stream: BinaryIO) -> bytes | None:
     section = stream.read(size - summary_start)
     covered = memoryview(section)[: -len(MAGIC) - 4]
     return section if checksum in (0, zlib.crc32(covered)) else None
-
-
-def _read_chunk(stream: BinaryIO, offset: int) -> Chunk:
-    size = stream.seek(0, 2)
-    stream.seek(offset)
-    opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-    if opcode != Opcode.CHUNK or offset + length > size:
-        raise ValueError(f"expected a chunk within {size} bytes, found opcode {opcode} of {length} bytes")
-    if length > _LARGEST_CHUNK:
-        raise ValueError(f"chunk has {length} bytes, more than {_LARGEST_CHUNK}")
-    return Chunk.read(ReadDataStream(BytesIO(stream.read(length))))
-
-
-def _records(chunk: Chunk) -> list[McapRecord]:
-    """Yield a chunk's records. Raises what `_BROKEN` names, before more than `_LARGEST_CHUNK` bytes and one record per
-    compressed byte: a hundred kilobytes may expand to gigabytes, or to millions of empty records.
-    """
-    whole = _decompressed(chunk)
-    most, count, at = len(chunk.data) + _RECORDS_BESIDE, 0, 0
-    while at < len(whole):
-        opcode, length = _RECORD_HEAD.unpack_from(whole, at)
-        count += 1
-        if opcode not in _CHUNK_OPCODES or count > most:
-            raise ValueError(f"record {count} of the chunk has opcode {opcode}; at most {most} records are read")
-        at += _RECORD_HEAD.size + length
-    plain = replace(chunk, compression="", data=whole, uncompressed_size=len(whole))
-    return list(breakup_chunk(plain, validate_crc=True))
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    """Return a chunk's records as bytes. mcap's own function allocates what a zstd frame states, and has no limit for
-    lz4.
-    """
-    stated = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        stated = max(stated, zstandard.frame_content_size(chunk.data))
-    if stated > _LARGEST_CHUNK:
-        raise ValueError(f"chunk states a size of {stated} bytes, more than {_LARGEST_CHUNK}")
-    match chunk.compression:
-        case "":
-            return bytes(chunk.data)
-        case "zstd":
-            return bytes(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated))
-        case "lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=stated))
-    raise ValueError(f"unknown compression {chunk.compression!r}; zstd, lz4 and none are supported")
 
 
 def _not_mcap(path: Path, magic: bytes) -> str:

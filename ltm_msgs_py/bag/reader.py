@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import heapq
 import logging
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
+
+from mcap.records import Channel
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
@@ -20,31 +23,42 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a bag. `latched`: its publisher was transient local. `encoding`: cdr in every ROS 2 bag."""
+    """One topic of a bag; `type_name`: the first one if its messages have several. `latched`: its publisher was
+    transient local.
+    """
 
     type_name: str
     message_count: int
     latched: bool
-    encoding: str
 
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`."""
+    """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`. `encoding`: `cdr`
+    in every ROS 2 bag.
+    """
 
     topic: str
     log_time_ns: int
     publish_time_ns: int
     type_name: str
     raw: bytes
+    encoding: str = "cdr"
+
+
+class Logged(Protocol):
+    @property
+    def log_time_ns(self) -> int: ...
+
+
+MessageT = TypeVar("MessageT", bound=Logged)
 
 
 class BagReader:
     """The topics and messages of a bag.
 
-    A truncated or corrupt bag is read as far as possible; `damage` then says what is missing and at which byte, and it
-    is logged as a warning. Later chunks are only checked when their messages are read, so check `damage` again
-    afterwards.
+    A truncated or corrupt bag is read as far as possible; `damage` then says what is missing, and it is logged as a
+    warning. Chunks are only checked when their messages are read, so check `damage` and `lost` again afterwards.
     """
 
     def __init__(self, path: Path | str, allow_damaged: bool = True) -> None:
@@ -56,15 +70,20 @@ class BagReader:
         self._notes: list[str] = []
         self._files = [McapIndex.open(file) for file in self._mcap_files()]
         self._topics = self._collect_topics()
-        for note in self.damage:
-            if not allow_damaged:
-                raise RecordingError(note)
-            _log.warning("%s", note)
+        self._logged = 0
+        if self.damage and not allow_damaged:
+            raise RecordingError(self.damage[0])
+        self._log_damage()
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """Return unreadable parts so far, in words with byte offsets; empty for a complete bag."""
+        """Return unreadable parts so far, in words with byte offsets, times and topics; empty for a complete bag."""
         return (*self._notes, *(note for file in self._files for note in file.damage))
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Return the messages of unreadable parts so far, by topic; under "", one for each part of unknown content."""
+        return sum((file.lost for file in self._files), Counter[str]())
 
     @property
     def unread(self) -> tuple[str, ...]:
@@ -96,52 +115,33 @@ class BagReader:
 
         `topics`: only these (None: all); a topic that is not in the bag gives no messages.
         """
-        # Files of a long recording follow each other: only those that overlap in time are open together.
-        waiting = sorted(
-            (f for f in self._files if f.start_ns is not None), key=lambda f: f.start_ns or 0, reverse=True
-        )
-        order = {id(file): number for number, file in enumerate(self._files)}
-        heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
-
-        def advance(number: int, stream: Iterator[BagMessage]) -> None:
-            if (message := next(stream, None)) is not None:
-                heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
-        while waiting or heads:
-            while waiting and (not heads or (waiting[-1].start_ns or 0) <= heads[0][0]):
-                file = waiting.pop()
-                advance(order[id(file)], self._messages_of(file, topics, start_ns, end_ns))
-            if heads:
-                _, number, message, stream = heapq.heappop(heads)
-                yield message
-                advance(number, stream)
+        begins = [file.start_ns for file in self._files]
+        for _, message in by_log_time(begins, lambda n: self._messages_of(self._files[n], topics, start_ns, end_ns)):
+            yield message
 
     def _messages_of(
         self, file: McapIndex, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
     ) -> Iterator[BagMessage]:
         wanted = {i for i, c in file.channels.items() if topics is None or c.topic in topics}
         for channel, message in file.messages(wanted, start_ns, end_ns):
-            type_name = self._topics[channel.topic].type_name
-            yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data)
+            type_name, encoding = _type_of(file, channel), channel.message_encoding
+            yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data, encoding)
+        self._log_damage()
+
+    def _log_damage(self) -> None:
+        for note in self.damage[self._logged :]:
+            _log.warning("%s", note)
+        self._logged = len(self.damage)
 
     def decode(self, message: BagMessage) -> Any:
         """Return the message object of the standard Python interface.
 
         Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes.
         """
-        info = self._topics.get(message.topic)
-        if info is not None and info.encoding != "cdr":
-            raise RecordingError(f"{message.topic} in {self.path} is encoded as {info.encoding!r}, only cdr is read")
-        from rclpy.serialization import deserialize_message  # callers that only use bytes need not load the middleware
-
-        cls = message_class(message.type_name)
         try:
-            return deserialize_message(message.raw, cls)
-        except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError
-            raise RecordingError(
-                f"{message.topic} at {message.log_time_ns} ns in {self.path}: {len(message.raw)} bytes do not decode "
-                f"as {message.type_name} ({str(error).splitlines()[0]})"
-            ) from error
+            return decoded(message.raw, message.type_name, message.encoding)
+        except RecordingError as error:
+            raise RecordingError(f"{message.topic} at {message.log_time_ns} ns in {self.path}: {error}") from error
 
     def _mcap_files(self) -> list[Path]:
         if is_file(self.path):
@@ -161,17 +161,57 @@ class BagReader:
         topics: dict[str, TopicInfo] = {}
         for file in self._files:
             for channel_id, channel in sorted(file.channels.items()):
-                schema = file.schemas.get(channel.schema_id)
-                type_name = schema.name if schema is not None else ""
                 known = topics.get(channel.topic)
-                if known is not None and known.type_name != type_name:
-                    raise RecordingError(
-                        f"topic {channel.topic} in {self.path} has two types: {known.type_name} and {type_name}"
-                    )
                 topics[channel.topic] = TopicInfo(
-                    type_name,
+                    known.type_name if known else _type_of(file, channel),
                     file.counts.get(channel_id, 0) + (known.message_count if known else 0),
                     is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),
-                    channel.message_encoding,
                 )
         return topics
+
+
+def by_log_time(
+    begins: Sequence[int | None], stream_of: Callable[[int], Iterator[MessageT]]
+) -> Iterator[tuple[int, MessageT]]:
+    """Merge streams by log time, equal times in their order; yield each message after the number of its stream.
+
+    `begins`: of each stream, None: empty. Files of a long recording follow each other: only those that overlap in time
+    are open together.
+    """
+    waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
+    heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
+
+    def advance(number: int, stream: Iterator[MessageT]) -> None:
+        if (message := next(stream, None)) is not None:
+            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
+
+    while waiting or heads:
+        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
+            _, number = waiting.pop()
+            advance(number, stream_of(number))
+        if heads:
+            _, number, message, stream = heapq.heappop(heads)
+            yield number, message
+            advance(number, stream)
+
+
+def _type_of(file: McapIndex, channel: Channel) -> str:
+    schema = file.schemas.get(channel.schema_id)
+    return schema.name if schema is not None else ""
+
+
+def decoded(raw: bytes, type_name: str, encoding: str = "cdr") -> Any:
+    """Return the message object of serialised bytes.
+
+    Raises RecordingError for a type that is not installed, an encoding other than CDR, or invalid bytes.
+    """
+    if encoding != "cdr":
+        raise RecordingError(f"{type_name or 'a message'} is encoded as {encoding!r}; only cdr (ROS 2) is read")
+    from rclpy.serialization import deserialize_message  # callers that only use bytes need not load the middleware
+
+    cls = message_class(type_name)
+    try:
+        return deserialize_message(raw, cls)
+    except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RecordingError(f"{len(raw)} bytes do not decode as {type_name} ({why})") from error

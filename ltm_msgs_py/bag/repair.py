@@ -1,24 +1,25 @@
 """Repair bags whose recorder was killed, and truncated MCAP files.
 
-Everything after the last complete chunk of a file is removed, and the index is written again.
+Everything after the last complete chunk of a file is removed, and the index is written again, without corrupt chunks.
 
 Source: MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -33,17 +34,14 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.stream_reader import breakup_chunk
-from zstandard import ZstdError
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.config_io import parse_yaml
-from ltm_msgs_py.bag.mcap_index import McapIndex
+from ltm_msgs_py.bag.mcap_chunk import BROKEN, RECORD_HEAD, records_of
+from ltm_msgs_py.bag.mcap_index import MAGIC, McapIndex
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, write_metadata
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_BROKEN = (McapError, ZstdError, struct.error, ValueError, LookupError, EOFError)
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -83,19 +81,20 @@ def _scan(file: BinaryIO, size: int) -> _Content:
     index_start = 0
     while (record := _read(file, offset, size)) is not None:
         opcode, body = record
-        after = offset + _HEAD.size + len(body)
-        try:
-            if opcode == Opcode.HEADER:
-                content.end = after
-            elif opcode == Opcode.CHUNK:
+        after = offset + RECORD_HEAD.size + len(body)
+        if opcode == Opcode.HEADER:
+            content.end = after
+        elif opcode == Opcode.CHUNK:
+            try:
                 whole = Chunk.read(ReadDataStream(BytesIO(body)))
-                chunk, indexes, index_start = (offset, whole, breakup_chunk(whole, validate_crc=True)), {}, after
-            elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
+                chunk, indexes, index_start = (offset, whole, records_of(whole)), {}, after
+            except BROKEN:  # complete chunks may follow a corrupt one
+                chunk = None
+        elif opcode == Opcode.MESSAGE_INDEX:
+            with suppress(*BROKEN):
                 indexes[MessageIndex.read(ReadDataStream(BytesIO(body))).channel_id] = offset
-            else:
-                break  # the tail of a file whose end was not written
-        except _BROKEN:
-            break
+        else:
+            break  # the tail of a file whose end was not written
         offset = after
         if chunk is not None and _complete(chunk[2], indexes):
             _take(content, chunk, indexes, index_start, after)
@@ -106,11 +105,11 @@ def _scan(file: BinaryIO, size: int) -> _Content:
 def _read(file: BinaryIO, offset: int, size: int) -> tuple[int, bytes] | None:
     """Return the record at an offset; None if it is incomplete."""
     file.seek(offset)
-    head = file.read(_HEAD.size)
-    if len(head) < _HEAD.size:
+    head = file.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
         return None
-    opcode, length = _HEAD.unpack(head)
-    if offset + _HEAD.size + length > size:
+    opcode, length = RECORD_HEAD.unpack(head)
+    if offset + RECORD_HEAD.size + length > size:
         return None
     return opcode, file.read(length)
 
@@ -198,7 +197,8 @@ def repair_bag(folder: Path, files: Sequence[Path]) -> None:
     """
     try:
         for file in files:
-            if McapIndex.open(file).damage:
+            if damage := McapIndex.open(file).damage:
+                _log.warning("repairing: %s", "; ".join(damage))
                 finish_cut_file(file)
         rewrite_metadata(folder, files)
     except OSError as error:

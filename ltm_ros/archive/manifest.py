@@ -6,13 +6,11 @@ processed separately and in any order.
 
 from __future__ import annotations
 
-import heapq
 import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -25,9 +23,10 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
-from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.bag.reader import by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
+from ltm_ros.recordings.inputs import decoded_input
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_join import RepeatCheck, StampCheck
@@ -99,7 +98,7 @@ class Failure:
 class ArchiveManifest:
     """`frames` by camera and stamp. `unread`: recordings that could not be read. `failures`: frames lost so far.
     `repeated`: number of duplicate frames. `unchanged`: images that repeat a camera's previous one, which are no frames
-    if the site has `drop_repeated`. `damage`: of files, in words.
+    if the site has `drop_repeated`. `damage`: of files, in words. `recorded`: types of all topics of the archive.
     """
 
     frames: list[ArchiveFrame] = field(default_factory=list)
@@ -108,6 +107,7 @@ class ArchiveManifest:
     repeated: int = 0
     unchanged: int = 0
     damage: list[str] = field(default_factory=list)
+    recorded: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -127,6 +127,10 @@ def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rul
             "the refined pose into the site file (ltm pose photo) and remove the section for the archive"
         )
     manifest = ArchiveManifest(damage=[note for scan in scans for note in scan.damage])
+    for scan in scans:
+        manifest.recorded |= scan.recorded
+        if unknown := scan.lost.get("", 0):
+            manifest.failures.append(Failure(scan.name, "damage", "; ".join(scan.damage), unknown))
     for camera in cameras:
         _join_camera(scans, site, camera, rules, manifest)
     manifest.frames.sort(key=lambda frame: (frame.camera, frame.stamp_ns))
@@ -146,17 +150,18 @@ def _join_camera(
         frames[image.message.stamp_ns] = _frame(camera, image, joined, join.assumed)
 
     join = FrameJoin(site, camera, rules.join, complete, health, lambda image: (image.message.stamp_ns, image.size))
-    image_topic = camera_topic(site.name, camera, join.image_topic)
-    others = {camera_topic(site.name, camera, topic): take for topic, take in join.others.items()}
+    images = {camera_topic(site.name, camera, topic) for topic in join.image_topics}
+    topics = {camera_topic(site.name, camera, topic): topic for topic in join.others}
+    others = dict(zip(topics, join.others.values(), strict=True))
     known: dict[int, str] = {}
-    for file, message in _by_log_time(scans, {image_topic, *others}):
+    for file, message in _by_log_time(scans, {*images, *others}):
         log_time = message.log_time_ns
         try:
-            if message.topic != image_topic:
-                others[message.topic](_decoded(message))
-                continue
             if message.trouble:
                 raise RecordingError(message.trouble)
+            if message.topic not in images:
+                others[message.topic](decoded_input(topics[message.topic], message.raw, message.type_name))
+                continue
             what = f"an image of {camera}"
             if message.stamp_ns in known:
                 manifest.repeated += 1
@@ -173,6 +178,9 @@ def _join_camera(
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()
+    for scan in scans:
+        if lost := sum(scan.lost.get(name, 0) for name in images):
+            health.drop("damage", "; ".join(scan.damage), lost)
     manifest.frames += frames.values()
     reasons = health.summary()
     for cause, count in health.dropped.items():
@@ -190,22 +198,10 @@ class _Picture:
 
 
 def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    """Merge by log time, and by file order for equal times; overlapping files are open together."""
+    """Merge by log time, with the file of each message."""
     begins = [min((scan.begins[t] for t in topics & scan.begins.keys()), default=None) for scan in scans]
-    waiting = sorted(((b, n) for n, b in enumerate(begins) if b is not None), reverse=True)
-    heads: list[tuple[int, int, ScannedMessage, Iterator[ScannedMessage]]] = []
-
-    def advance(number: int, stream: Iterator[ScannedMessage]) -> None:
-        if (message := next(stream, None)) is not None:
-            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
-    while waiting or heads:
-        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
-            _, number = waiting.pop()
-            advance(number, scans[number].messages(topics))
-        _, number, message, stream = heapq.heappop(heads)
+    for number, message in by_log_time(begins, lambda n: scans[n].messages(topics)):
         yield scans[number].name, message
-        advance(number, stream)
 
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
@@ -220,15 +216,6 @@ def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
         "image_bytes under `limits:` in the site file",
     )
     return False
-
-
-def _decoded(message: ScannedMessage) -> Any:
-    from rclpy.serialization import deserialize_message  # workers read manifests and decode nothing here
-
-    try:
-        return deserialize_message(message.raw, message_class(message.type_name))
-    except Exception as error:  # as BagReader.decode
-        raise RecordingError(f"{len(message.raw)} bytes do not decode as {message.type_name}") from error
 
 
 def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Array) -> ArchiveFrame:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,23 @@ from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest, packed
-from ltm_ros.archive.node_rules import node_rules, refuse_terrain
-from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
+from ltm_ros.archive.plan import (
+    EVIDENCE,
+    MEASURED,
+    Task,
+    TaskSettings,
+    evidence_name,
+    measured_name,
+    node_rules,
+    plan,
+    refuse_terrain,
+)
 from ltm_ros.archive.publish import RUN, map_digest, publish, standing_record
 from ltm_ros.archive.reduction import Reduction, TerrainFold, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.sampling import Sample, chosen
-from ltm_ros.archive.scan import recordings, scan
+from ltm_ros.archive.scan import first_message, recordings, scan
+from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
 MANIFEST = "manifest.parquet"
 _NAMED = 1000
@@ -124,6 +135,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     rules = node_rules(site, options.site, cameras[0])
     manifest = make_manifest(scans, site, cameras, rules.manifest)
     manifest.unread = unread
+    warn_of_ignored(site, partial(first_message, scans))
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
     frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
     passed = Counter[str]()
@@ -146,9 +158,13 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
     """Process the remaining tasks and make the map. `progress`: tasks done, of how many.
 
-    Raises ArchiveError if too many frames failed, before a map is written; the record of the run is written.
+    Raises ArchiveError if too many frames failed, or there is none, before a map is written; the record of the run is
+    written.
     """
     options, results = planned.options, planned.results
+    if not planned.frames and not planned.manifest.unread:
+        results.write(RUN, _record(planned, Summary(0, 0, 0, tuple(planned.manifest.failures), {})))
+        raise ArchiveError(_no_frames(planned))
     part, parts = options.shard
     tasks = planned.tasks[part - 1 :: parts]
     done = {f"{folder}/{name}" for folder in (EVIDENCE, MEASURED) for name in results.names(folder)}
@@ -210,7 +226,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> 
                 terrain.close()
         failures = (*mapped.failures, *_lost(found, terrain))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
-        if refused := _too_many_failed(planned, failures):
+        if refused := _too_many_failed(planned, failures) or _empty(summary):
             results.write(RUN, _record(planned, summary))
             raise ArchiveError(refused)
         with TileStore.open_read_only(path, STORE_KIND) as store:
@@ -246,6 +262,28 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
                 f"{planned.results.url}/{RUN} lists them; to accept more, raise --max-failed"
             )
     return ""
+
+
+def _no_frames(planned: Plan) -> str:
+    """Return why there is no frame, with the archive's topics beside the expected ones."""
+    manifest, options = planned.manifest, planned.options
+    if manifest.frames:
+        passed = ", ".join(f"{count} {reason}" for reason, count in planned.passed_over.items())
+        return (
+            f"none of {len(manifest.frames)} frames is usable in the given time span and sample"
+            f"{f' ({passed})' if passed else ''}: no map was written; change --since, --until or --sample"
+        )
+    lost = (f"{lost.place}: {lost.count} x {lost.cause}: {lost.why}" for lost in manifest.failures[:5])
+    beside = beside_expected(planned.site, manifest.recorded, options.cameras)
+    return f"no frame was found, no map was written: {'; '.join((*lost, beside))}"
+
+
+def _empty(summary: Summary) -> str:
+    if summary.merged:
+        return ""
+    why = ", ".join(f"{count} x {reason}" for reason, count in summary.unused.items())
+    why = why or "none shows a cell of the fuel map; check the poses and the DEM's extent"
+    return f"no frame reached the map, none was written: {why}"
 
 
 def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:

@@ -27,14 +27,14 @@ from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
 from ltm_ros.archive.photo_folder import PHOTOS, PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.recordings.importing.pose_file import POSES
-from ltm_ros.runtime.topics import CAMERA_INPUTS, IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
+from ltm_ros.recordings.inputs import accepted_types, decoded_input, is_image, recorded_inputs
+from ltm_ros.runtime.handler import Topic
 
 SCANS = "scans"
-_VERSION = 3
+_VERSION = 4
 _ABOUT = "ltm"
 _GROUP = 5_000
 """Number of messages decoded at once."""
-_PICTURES = (IMAGE_COMPRESSED.name, IMAGE_RAW.name)
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,15 @@ class Recording:
 @dataclass(frozen=True, eq=False)
 class Scan:
     """Result of scanning the recording `name`, read on request. `begins`: log time of the first message of each topic.
-    `damage`: unreadable parts, in words.
+    `damage`: unreadable parts, in words; `lost`: their messages as in `BagReader.lost`. `recorded`: types of the file's
+    topics.
     """
 
     name: str
     begins: Mapping[str, int]
     damage: tuple[str, ...]
+    lost: Mapping[str, int]
+    recorded: Mapping[str, str]
     kept: Callable[[], bytes]
 
     def messages(self, topics: Collection[str]) -> Iterator[ScannedMessage]:
@@ -133,37 +136,53 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     Raises RecordingError for an invalid recording; ArchiveError, OSError if it cannot be read completely now: then
     nothing is stored.
     """
-    topics = {camera_topic(site.name, camera, topic): topic.name for camera in site.cameras for topic in CAMERA_INPUTS}
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
     placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
-    name = f"{SCANS}/{digest(_VERSION, state, sorted(topics), placed)}.parquet"
+    name = f"{SCANS}/{digest(_VERSION, state, _topics_of(site), placed)}.parquet"
     if not results.has(name):
         if is_pose_list(recording.name):
             photos = photo_messages(recording.files[0], recording.files[1:], site, files)
             placed_messages = sorted(map(_of_photo, photos), key=attrgetter("log_time_ns"))
-            results.write(name, _packed(placed_messages, ()))
+            results.write(name, _packed(placed_messages))
         else:
-            results.write(name, _packed(*_scanned_bag(recording.name, topics, files)))
+            results.write(name, _scanned_bag(recording.name, site, files))
     about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
-    return Scan(recording.name, about["begins"], tuple(about["damage"]), lambda: results.read(name))
+    damage, kept = tuple(about["damage"]), lambda: results.read(name)
+    return Scan(recording.name, about["begins"], damage, about["lost"], about["recorded"], kept)
 
 
-def _scanned_bag(
-    name: str, topics: Mapping[str, str], files: ArchiveFiles
-) -> tuple[list[ScannedMessage], Sequence[str]]:
-    """Scan a bag; return also its damage."""
+def _topics_of(site: Site) -> list[object]:
+    """Return what decides which topics of a recording are read."""
+    cameras = ((name, one.image, one.source is None, one.topics.model_dump()) for name, one in site.cameras.items())
+    return [site.name, *sorted(cameras, key=itemgetter(0))]
+
+
+def first_message(scans: Sequence[Scan], name: str, topic: Topic) -> Any:
+    """Return the first message of a topic, decoded; None without any. Raises LtmError."""
+    found = (message for scan in scans if name in scan.begins for message in scan.messages([name]) if message.raw)
+    message = next(found, None)
+    return None if message is None else decoded_input(topic, message.raw, message.type_name)
+
+
+def _scanned_bag(name: str, site: Site, files: ArchiveFiles) -> bytes:
     with files.at_hand(name) as path:
         reader = BagReader(path)
-        wanted = topics.keys() & reader.topics().keys()
-        messages = [_scanned(message, topics[message.topic]) for message in reader.messages(wanted)]
+        topics = recorded_inputs(site, reader.topic_infos())
+        messages = [_scanned(message, topics[message.topic]) for message in reader.messages(topics.keys())]
         if reader.unread:
             raise ArchiveError(f"{name} cannot be read now: {'; '.join(reader.unread)}")
-        return messages, [note.replace(str(path), name) for note in reader.damage]
+        lost = {topic: count for topic, count in reader.lost.items() if not topic or topic in topics}
+        damage = [note.replace(str(path), name) for note in reader.damage]
+        return _packed(messages, damage, lost, reader.topics())
 
 
-def _scanned(message: BagMessage, topic: str) -> ScannedMessage:
+def _scanned(message: BagMessage, topic: Topic) -> ScannedMessage:
     found = ScannedMessage(message.topic, message.type_name, message.log_time_ns, len(message.raw))
-    if topic not in _PICTURES:
+    if message.encoding != "cdr" or message.type_name not in accepted_types(topic):
+        supported = " or ".join(accepted_types(topic))
+        why = f"{message.topic} has messages of type {message.type_name or 'unknown'} in {message.encoding!r}"
+        return replace(found, trouble=f"{why}; supported: {supported} in 'cdr'")
+    if not is_image(topic):
         return replace(found, raw=message.raw)
     try:
         return _with_picture(found, picture_of(message.raw, message.type_name))
@@ -185,14 +204,20 @@ def _with_picture(message: ScannedMessage, picture: CompressedPicture | RawPictu
     return replace(message, stamp_ns=picture.stamp_ns, width=width, height=height, content=content)
 
 
-def _packed(messages: Sequence[ScannedMessage], damage: Sequence[str]) -> bytes:
+def _packed(
+    messages: Sequence[ScannedMessage],
+    damage: Sequence[str] = (),
+    lost: Mapping[str, int] | None = None,
+    recorded: Mapping[str, str] | None = None,
+) -> bytes:
     """Pack row groups of one topic each, so that cameras can be read separately."""
     by_topic: dict[str, list[dict[str, Any]]] = {}
     for order, message in enumerate(messages):
         by_topic.setdefault(message.topic, []).append({"order": order, **asdict(message)})
     groups = [(topic, rows[at : at + _GROUP]) for topic, rows in by_topic.items() for at in range(0, len(rows), _GROUP)]
     begins = {topic: rows[0]["log_time_ns"] for topic, rows in by_topic.items()}
-    about = {"groups": [topic for topic, _ in groups], "begins": begins, "damage": list(damage)}
+    about: dict[str, object] = {"groups": [topic for topic, _ in groups], "begins": begins, "damage": list(damage)}
+    about |= {"lost": lost or {}, "recorded": recorded or {}}
     file, schema = io.BytesIO(), _SCHEMA.with_metadata({_ABOUT: json.dumps(about)})
     with pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for _, rows in groups:

@@ -94,9 +94,11 @@ def replay(
 
     from rich.console import Console
 
+    from ltm_core.site.site_io import load_site
     from ltm_core.storage.disk_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
+    from ltm_ros.recordings.replay.offline import require_frames, require_whole
     from ltm_ros.recordings.replay.run import ReplayOptions, run_live, run_offline
     from ltm_ros.runtime.health import node_rows
 
@@ -129,7 +131,10 @@ def replay(
                 summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
     print_nodes(console, node_rows(summaries))
     print_outcome(console, summaries)
+    if not stopping.is_set():
+        require_frames(bag, load_site(site), summaries)
     console.print(f"fuel map: {out / 'fuel_map.tif'}")
+    require_whole(bag, summaries)
 
 
 def _publish(
@@ -148,7 +153,7 @@ def _publish(
 
     from ltm_core.site.site_io import load_site
     from ltm_ros.cli.output import message_bar, stop_on_signals
-    from ltm_ros.recordings.replay.offline import Selection
+    from ltm_ros.recordings.replay.offline import RECORDING, Selection, require_whole
     from ltm_ros.recordings.replay.run import LivePlayer
     from ltm_ros.runtime.ros_environment import apply_to_process
 
@@ -162,3 +167,4 @@ def _publish(
     ):
         player.wait_for_listeners()
         player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)
+    require_whole(bag, {RECORDING: selection.health.summary()})

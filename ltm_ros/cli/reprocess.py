@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
+import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from statistics import mean, stdev
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_ros.archive.engine import Engine
+    from ltm_ros.archive.manifest import ArchiveFrame
     from ltm_ros.archive.run import Plan, Summary
 
 
@@ -86,13 +92,68 @@ def reprocess(
 
 
 def _print_dry_run(console: Console, planned: Plan) -> None:
-    from ltm_ros.archive.dry_run import COST_COLUMNS, cost_note, cost_rows, lost_rows
+    from rich.markup import escape
 
     title = f"{len(planned.frames)} frames in {len(planned.tasks)} tasks"
-    print_table(console, title, COST_COLUMNS, cost_rows(planned))
-    console.print(cost_note(planned), highlight=False)
-    if lost := lost_rows(planned):
+    columns = ("camera", ">frames", ">days", ">days without", ">GB in", ">core-hours", ">made, MB")
+    print_table(console, title, columns, _cost_rows(planned))
+    to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
+    console.print(
+        f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} of them duplicates; core-hours "
+        f"to {to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} "
+        "as of single frames",
+        highlight=False,
+    )
+    failures = (*planned.manifest.unread, *planned.manifest.failures)
+    lost = [(one.place, one.cause, str(one.count), escape(one.why)) for one in failures]
+    told = "; ".join(one.why for one in failures)
+    if lost := [*lost, *(("", "damage", "", escape(note)) for note in planned.manifest.damage if note not in told)]:
         print_table(console, "not used", ("camera", "cause", ">frames", "first reason"), lost)
+
+
+_TRIED = 3
+"""Number of frames per camera for the estimate, after one that loads kernels and network."""
+
+
+def _cost_rows(planned: Plan) -> list[tuple[str, ...]]:
+    """Return frames, gaps and costs of each camera."""
+    from ltm_ros.archive.manifest import days_of
+
+    rows: list[tuple[str, ...]] = []
+    days = days_of(planned.frames)
+    for camera in sorted({frame.camera for frame in planned.frames}):
+        frames = [frame for frame in planned.frames if frame.camera == camera]
+        its = sorted(day for name, day in days if name == camera)
+        cpu_s, error_s, made = _cost_of(frames, planned)
+        hours, error = (seconds * len(frames) / 3600 for seconds in (cpu_s, error_s))
+        rows.append(
+            (
+                *(camera, str(len(frames)), str(len(its)), str(its[-1] - its[0] + 1 - len(its))),
+                f"{sum(frame.size_bytes for frame in frames) / 1e9:.3g}",
+                f"{hours:.3g} ± {error:.1g}",
+                f"{made * len(frames) / 1e6:.3g}",
+            )
+        )
+    return rows
+
+
+def _cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> tuple[float, float, float]:
+    """Return the CPU seconds of a camera's frame from image to results, the standard error of their mean, and the bytes
+    of the results, estimated from a few frames, spread over all; nothing is kept.
+    """
+    from ltm_ros.archive.frame_files import frame_files
+    from ltm_ros.archive.plan import MEASURED, VOTES
+
+    steps = {task.frames[0].camera: task for task in planned.tasks}
+    wanted = [VOTES, MEASURED] if planned.options.terrain else [VOTES]
+    chosen = [frames[round(k * (len(frames) - 1) / (_TRIED - 1))] for k in range(_TRIED)]
+    seconds, sizes = [], []
+    for frame in [chosen[0], *chosen]:
+        begin = time.process_time()
+        made = frame_files(replace(steps[frame.camera], frames=(frame,)), planned.settings, wanted)
+        seconds.append(time.process_time() - begin)
+        sizes.append(sum(map(len, made.values())))
+    return mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:])
 
 
 def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | None, key: Path | None) -> Engine:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -60,6 +61,10 @@ def _view_of(frame: JoinedFrame) -> Hashable:
     return round(azimuth / step), round(pitch / step)
 
 
+def _is_raw(image: Any) -> bool:
+    return hasattr(image, "encoding")
+
+
 class CaptureHandler(Handler[CaptureConfig]):
     """Publishes an image when it has a pose and a calibration (the newest up to its stamp), and the camera's nodes have
     room for it (`Admission`).
@@ -70,8 +75,6 @@ class CaptureHandler(Handler[CaptureConfig]):
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        camera = site.camera(config.camera)
-        self._raw = camera.image == "raw"
         self._frame_id = f"{config.camera}_optical"
         self._limits = site.limits
         self._refines = site.refine_poses is not None
@@ -93,22 +96,27 @@ class CaptureHandler(Handler[CaptureConfig]):
             _view_of,
         )
         self._newest = -1
+        self._takes_raw = False
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        topics: dict[Any, Callable[[Any], None]] = {self._join.image_topic: self.on_image, FINISHED: self.on_finished}
+        topics: dict[Any, Callable[[Any], None]] = dict.fromkeys(self._join.image_topics, self.on_image)
+        topics[FINISHED] = self.on_finished
         if self._refines:
             topics[POSE_CORRECTION] = self.on_correction
         others = self._join.others
-        if CAMERA_INFO in others:
-            topics[CAMERA_INFO] = self.on_camera_info
-        return dict(others) | topics
+        infos = (topic for topic in others if topic.counted_name == CAMERA_INFO.name)
+        return {**others, **topics, **dict.fromkeys(infos, self.on_camera_info)}
 
     def on_image(self, message: Any) -> None:
         stamp = stamp_of(message)
         if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or self._too_large(message):
             return
         known = self._join.known(stamp)
+        if known and _is_raw(message) != self._takes_raw:
+            self.health.note("other_image_topic")  # a driver that publishes both kinds
+            return
+        self._takes_raw = _is_raw(message)
         if stamp < self._newest and not known:
             self.health.note("out_of_order")
         # A frame from the future, before the clock was set back, would count as newest for as long.
@@ -150,17 +158,17 @@ class CaptureHandler(Handler[CaptureConfig]):
         self._admission.finish()
 
     def _stamp_and_size(self, image: Any) -> tuple[int, tuple[int, int]]:
-        return stamp_of(image), (int(image.width), int(image.height)) if self._raw else compressed_size(image)
+        return stamp_of(image), (int(image.width), int(image.height)) if _is_raw(image) else compressed_size(image)
 
     def _offer(self, frame: JoinedFrame) -> None:
         # A JPEG or PNG of the wrong size, by its first bytes, takes no place in the queue.
-        if self._raw or self._fits(frame.image, frame.camera):
+        if _is_raw(frame.image) or self._fits(frame.image, frame.camera):
             self._admission.offer(stamp_of(frame.image), frame)
 
     def _send(self, frame: JoinedFrame) -> None:
         """Publish a frame. Images are decoded only here, so rejected ones cost almost nothing."""
         stamp = stamp_of(frame.image)
-        photo = msg_to_rgb(frame.image) if self._raw else compressed_to_rgb(frame.image)
+        photo = msg_to_rgb(frame.image) if _is_raw(frame.image) else compressed_to_rgb(frame.image)
         pose, covariance = frame.pose, frame.covariance
         if self._refines:
             self.outlet.publish(STATED_POSE, pose_to_msg(pose, stamp, "map", covariance))
@@ -174,12 +182,13 @@ class CaptureHandler(Handler[CaptureConfig]):
 
     def _too_large(self, message: Any) -> bool:
         """Return whether an image is too large to be queued; the size in its first bytes is checked later."""
-        if self._raw and self._too_many_pixels("image", int(message.width), int(message.height)):
+        raw = _is_raw(message)
+        if raw and self._too_many_pixels("image", int(message.width), int(message.height)):
             return True
         # The largest supported raw encoding has four bytes per pixel.
-        size, most = len(message.data), 4 * self._limits.pixels if self._raw else self._limits.image_bytes
+        size, most = len(message.data), 4 * self._limits.pixels if raw else self._limits.image_bytes
         if size > most:
-            key = "pixels" if self._raw else "image_bytes"
+            key = "pixels" if raw else "image_bytes"
             self._drop_large(f"image of {size} bytes; the maximum is {most}", key)
         return size > most
 
@@ -204,11 +213,7 @@ class CaptureHandler(Handler[CaptureConfig]):
 
 
 NODE = NodeType("capture", CaptureConfig, CaptureHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -124,11 +125,7 @@ def _compile_kernels() -> None:
 
 
 NODE = NodeType("depth", DepthConfig, DepthHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

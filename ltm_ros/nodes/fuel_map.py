@@ -273,11 +273,7 @@ def _folder(config: FuelMapConfig) -> Path | None:
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMapHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,11 +96,7 @@ class FuelVotesHandler(Handler[JoinConfig]):
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotesHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

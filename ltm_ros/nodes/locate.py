@@ -258,11 +258,7 @@ def _place_msg(said: LocateResult, stamp: int) -> Any:
 
 
 NODE = NodeType("locate", LocateConfig, LocateHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

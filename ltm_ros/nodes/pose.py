@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -157,11 +158,7 @@ class PoseHandler(Handler[PoseKeepingConfig]):
 
 
 NODE = NodeType("pose", PoseKeepingConfig, PoseHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

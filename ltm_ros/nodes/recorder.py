@@ -25,7 +25,7 @@ from ltm_ros.runtime.heartbeat import TRAFFIC
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
-from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
+from ltm_ros.runtime.topics import RECORDED, camera_topic, input_topic, site_topic
 
 
 class RecorderConfig(NodeConfig):
@@ -127,7 +127,7 @@ def _patterns(config: RecorderConfig) -> list[str]:
         return list(config.topics)
     site = load_site(config.site)
     cameras, whole_site = RECORDED
-    names = [camera_topic(site.name, camera, topic) for camera in site.cameras for topic in cameras]
+    names = [camera_topic(site.name, name, input_topic(one, t)) for name, one in site.cameras.items() for t in cameras]
     return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]
 
 

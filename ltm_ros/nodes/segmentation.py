@@ -83,11 +83,7 @@ class SegmentationHandler(Handler[SegmentationConfig]):
 
 
 NODE = NodeType("segmentation", SegmentationConfig, SegmentationHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

@@ -95,11 +95,7 @@ class SourceHandler(Handler[SourceNodeConfig]):
 
 
 NODE = NodeType("source", SourceNodeConfig, SourceHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

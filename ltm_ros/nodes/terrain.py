@@ -290,11 +290,7 @@ class TerrainHandler(Handler[TerrainNodeConfig]):
 
 
 NODE = NodeType("terrain", TerrainNodeConfig, TerrainHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

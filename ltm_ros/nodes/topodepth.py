@@ -148,11 +148,7 @@ class TopoDepthHandler(Handler[TopoDepthConfig]):
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepthHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

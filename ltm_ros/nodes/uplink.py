@@ -113,11 +113,7 @@ def _age_clock() -> int | None:
 
 
 NODE = NodeType("uplink", UplinkNodeConfig, UplinkHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

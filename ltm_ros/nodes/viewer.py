@@ -201,11 +201,7 @@ class ViewerHandler(Handler[ViewerConfig]):
 
 
 NODE = NodeType("viewer", ViewerConfig, ViewerHandler)
-
-
-def main() -> None:
-    run_node(NODE)
-
+main = partial(run_node, NODE)
 
 if __name__ == "__main__":
     main()

@@ -6,6 +6,7 @@ its last message has come. So memory holds only frames that overlap in time, wha
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -22,6 +23,7 @@ from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
+from ltm_ros.recordings.inputs import accepted_types, decoded_input
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -40,6 +42,7 @@ from ltm_ros.runtime.topics import (
     TRUTH_GROUND_DEPTH,
     TRUTH_LABELS,
     camera_topic,
+    input_topic,
 )
 
 Take = Callable[[Any], Any]
@@ -68,6 +71,7 @@ PARTS: Parts = {
 }
 """The parts that our nodes and importers write."""
 
+_log = logging.getLogger(__name__)
 _HEADER = struct.Struct("<4siI")
 
 
@@ -92,8 +96,7 @@ class StreamedFrame:
 
     camera_name: str
     stamp_ns: int
-    _raw: Mapping[str, tuple[BagMessage, Take]]
-    _reader: BagReader
+    _raw: Mapping[str, tuple[BagMessage, Topic, Take]]
     _taken: dict[str, Any] = field(default_factory=dict)
 
     def __contains__(self, part: str) -> bool:
@@ -104,8 +107,8 @@ class StreamedFrame:
         if part not in self._raw:
             return None
         if part not in self._taken:
-            message, take = self._raw[part]
-            self._taken[part] = take(self._reader.decode(message))
+            message, topic, take = self._raw[part]
+            self._taken[part] = take(decoded_input(topic, message.raw, message.type_name))
         return self._taken[part]
 
 
@@ -116,34 +119,49 @@ class FrameStream:
     of each message.
     """
 
-    def __init__(self, bag: Path, site: str, cameras: Collection[str], parts: Parts = PARTS) -> None:
+    def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)
-        self._topics: dict[str, tuple[str, str, str, Take]] = {}
+        self._topics: dict[str, tuple[str, str, Topic, Take]] = {}
+        recorded = self._reader.topics()
         for camera in cameras:
             for part, sources in parts.items():
                 for topic, take in sources:
-                    self._topics[camera_topic(site, camera, topic)] = (camera, part, topic.name, take)
+                    own = input_topic(site.cameras[camera], topic)
+                    name = camera_topic(site.name, camera, own)
+                    if recorded.get(name) in accepted_types(topic):
+                        self._topics[name] = (camera, part, topic, take)
         self._messages: Counter[tuple[str, int]] = Counter()
         self._parts: dict[tuple[str, int], set[str]] = defaultdict(set)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.latencies_ms: dict[tuple[str, str], list[float]] = defaultdict(list)
-        for message in self._reader.messages(list(self._topics)):
-            camera, part, name, _ = self._topics[message.topic]
-            stamp = raw_stamp(message)
+        for camera, part, topic, stamp, message in self._stamped(list(self._topics)):
             self._messages[camera, stamp] += 1
             self._parts[camera, stamp].add(part)
             self.counts[camera, part] += 1
-            self.latencies_ms[camera, name].append((message.log_time_ns - stamp) / 1e6)
+            self.latencies_ms[camera, topic.name].append((message.log_time_ns - stamp) / 1e6)
 
     @classmethod
     def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> FrameStream:
         """Open a bag of a site's cameras. Raises RecordingError."""
-        return cls(bag, site.name, list(site.cameras), parts)
+        return cls(bag, site, list(site.cameras), parts)
+
+    def _stamped(self, topics: Collection[str]) -> Iterator[tuple[str, str, Topic, int, BagMessage]]:
+        """Yield messages with camera, part, topic and stamp, without those of another type or without a header."""
+        for message in self._reader.messages(topics):
+            camera, part, topic, _ = self._topics[message.topic]
+            if message.type_name not in accepted_types(topic) or message.encoding != "cdr":
+                continue
+            try:
+                stamp = raw_stamp(message)
+            except RecordingError as error:
+                _log.warning("%s", error)
+                continue
+            yield camera, part, topic, stamp, message
 
     @property
     def topics(self) -> str:
-        """Return the bag's topics, for error messages."""
-        return ", ".join(sorted(self._reader.topics())) or "(none)"
+        """Return the bag's topics and types, for error messages."""
+        return ", ".join(f"{name} ({kind})" for name, kind in sorted(self._reader.topics().items())) or "(none)"
 
     def has(self, part: str) -> bool:
         """Return whether the bag has this part of any frame."""
@@ -158,15 +176,14 @@ class FrameStream:
                 sorted(key for key, parts in self._parts.items() if parts.issuperset(needed)), key=itemgetter(0)
             )
         }
-        waiting: dict[tuple[str, int], dict[str, tuple[BagMessage, Take]]] = defaultdict(dict)
+        waiting: dict[tuple[str, int], dict[str, tuple[BagMessage, Topic, Take]]] = defaultdict(dict)
         missing = Counter(self._messages)
-        for message in self._reader.messages(chosen):
-            camera, part, _, take = self._topics[message.topic]
-            key = (camera, raw_stamp(message))
+        for camera, part, topic, stamp, message in self._stamped(chosen):
+            key = (camera, stamp)
             if not self._parts[key].issuperset(needed):
                 continue
-            waiting[key][part] = (message, take)
+            waiting[key][part] = (message, topic, self._topics[message.topic][-1])
             missing[key] -= 1
             while due[camera] and missing[camera, due[camera][0]] == 0:
                 stamp = due[camera].popleft()
-                yield StreamedFrame(camera, stamp, waiting.pop((camera, stamp)), self._reader)
+                yield StreamedFrame(camera, stamp, waiting.pop((camera, stamp)))

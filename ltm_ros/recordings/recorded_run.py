@@ -190,7 +190,7 @@ def recorded_pictures(
     `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError.
     """
     site.camera(camera)
-    stream = FrameStream(bag, site.name, [camera], {part: PARTS[part] for part in ("photo", "pose")})
+    stream = FrameStream(bag, site, [camera], {part: PARTS[part] for part in ("photo", "pose")})
     if not stream.has("photo"):
         raise RecordingError(f"{bag}: no image of {camera}; its topics are {stream.topics}")
     needed = ("photo",) if view is None else ("photo", "pose")

@@ -17,20 +17,25 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.site.site import Site
+from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.sensors import msg_to_attitude, msg_to_camera, msg_to_fix
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
-from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMAGE_RAW, IMU, POSE
+from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMU, POSE, camera_topic, image_topics, other_inputs
+
+_FASTER = ", or with two stamps around it, at most 0.25 s apart; else set nodes.capture.pose_tolerance"
 
 
 class FrameJoinConfig(StrictModel):
     pose_tolerance: float = Field(0.0, ge=0)
-    """Maximum difference in seconds between a pose's stamp and its image's. 0: stamps must be equal."""
+    """Maximum difference in seconds between a pose's stamp and its image's. 0: a pose of equal stamp, or two around it,
+    at most 0.25 s apart, to interpolate between.
+    """
     max_wait: float = Field(3.0, gt=0)
     """Seconds for which an image waits for its pose and calibration."""
     max_waiting: int = Field(20, ge=1)
@@ -71,9 +76,10 @@ class FrameJoin:
         stamp_and_size: Callable[[Any], tuple[int, tuple[int, int]]],
     ) -> None:
         camera = site.camera(name)
-        self._name, self._complete, self._health = name, complete, health
+        self._site_name, self._name, self._complete, self._health = site.name, name, complete, health
         self._stamp_and_size = stamp_and_size
-        self.image_topic = IMAGE_RAW if camera.image == "raw" else IMAGE_COMPRESSED
+        self.image_topics = image_topics(camera)
+        self._other_inputs = other_inputs(camera)
         self._fixed_pose: Pose | None = None
         self._fixed_covariance: Float64Array | None = None
         if camera.pose is not None:
@@ -81,7 +87,7 @@ class FrameJoin:
             assumed = site.assumed_pose_error
             self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
         self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
-        self._last_pose: tuple[Pose, Float64Array | None] | None = None
+        self._last_pose: _StatedPose | None = None
         self._last_calibration: Camera | None = None
         self._sensors, self._frame = camera.sensors, site.frame
         self._dem = site.open_dem() if camera.sensors is not None else None
@@ -92,7 +98,7 @@ class FrameJoin:
             parts.append(Part("fix", Match.LATEST))
             parts.append(Part("attitude", Match.NEAREST, round(camera.sensors.attitude_age * 1e9)))
         elif self._fixed_pose is None:
-            parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9)))
+            parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9), between=_between))
         if self._fixed_calibration is None:
             parts.append(Part("calibration", Match.LATEST))
         self._join = StampJoin(
@@ -108,14 +114,9 @@ class FrameJoin:
     @property
     def others(self) -> Mapping[Topic, Callable[[Any], None]]:
         """Return the other topics to join, by the site file, with their callbacks."""
-        topics: dict[Topic, Callable[[Any], None]] = {}
-        if self._fixed_calibration is None:
-            topics[CAMERA_INFO] = self.on_camera_info
-        if self._sensors is not None:
-            topics |= {FIX: self.on_fix, IMU: self.on_imu}
-        elif self._fixed_pose is None:
-            topics[POSE] = self.on_pose
-        return topics
+        takes = {CAMERA_INFO: self.on_camera_info, POSE: self.on_pose, FIX: self.on_fix, IMU: self.on_imu}
+        by_name = {topic.name: take for topic, take in takes.items()}
+        return {topic: by_name[topic.counted_name] for topic in self._other_inputs}
 
     def add_image(self, stamp_ns: int, image: Any) -> None:
         """Add an image. Raises the LtmError of a frame that it completes."""
@@ -165,7 +166,7 @@ class FrameJoin:
     def _joined(
         self,
         image: Any,
-        pose: tuple[Pose, Any] | None = None,
+        pose: _StatedPose | None = None,
         calibration: Camera | None = None,
         fix: Fix | None = None,
         attitude: Attitude | None = None,
@@ -183,7 +184,24 @@ class FrameJoin:
         name = next((part for part in ("pose", "fix", "attitude") if part in lacking), "calibration")
         cause = "no_calibration" if name == "calibration" else "no_pose"
         missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
-        self._health.drop(cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish one with its stamp")
+        topics = {topic.counted_name: topic for topic in self._other_inputs}
+        name = camera_topic(self._site_name, self._name, topics[missing])
+        what = f"{type_name_of(topics[missing].type())} on {name}"
+        more = _FASTER if missing == "pose" else ""
+        self._health.drop(
+            cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish {what} with the image's stamp{more}"
+        )
+
+
+_StatedPose = tuple[Pose, Float64Array | None]
+
+
+def _between(one: _StatedPose, other: _StatedPose, share: float) -> _StatedPose:
+    """Interpolate two poses; the covariance is the larger one, unknown if either is."""
+    (a, of_a), (b, of_b) = one, other
+    turn = matrix_of_vector(share * vector_of_matrix(b.rotation @ a.rotation.T))
+    pose = Pose(a.position + share * (b.position - a.position), turn @ a.rotation)
+    return pose, None if of_a is None or of_b is None else max(of_a, of_b, key=np.trace)
 
 
 def _equal(one: Float64Array | None, other: Float64Array | None) -> bool:

@@ -17,7 +17,8 @@ from ltm_ros.runtime.health import Health
 @dataclass(frozen=True)
 class Topic:
     """`name`: relative to the node's namespace, or absolute. `latched`: late subscribers get the last message. `depth`:
-    messages kept for a slow subscriber. `counted`: whether messages count as frames received.
+    messages kept for a slow subscriber. `counted`: whether messages count as frames received, under `usual_name` if
+    the site file gives the topic another one.
     """
 
     name: str
@@ -25,6 +26,11 @@ class Topic:
     latched: bool = False
     depth: int = 10
     counted: bool = True
+    usual_name: str = ""
+
+    @property
+    def counted_name(self) -> str:
+        return self.usual_name or self.name
 
 
 class NodeConfig(StrictModel):

@@ -109,7 +109,7 @@ class HandlerNode(OutletNode):
 
         def enqueue(message: Any) -> None:
             if topic.counted:
-                self.health.received(name)
+                self.health.received(topic.usual_name or name)
             self._offer(callback, message)
 
         self.listen(topic, name, enqueue)

@@ -104,7 +104,7 @@ class Pipeline:
             self._cleared = False
             for job, own in self._listeners.get(topic, ()):
                 if own.counted:
-                    job.health.received(own.name)
+                    job.health.received(own.counted_name)
                 self.deliver(job, own, message)
                 if self._cleared:
                     break

@@ -31,10 +31,8 @@ JUMP_S = 60.0
 
 
 class StampCheck:
-    """Rejects stamps that contradict the graph's time.
-
-    Stamps from the future would make all others old, and stamps from the past could count as a second view after a long
-    time. In a replay the graph's time is the recording's.
+    """Rejects stamps that contradict the graph's time, which in a replay is the recording's: a future stamp would make
+    all others old, and a past one could count as a second view after a long time.
 
     Args: now_ns: the graph's time; 0 before it begins, when no stamp is ahead or behind. health: counts rejected
     messages as `future`, `past` or `unset_clock`, and notes `stamp_jump`. max_ahead: seconds by which a source's clock
@@ -94,9 +92,8 @@ class RepeatCheck:
         self._last = ""
 
     def repeats(self, content: str) -> bool:
-        """Return whether an image equals the previous one; `content`: its digest, which is then stored.
-
-        Two images of a working camera always differ by their sensor noise.
+        """Return whether an image equals the previous one; `content`: its digest. Sensor noise makes working cameras'
+        images differ.
         """
         same, self._last = content == self._last, content
         return same
@@ -106,10 +103,7 @@ _NONE = np.iinfo(np.int64).min
 
 
 class RecentStamps:
-    """The last `count` stamps, nanoseconds, in one block of memory.
-
-    Not a set or a dictionary, whose small blocks would fragment the heap. Searching a thousand takes microseconds.
-    """
+    """The last `count` stamps, nanoseconds, in one block of memory: a set's small blocks would fragment the heap."""
 
     def __init__(self, count: int) -> None:
         self._stamps: NDArray[np.int64] = np.full(count, _NONE)
@@ -138,11 +132,15 @@ class JoinConfig(NodeConfig):
     """
 
 
+MAX_GAP_NS = 250_000_000
+"""Maximum time in nanoseconds between two messages to interpolate between."""
+
+
 class Match(Enum):
     """Rule that selects the message of a part for a frame's stamp."""
 
     EXACT = "the one of equal stamp"
-    NEAREST = "the nearest within a tolerance, once one from after the frame has come"
+    NEAREST = "one between those around the frame if `Part.between` is given, else the nearest within a tolerance"
     LATEST = "the newest up to the frame's stamp, or the first there is"
 
 
@@ -150,7 +148,8 @@ class Match(Enum):
 class Part:
     """A part of a frame.
 
-    `tolerance_ns`: of `Match.NEAREST`. `wait_s`: seconds for which a frame that has all else waits for this part before
+    `tolerance_ns`: of `Match.NEAREST`. `between`: interpolates two messages around a frame, at most `MAX_GAP_NS` apart,
+    at a share of the way. `wait_s`: seconds for which a frame that has all else waits for this part before
     it continues without; None: the part is required. `remembered`: messages kept of a part that begins no frames.
     """
 
@@ -159,6 +158,7 @@ class Part:
     tolerance_ns: int = 0
     wait_s: float | None = None
     remembered: int = REMEMBERED
+    between: Callable[[Any, Any, float], Any] | None = None
 
     @property
     def begins(self) -> bool:
@@ -319,8 +319,15 @@ class StampJoin:
         if part.match is Match.LATEST and memory:
             past = [other for other in memory if other <= stamp]
             return memory[max(past) if past else min(memory)]
-        if part.match is Match.EXACT or part.tolerance_ns == 0 or stamp in memory or not memory:
+        if part.match is Match.EXACT or stamp in memory or not memory:
             return memory.get(stamp)
+        if part.between is not None:
+            before = max((other for other in memory if other < stamp), default=stamp)
+            after = min((other for other in memory if other > stamp), default=stamp)
+            if before < stamp < after <= before + MAX_GAP_NS:
+                return part.between(memory[before], memory[after], (stamp - before) / (after - before))
+        if part.tolerance_ns == 0:
+            return None
         # A nearer one may still come until there is one from after the frame.
         nearest = min(memory, key=lambda other: abs(other - stamp))
         settled = max(memory) >= stamp

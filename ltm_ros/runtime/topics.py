@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import Header, String
 
 from ltm_ros.runtime.handler import Topic
+
+if TYPE_CHECKING:
+    from ltm_core.site.sections import CameraConfig
 
 IMAGE_RAW = Topic("image_raw", Image)
 IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)
@@ -115,7 +121,32 @@ RECORDED = (
 
 def camera_topic(site: str, camera: str, topic: Topic) -> str:
     """Return a camera topic's absolute name."""
-    return f"/{site}/{camera}/{topic.name}"
+    return topic.name if topic.name.startswith("/") else f"/{site}/{camera}/{topic.name}"
+
+
+def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
+    """Return a topic under the name that the site file gives it, if any."""
+    name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
+    return replace(topic, name=name, usual_name=topic.name) if name else topic
+
+
+def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:
+    """Return the image topics of a camera; `auto` takes both kinds, the preferred one first, unless the name of the
+    topic or the camera's source decides.
+    """
+    kind, name = camera.image, camera.topics.image
+    if kind == "auto" and name is not None:
+        kind = "compressed" if name.endswith("/compressed") else "raw"
+    if kind == "auto" and camera.source is None:
+        return IMAGE_COMPRESSED, IMAGE_RAW
+    return (input_topic(camera, IMAGE_RAW if kind == "raw" else IMAGE_COMPRESSED),)
+
+
+def other_inputs(camera: CameraConfig) -> tuple[Topic, ...]:
+    """Return the other topics whose messages are joined to a camera's images, as the site file leaves them open."""
+    calibration = () if camera.calibration is not None else (CAMERA_INFO,)
+    pose = (FIX, IMU) if camera.sensors is not None else () if camera.pose is not None else (POSE,)
+    return tuple(input_topic(camera, topic) for topic in (*calibration, *pose))
 
 
 def site_topic(site: str, topic: Topic) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,29 +17,35 @@ from ltm_core.storage.config_io import checked
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.stamp import stamp_text
+from ltm_msgs_py.stamp import ns_to_time, stamp_of, stamp_text, time_text
 from ltm_ros.launching.graph import Graph, NodeSpec
+from ltm_ros.recordings.inputs import beside_expected, decoded_input, is_image, recorded_inputs, warn_of_ignored
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
-from ltm_ros.runtime.topics import CAMERA_INPUTS, CAMERA_TRUTH, camera_topic
+from ltm_ros.runtime.topics import CAMERA_TRUTH, camera_topic
+
+RECORDING = "recording"
+"""Name of the recording in the summaries of a replay, beside those of the nodes."""
 
 
 @dataclass(frozen=True)
 class Selection:
     """The input topics of a site's cameras in a bag, and a time span.
 
-    `start`, `duration`: seconds from the bag's first message. Results of the graph are never replayed.
+    `start`, `duration`: seconds from the bag's first message. Results of the graph are never replayed. `health`: counts
+    messages, those that are invalid, and those lost in damaged parts.
     """
 
     reader: BagReader
-    types: dict[str, str]
-    """Message type of each topic."""
+    topics: dict[str, Topic]
+    """Recorded topics by absolute name, as their nodes subscribe to them."""
     begin_ns: int
     end_ns: int
     """One ns past the last message's log time."""
     message_count: int
     frame_count: int
+    health: Health = field(default_factory=Health)
 
     @classmethod
     def open(
@@ -48,22 +54,23 @@ class Selection:
         """Open a bag. Raises RecordingError if it has no image of a camera of the site, or nothing in the span."""
         reader = BagReader(bag)
         recorded = reader.topics()
-        wanted = [*CAMERA_INPUTS, *(CAMERA_TRUTH if truth else ())]
-        names = [camera_topic(site.name, camera, topic) for camera in site.cameras for topic in wanted]
-        types = {name: recorded[name] for name in names if name in recorded}
-        images = [name for name in types if "/image_raw" in name]
+        topics = recorded_inputs(site, reader.topic_infos())
+        images = [name for name, topic in topics.items() if is_image(topic)]
+        more = ((camera, topic) for camera in site.cameras for topic in CAMERA_TRUTH if truth)
+        named = {camera_topic(site.name, camera, topic): topic for camera, topic in more}
+        topics |= {name: topic for name, topic in named.items() if name in recorded}
         if not images or reader.start_ns is None or reader.end_ns is None:
             raise RecordingError(
-                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); its topics are "
-                f"{', '.join(sorted(recorded)) or '(none)'}: name the site and its cameras as in the recording"
+                f"{bag} contains no images of site {site.name} ({', '.join(site.cameras)}); "
+                f"{'; '.join((beside_expected(site, recorded), *reader.damage))}"
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
         whole = start == 0 and duration is None and not reader.damage
         counts = (
-            Counter({topic: reader.topic_infos()[topic].message_count for topic in types})
+            Counter({topic: reader.topic_infos()[topic].message_count for topic in topics})
             if whole  # from the bag's index; a part, or a truncated bag, must be read
-            else Counter(message.topic for message in reader.messages(list(types), begin, end))
+            else Counter(message.topic for message in reader.messages(list(topics), begin, end))
         )
         if not counts.total():
             raise RecordingError(
@@ -71,14 +78,70 @@ class Selection:
                 f"{(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
         frames = sum(counts[topic] for topic in images)
-        return cls(reader, types, begin, end, counts.total(), frames)
+        selection = cls(reader, topics, begin, end, counts.total(), frames)
+        warn_of_ignored(site, selection.first)
+        return selection
 
     def __iter__(self) -> Iterator[BagMessage]:
-        return self.reader.messages(list(self.types), self.begin_ns, self.end_ns)
+        return self.reader.messages(list(self.topics), self.begin_ns, self.end_ns)
 
-    @property
-    def seconds(self) -> float:
-        return (self.end_ns - self.begin_ns) / 1e9
+    def decoded(self, shift_ns: int = 0) -> Iterator[tuple[BagMessage, Any]]:
+        """Yield each message with its content, its stamp moved by `shift_ns`; count those that are invalid and, at the
+        end, those that are lost.
+        """
+        for message in self:
+            self.health.received(message.topic)
+            try:
+                content = self.content(message)
+                if shift_ns:
+                    content.header.stamp = ns_to_time(stamp_of(content) + shift_ns)
+            except LtmError as error:
+                self.health.drop(cause_of(error), f"{error} ({message.topic}, {time_text(message.log_time_ns)})")
+                continue
+            yield message, content
+            self.health.published(message.topic)
+        lost = self.reader.lost
+        count = sum(number for topic, number in lost.items() if not topic or topic in self.topics)
+        if count and "damage" not in self.health.dropped:  # only in the first round of a loop
+            self.health.drop("damage", "; ".join(self.reader.damage), count)
+
+    def content(self, message: BagMessage) -> Any:
+        """Return a message as its topic's type. Raises LtmError."""
+        return decoded_input(self.topics[message.topic], message.raw, message.type_name, message.encoding)
+
+    def first(self, name: str, topic: Topic) -> Any:
+        """Return the first message of a recorded topic; None without any. Raises LtmError."""
+        message = next(self.reader.messages([name], self.begin_ns, self.end_ns), None) if name in self.topics else None
+        return None if message is None else self.content(message)
+
+
+def require_frames(bag: Path, site: Site, summaries: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise RecordingError if no frame reached the fuel map, with the reasons; if no frame was complete, also with the
+    topics of the bag beside the expected ones.
+    """
+    if not int(summaries.get(f"/{site.name}/fuel_map", {}).get("frames", "0")):
+        said = [(key.partition(".")[::2], text) for summary in summaries.values() for key, text in summary.items()]
+        reasons = {text for (kind, _), text in said if kind == "reason"}
+        reasons |= {
+            f"{text} x {what}" for (kind, what), text in said if kind == "noted" and what.startswith("unusable")
+        }
+        if any(int(s["frames_out"]) for name, s in summaries.items() if name.endswith("/fuel_votes")):
+            why = "; ".join(sorted(reasons)) or "no frame shows a cell of it; check the poses and the DEM's extent"
+            raise RecordingError(f"{bag}: no frame reached the fuel map, which is empty: {why}")
+        why = "; ".join(sorted(reasons)) or "no image met a pose and a calibration"
+        beside = beside_expected(site, BagReader(bag).topics())
+        raise RecordingError(f"{bag}: no frame was finished: {why}. {beside[0].upper()}{beside[1:]}")
+
+
+def require_whole(bag: Path, summaries: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise RecordingError if messages of the bag were lost or invalid, with the reasons."""
+    recorded = summaries.get(RECORDING, {})
+    causes = {key.removeprefix("reason."): why for key, why in recorded.items() if key.startswith("reason.")}
+    if causes:
+        counts = ", ".join(f"{recorded[f'dropped.{cause}']} by {cause} ({why})" for cause, why in causes.items())
+        raise RecordingError(
+            f"{bag}: {recorded['dropped']} messages are lost or invalid: {counts}. The results are those of the rest"
+        )
 
 
 class OfflineGraph:
@@ -188,21 +251,15 @@ def replay_offline(
     writer = BagWriter(record) if record is not None else None
     try:
         offline = OfflineGraph(graph, writer, str(selection.reader.path))
-        recording = offline.healths["recording"] = Health()
-        for done, message in enumerate(selection, start=1):
-            recording.received(message.topic)
-            _guarded(recording, partial(_deliver, offline, selection.reader, message))
-            recording.published(message.topic)
+        offline.healths[RECORDING] = selection.health
+        for done, (message, content) in enumerate(selection.decoded(), start=1):
+            _guarded(selection.health, partial(offline.feed, message.topic, content, message.log_time_ns))
             progress(done)
         offline.finish()
     finally:
         if writer is not None:
             writer.close()
     return {name: health.summary() for name, health in offline.healths.items()}
-
-
-def _deliver(offline: OfflineGraph, reader: BagReader, message: BagMessage) -> None:
-    offline.feed(message.topic, reader.decode(message), message.log_time_ns)
 
 
 def _guarded(health: Health, work: Callable[[], None], place: Callable[[], str] | None = None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable
@@ -22,13 +21,14 @@ from rosgraph_msgs.msg import Clock
 
 from ltm_core.base.errors import LtmError, RecordingError
 from ltm_core.site.site_io import load_site
-from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.site_check import Wanted, require_ready
+from ltm_ros.recordings.inputs import is_image
 from ltm_ros.recordings.replay import LONGEST_PAUSE
-from ltm_ros.recordings.replay.offline import Selection, replay_offline
+from ltm_ros.recordings.replay.offline import RECORDING, Selection, replay_offline
 from ltm_ros.runtime.delivery_checks import unmatched
 from ltm_ros.runtime.ros_environment import apply_to_process, wait_for_quiet
 
@@ -64,8 +64,7 @@ class LivePlayer:
         self._executor.add_node(self._node)
         qos = QoSProfile(depth=30, reliability=ReliabilityPolicy.RELIABLE)
         self._publishers = {
-            topic: self._node.create_publisher(message_class(type_name), topic, qos)
-            for topic, type_name in selection.types.items()
+            name: self._node.create_publisher(topic.type, name, qos) for name, topic in selection.topics.items()
         }
         self._clock = self._node.create_publisher(Clock, "/clock", 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
@@ -103,7 +102,7 @@ class LivePlayer:
         known, loose = 0, list[str]()
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
-            images = [count for topic, count in counts.items() if "/image_raw" in topic]
+            images = [count for name, count in counts.items() if is_image(self._selection.topics[name])]
             summaries = dict(self.summaries)
             known = min(self._clock.get_subscription_count(), len(summaries))
             loose = unmatched(self._node, summaries)
@@ -112,7 +111,7 @@ class LivePlayer:
             if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
-        topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
+        topics = ", ".join(name for name, topic in self._selection.topics.items() if is_image(topic))
         raise RecordingError(
             f"after {timeout:.0f} s without subscribers of {topics}: {known} of {nodes} nodes were ready, or not "
             f"all connected ({', '.join(loose) or 'no topic'} not matched). Start the site's graph in the same "
@@ -134,13 +133,14 @@ class LivePlayer:
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift = 0, 0
         while True:
-            for message in self._selection:
+            for message, content in self._selection.decoded(shift):
                 self._sleep_until(message.log_time_ns + shift, stopped)
                 self._wait_for_room(stopped)
                 if stopped():
                     return published
                 self._publish_clock()  # no node may receive a message from its future
-                self._publishers[message.topic].publish(_moved(message.raw, shift) if shift else message.raw)
+                own = message.type_name == type_name_of(content)
+                self._publishers[message.topic].publish(message.raw if own and not shift else content)
                 published += 1
                 progress(published)
             if not loop:
@@ -225,14 +225,6 @@ def _round_ns(selection: Selection) -> int:
     return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
 
 
-def _moved(cdr: bytes, shift_ns: int) -> bytes:
-    """Return a serialised message with its header's stamp moved: sec and nanosec follow the 4-byte encapsulation."""
-    order = "<" if cdr[1] & 1 else ">"
-    sec, nanosec = struct.unpack_from(f"{order}iI", cdr, 4)
-    stamp = ns_to_time(sec * 1_000_000_000 + nanosec + shift_ns)
-    return cdr[:4] + struct.pack(f"{order}iI", stamp.sec, stamp.nanosec) + cdr[12:]
-
-
 NodeParameters = dict[str, ParameterValue]
 
 
@@ -315,4 +307,4 @@ def run_live(
             if not player.drain(names):
                 raise LtmError("the graph is still processing two minutes after the recording's end; see its logs")
             runner.stop()
-            return dict(player.summaries)
+            return {**player.summaries, RECORDING: selection.health.summary()}

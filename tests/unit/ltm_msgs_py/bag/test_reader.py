@@ -149,6 +149,7 @@ def test_a_file_cut_short_is_read_up_to_the_cut_which_is_named(
     (note,) = reader.damage
     assert f"byte {end}" in note
     assert note in caplog.text
+    assert reader.lost == ({"": 1} if cut == "chunk" else {})
     if cut == "chunk":
         assert f"the record at byte {start} should have {length - 9} bytes" in note
     with pytest.raises(RecordingError, match=f"byte {end}"):
@@ -167,6 +168,11 @@ def test_a_broken_chunk_is_left_out_and_named_by_its_byte(bag: Path) -> None:
     (note,) = reader.damage
     assert f"byte {start} is corrupt" in note
     assert "crc" in note
+    assert reader.lost.keys() == {"/odd", "/even"}
+    assert reader.lost.total() == lost
+    gone = sorted({*range(1000, 1000 + 10 * COUNT, 10)} - {m.log_time_ns for m in reader.messages()})
+    assert f"({gone[0]} ns) to 1970-01-01T00:00:00.000Z ({gone[-1]} ns)" in note
+    assert reader.lost.total() == lost, "a second reading loses nothing more"
 
 
 def test_a_broken_chunk_in_a_file_without_summary_is_left_out_too(bag: Path) -> None:
@@ -228,14 +234,16 @@ def test_a_type_that_is_not_installed_is_named_when_it_is_decoded(tmp_path: Path
 
 def test_an_encoding_other_than_cdr_is_named_when_it_is_decoded(tmp_path: Path) -> None:
     reader = BagReader(write_mcap(tmp_path / "a.mcap", encoding="protobuf"))
-    with pytest.raises(RecordingError, match=r"/a .* encoded as 'protobuf'"):
+    with pytest.raises(RecordingError, match=r"/a .* is encoded as 'protobuf'"):
         reader.decode(next(reader.messages()))
 
 
 @pytest.mark.parametrize("raw", [b"", b"\0\1", b"\xff" * 40, b"\0\1\0\0\xff\xff\xff\x7fabc"])
 def test_bytes_that_do_not_decode_are_refused_with_topic_and_time(bag: Path, raw: bytes) -> None:
     reader = BagReader(bag)
-    with pytest.raises(RecordingError, match=rf"/odd at 77 ns .*{len(raw)} bytes do not decode as std_msgs/msg/String"):
+    with pytest.raises(
+        RecordingError, match=rf"/odd at 77 ns .*: {len(raw)} bytes do not decode as std_msgs/msg/String"
+    ):
         reader.decode(BagMessage("/odd", 77, 77, "std_msgs/msg/String", raw))
 
 
@@ -291,11 +299,35 @@ def test_metadata_that_is_none_is_refused(bag: Path, content: str) -> None:
         BagReader(bag)
 
 
-def test_a_topic_with_two_types_is_refused(tmp_path: Path) -> None:
-    for i, schema in enumerate(["std_msgs/msg/String", "std_msgs/msg/Header"]):
+def test_messages_of_a_topic_with_two_types_have_their_own(tmp_path: Path) -> None:
+    kinds = ["std_msgs/msg/String", "std_msgs/msg/Header"]
+    for i, schema in enumerate(kinds):
         write_mcap(tmp_path / f"a_{i}.mcap", schema=schema)
-    with pytest.raises(RecordingError, match="two types: std_msgs/msg/String and std_msgs/msg/Header"):
-        BagReader(tmp_path)
+    reader = BagReader(tmp_path)
+    assert sorted(m.type_name for m in reader.messages()) == sorted(kinds * 3)
+    assert reader.topics() == {"/a": kinds[0]}
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(28 + 4, b"none"), (16, struct.pack("<Q", 1 << 40)), (-30, b"\xff" * 8)],
+    ids=["unknown compression", "impossible size", "corrupt data"],
+)
+def test_two_damaged_chunks_lose_their_messages_alone(tmp_path: Path, place: int, value: bytes) -> None:
+    with BagWriter(tmp_path / "bag", chunk_size=2500) as writer:
+        for i in range(COUNT):
+            writer.write("/a", String(data=text(i * 7919)), 1000 + i)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    data, chunks = bytearray(file.read_bytes()), chunk_spans(file)
+    for start, length in chunks[1:3]:
+        at = start + (9 + place if place > 0 else length + place)
+        data[at : at + len(value)] = value
+    file.write_bytes(data)
+    reader = BagReader(file)
+    found = len(list(reader.messages()))
+    assert 0 < found < COUNT
+    assert reader.lost == {"/a": COUNT - found}
+    assert len(reader.damage) == 2
 
 
 def test_random_damage_never_goes_unnoticed(bag: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import struct
 import subprocess
 import sys
 import textwrap
@@ -13,12 +14,15 @@ from pathlib import Path
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header, String
 
 from ltm_core.base.errors import RecordingError
 from ltm_msgs_py.bag.metadata import FileRecord
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.repair import repair_bag
+from ltm_msgs_py.bag.schemas import schema_text
 from ltm_msgs_py.bag.writer import BagWriter, Compression, Split
 
 
@@ -238,6 +242,28 @@ def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:
     assert [reader.decode(m).data for m in reader.messages()] == [str(i) for i in range(7)]
     assert any("metadata.yaml" in note for note in reader.damage)
     assert any("without a footer" in note for note in reader.damage)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_repair_keeps_the_chunks_after_a_corrupt_one(tmp_path: Path, compression: str) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        kind = CompressionType.LZ4 if compression == "lz4" else CompressionType.ZSTD
+        writer = Writer(stream, chunk_size=300, compression=kind)
+        writer.start(profile="ros2")
+        text = schema_text("std_msgs/msg/String").encode()
+        channel = writer.register_channel("/a", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", text))
+        for i in range(9):
+            writer.add_message(channel, i, serialize_message(String(data=str(i) * 400)), i)
+        writer.flush()
+    data, at, chunks = bytearray((tmp_path / "a.mcap").read_bytes()), 8, []
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        chunks += [at] if opcode == 6 else []
+        at += 9 + length
+    data[chunks[4] + 57 : chunks[4] + 65] = b"\xff" * 8
+    (tmp_path / "a.mcap").write_bytes(data)
+    repair_bag(tmp_path, [tmp_path / "a.mcap"])
+    assert [m.log_time_ns for m in BagReader(tmp_path, allow_damaged=False).messages()] == [0, 1, 2, 3, 5, 6, 7, 8]
 
 
 def test_files_that_were_removed_take_no_memory(tmp_path: Path) -> None:

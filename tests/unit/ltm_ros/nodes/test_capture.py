@@ -138,23 +138,47 @@ def test_calibration_is_the_newest_up_to_the_image(capture_of: CaptureOf) -> Non
     assert [m.k[0] for m in outlet.on(POSED_CAMERA_INFO)] == [10.0, 20.0, 20.0, 30.0]
 
 
-def test_pose_must_have_the_stamp_unless_told_otherwise(capture_of: CaptureOf) -> None:
+@pytest.mark.parametrize(
+    ("others", "expected"),
+    [
+        ({-1: 3.0}, None),
+        ({1: 3.0}, None),
+        ({-1: 1.0, 250_000_000: 3.0}, None),
+        ({-50_000_000: 1.0, 150_000_000: 3.0}, 1.5),
+        ({-200_000_000: 0.0, -50_000_000: 1.0, 150_000_000: 3.0, 199_000_000: 9.0}, 1.5),
+        ({-50_000_000: 1.0, 0: 7.0, 150_000_000: 3.0}, 7.0),
+    ],
+    ids=["before", "after", "too far apart", "between", "the nearest two", "its own"],
+)
+def test_pose_has_the_stamp_or_is_interpolated(
+    capture_of: CaptureOf, others: dict[int, float], expected: float | None
+) -> None:
+    """Poses at the offsets in ns from the image's stamp, with x, and azimuths of 40 degrees + x."""
     capture, outlet, _ = capture_of()
     capture.on_camera_info(info(0))
+    for offset, x in others.items():
+        turned = Pose.from_angles((x, 2.0, 3.0), 40.0 + x, 0.0, 0.0)
+        capture.subscriptions[POSE](pose_to_msg(turned, S + offset, "map", np.diag([1.0, 2, 3, 4, 5, 6])))
     capture.on_image(image(S))
-    capture.subscriptions[POSE](pose(S - 1))
-    capture.subscriptions[POSE](pose(S + 1))
-    assert outlet.sent == []
+    if expected is None:
+        assert outlet.sent == []
+        return
+    (sent,) = outlet.on(POSED_POSE)
+    assert stamp_of(sent) == S
+    assert sent.pose.pose.position.x == pytest.approx(expected)
+    np.testing.assert_allclose(
+        msg_to_pose(sent).rotation, Pose.from_angles((0, 0, 0), 40.0 + expected, 0.0, 0.0).rotation, atol=1e-12
+    )
 
 
 def test_nearest_pose_within_the_tolerance_once_a_later_one_is_there(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of(pose_tolerance=0.5)
     capture.on_camera_info(info(0))
-    capture.subscriptions[POSE](pose(9 * S // 10, x=0.9))
+    capture.subscriptions[POSE](pose(6 * S // 10, x=0.6))
     capture.on_image(image(S))
     assert outlet.sent == [], "a nearer pose may be on its way"
-    capture.subscriptions[POSE](pose(11 * S // 10 - 1, x=1.1))
-    assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.1]
+    capture.subscriptions[POSE](pose(13 * S // 10, x=1.3))
+    assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.3]
     assert outlet.stamps(POSED_POSE) == [S]
     capture.on_image(image(2 * S))
     capture.subscriptions[POSE](pose(26 * S // 10, x=2.6))
@@ -292,7 +316,34 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
 
 def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
     capture, _, _ = capture_of()
+    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, IMAGE_RAW, CAMERA_INFO, POSE, FINISHED}
+    capture, _, _ = capture_of({"image": "compressed"})
     assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE, FINISHED}
+
+
+def test_subscribes_to_the_names_that_the_site_file_gives(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of({"topics": {"image": "/rig/image_raw", "pose": "/odom"}})
+    topics = {topic.name: topic for topic in capture.subscriptions}
+    assert {*topics} == {"/rig/image_raw", "/odom", CAMERA_INFO.name, FINISHED.name}
+    assert (topics["/rig/image_raw"].type, topics["/odom"].counted_name) == (IMAGE_RAW.type, POSE.name)
+    capture.on_camera_info(info(0))
+    capture.subscriptions[topics["/odom"]](pose(S))
+    capture.subscriptions[topics["/rig/image_raw"]](image_to_msg(PHOTO, "rgb8", S, "c"))
+    assert outlet.stamps(POSED_IMAGE) == [S]
+
+
+@pytest.mark.parametrize("raw_first", [True, False])
+def test_takes_either_kind_of_image_and_a_frame_of_both_once(capture_of: CaptureOf, raw_first: bool) -> None:
+    capture, outlet, health = capture_of()
+    capture.on_camera_info(info(0))
+    for stamp in (S, 2 * S):
+        capture.subscriptions[POSE](pose(stamp))
+        for raw in (raw_first, not raw_first):
+            capture.on_image(image_to_msg(PHOTO, "rgb8", stamp, "c") if raw else image(stamp))
+    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S]
+    for sent in outlet.on(POSED_IMAGE):
+        np.testing.assert_array_equal(msg_to_rgb(sent), PHOTO)
+    assert health.dropped == {}
 
 
 def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ltm_core.base.errors import RecordingError
+from ltm_core.site.sections import CameraConfig
 from ltm_msgs_py.bag.reader import BagMessage
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth
@@ -17,6 +20,8 @@ from ltm_ros.runtime.topics import DEPTH_IMAGE, LABELS_IMAGE
 
 PARTS: Parts = {"depth": ((DEPTH_IMAGE, msg_to_depth),), "labels": ((LABELS_IMAGE, msg_to_array),)}
 SECOND = 1_000_000_000
+RIDGE: Any = SimpleNamespace(name="ridge", cameras={"north": CameraConfig(), "east": CameraConfig()})
+"""What a stream needs of a site."""
 
 
 def write(bag: BagWriter, camera: str, topic: str, stamp: int, log_time: int, value: int, side: int = 2) -> None:
@@ -37,7 +42,7 @@ def test_late_and_lost_messages(tmp_path: Path) -> None:
         write(bag, "north", "labels", 4 * SECOND, 6 * SECOND, 4)  # its depth was lost
         write(bag, "east", "depth", 3 * SECOND, 7 * SECOND, 33)
         write(bag, "north", "labels", 3 * SECOND, 8 * SECOND, 3)  # late
-    stream = FrameStream(tmp_path / "bag", "ridge", ["north", "east"], PARTS)
+    stream = FrameStream(tmp_path / "bag", RIDGE, ["north", "east"], PARTS)
     whole = list(stream.frames(["depth", "labels"]))
     assert [(f.camera_name, f.stamp_ns // SECOND) for f in whole] == [("east", 3), ("north", 3), ("north", 5)]
     for frame in whole:
@@ -60,7 +65,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
                 bag.write("/ridge/north/depth/image", depth_to_msg(depth, second * SECOND, "c"), second * SECOND)
                 write(bag, "north", "labels", second * SECOND, second * SECOND + 1, second % 7, 300)
         tracemalloc.start()
-        stream = FrameStream(path, "ridge", ["north"], PARTS)
+        stream = FrameStream(path, RIDGE, ["north"], PARTS)
         assert sum(float(f.take("depth")[0, 0]) >= 0 for f in stream.frames(["depth", "labels"])) == frames
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
