@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -23,34 +24,47 @@ _FIELDS: Final[dict[str, dict[int, str]]] = {
 """Messages of `onnx.proto` on the way to a tensor's external data, by field number."""
 
 
-def network_digest(path: Path) -> str:
-    """Return the SHA-256 of a network: of the file, or of the file and its external weights, as hexadecimal text.
+@dataclass(frozen=True)
+class NetworkFile:
+    """An ONNX file. `weights`: the names of the files with its external weights, relative to its folder, sorted.
 
-    Without external weights it equals `sha256sum` of the file. With them it is the SHA-256 of one line for each file,
-    `<sha256> <name>`, the ONNX file first with an empty name. Raises ModelError if weights are missing or outside the
-    file's folder.
+    `digest`: the SHA-256 of the file (`sha256sum`), or with external weights that of one line per file, `<sha256>
+    <name>`, the ONNX file first with an empty name.
     """
-    own, weights = file_digest(path), weight_files(path)
-    if not weights:
-        return own
-    lines = [f"{own} \n", *(f"{file_digest(path.parent / name)} {name}\n" for name in weights)]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+    content: bytes
+    weights: tuple[str, ...]
+    digest: str
+
+    @classmethod
+    def read(cls, path: Path) -> NetworkFile:
+        """Read an ONNX file. A file of another format has no weights; ONNX Runtime rejects it later. Raises ModelError
+        if it cannot be read, or if weights are missing or outside its folder."""
+        try:
+            content = path.read_bytes()
+            own = hashlib.sha256(content).hexdigest()
+            weights = _weights(path, content)
+            if not weights:
+                return cls(content, (), own)
+            lines = [f"{own} \n", *(f"{_file_digest(path.parent / name)} {name}\n" for name in weights)]
+        except OSError as reason:
+            raise ModelError(f"{path}: cannot be read ({reason}); check the file and its permissions") from reason
+        return cls(content, weights, hashlib.sha256("".join(lines).encode()).hexdigest())
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of one file as hexadecimal text."""
+def network_digest(path: Path) -> str:
+    """Return the SHA-256 of a network with its external weights, as `NetworkFile.digest`. Raises as its `read`."""
+    return NetworkFile.read(path).digest
+
+
+def _file_digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def weight_files(path: Path) -> tuple[str, ...]:
-    """Return the names of the files with external weights of an ONNX file, relative to its folder, sorted.
-
-    A file that is not ONNX has none; ONNX Runtime rejects it later. Raises ModelError if weights are missing or outside
-    the file's folder.
-    """
+def _weights(path: Path, content: bytes) -> tuple[str, ...]:
     try:
-        names = sorted(set(_locations(memoryview(path.read_bytes()), "model")))
+        names = sorted(set(_locations(memoryview(content), "model")))
     except (ValueError, IndexError, RecursionError):
         return ()
     for name in names:

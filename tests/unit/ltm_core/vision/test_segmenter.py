@@ -14,8 +14,8 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.scoring.labels import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
-from ltm_core.vision.onnx_model import input_tensor
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE
+from ltm_core.vision.network_image import InputSpec, as_tensor
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.tensors import upsampled_winner
 
@@ -155,7 +155,7 @@ def test_normalisation_follows_the_manifest() -> None:
         width=5, height=3, layout="NCHW", dtype="float32", channels="bgr", scale=0.5, mean=(1, 2, 3), std=(2, 4, 8)
     )
     photo = np.random.default_rng(3).integers(0, 256, (3, 5, 3), dtype=np.uint8)
-    tensor = input_tensor(photo, spec)
+    tensor = as_tensor(photo, spec)
     assert tensor.shape == (1, 3, 3, 5)
     assert tensor.dtype == np.float32
     expected = (photo[2, 4, ::-1] * 0.5 - np.array([1, 2, 3])) / np.array([2, 4, 8])
