@@ -117,7 +117,9 @@ class DepthNetwork:
                 angle = np.radians(assumed) if assumed > np.pi else assumed
                 assumed = width / 2.0 / float(np.tan(angle / 2.0))
             if not np.isfinite(assumed) or assumed <= 0.0:
-                raise ModelError(f"model {self.manifest.name!r}: its {output.focal} is {assumed}; expected a positive one")
+                raise ModelError(
+                    f"model {self.manifest.name!r}: its {output.focal} is {assumed}; expected a positive one"
+                )
         if assumed is not None:
             metres = metres * (matrix[0, 0] / assumed)
         return metres.astype(np.float32)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.network_image import InputSpec
 
@@ -212,6 +212,14 @@ class NetworkManifest(StrictModel):
         return manifest
 
     @classmethod
+    def of(cls, content: dict[str, Any], place: str) -> NetworkManifest:
+        """Return a manifest that has no file yet; its files have absolute paths. `place` is named in the ModelError."""
+        try:
+            return checked(cls, content, place)
+        except ConfigError as reason:
+            raise ModelError(str(reason)) from reason
+
+    @classmethod
     def find(cls, path_or_name: str | Path) -> NetworkManifest:
         """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
         text = str(path_or_name)
@@ -227,9 +235,7 @@ class NetworkManifest(StrictModel):
         """Return the manifest if it is of a depth network (`depth`) or of a label network. Raises ModelError."""
         if self.output.is_depth == depth:
             return self
-        found, key = (
-            ("depth, not labels", "depth_model") if self.output.is_depth else ("labels, not depth", "model")
-        )
+        found, key = ("depth, not labels", "depth_model") if self.output.is_depth else ("labels, not depth", "model")
         raise ModelError(
             f"model {self.name!r} predicts {found} (output.kind {self.output.kind}); name it as `{key}`, and choose a "
             f"{'depth' if depth else 'label'} network here"
@@ -256,34 +262,33 @@ class NetworkManifest(StrictModel):
         return max(1, self.input.width // 2)
 
     def model_file(self) -> Path:
-        """Return the path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare
-        name.
-
-        Raises ModelError with every place looked at.
-        """
-        return self._located(self.file)
+        """Return the path of the network, as `find_file` finds it. Raises ModelError."""
+        return find_file(self.file, self.folder, f"model {self.name!r}", self.source)
 
     def text_file(self) -> Path:
         """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
         none."""
         if self.text is None:
             raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
-        return self._located(self.text.file)
+        return find_file(self.text.file, self.folder, f"model {self.name!r}", self.source)
 
-    def _located(self, file: Path) -> Path:
-        places = [self.folder / file]
-        if not file.is_absolute():
-            for folder in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
-                places += [Path(folder) / file, Path(folder) / file.name]
-        for place in places:
-            if is_file(place):
-                return place
-        looked = ", ".join(dict.fromkeys(str(place) for place in places))
-        source = f" (source: {self.source})" if self.source else ""
-        raise ModelError(
-            f"model {self.name!r}: no file {file}; searched {looked}. "
-            f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
-        )
+
+def find_file(file: Path, folder: Path, what: str, source: str = "") -> Path:
+    """Return the path of a file beside a manifest in `folder`, else in a folder of `LTM_MODEL_PATH`, by path or bare
+    name. `what` names the model and `source` the file's origin in the ModelError for a missing file."""
+    places = [folder / file]
+    if not file.is_absolute():
+        for other in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
+            places += [Path(other) / file, Path(other) / file.name]
+    for place in places:
+        if is_file(place):
+            return place
+    searched = ", ".join(dict.fromkeys(str(place) for place in places))
+    origin = f" (source: {source})" if source else ""
+    raise ModelError(
+        f"{what}: no file {file}; searched {searched}. Put it in one of these places or name its folder in "
+        f"{MODEL_PATH_VARIABLE}{origin}"
+    )
 
 
 def models_folder() -> Path:

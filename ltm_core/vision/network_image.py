@@ -117,9 +117,7 @@ def fitted(image: UInt8Array, spec: InputSpec) -> FittedImage:
     if (cols, rows) != (wide, tall):
         mean = spec.mean if spec.channels == "rgb" else spec.mean[::-1]
         empty = np.clip(np.rint(np.array(mean) / spec.scale), 0, 255)
-        image = cv2.copyMakeBorder(
-            image, 0, tall - rows, 0, wide - cols, cv2.BORDER_CONSTANT, value=empty.tolist()
-        )  # type: ignore[assignment]
+        image = cv2.copyMakeBorder(image, 0, tall - rows, 0, wide - cols, cv2.BORDER_CONSTANT, value=empty.tolist())  # type: ignore[assignment]
     return FittedImage(np.asarray(image, np.uint8), rows, cols)
 
 
@@ -168,9 +166,7 @@ def scaled_matrix(matrix: Float64Array, size: tuple[int, int], to: tuple[int, in
 def pixel_rays(matrix: Float64Array, size: tuple[int, int]) -> Float64Array:
     """Return x, y, 1 of each pixel's ray (3, rows, cols) for a camera matrix (3, 3)."""
     rows, cols = np.indices(size, dtype=np.float64)
-    return np.stack(
-        [(cols - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1], np.ones_like(rows)]
-    )
+    return np.stack([(cols - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1], np.ones_like(rows)])
 
 
 def token_planes(tokens: Float32Array, size: tuple[int, int]) -> Float32Array:

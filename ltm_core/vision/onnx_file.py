@@ -46,7 +46,7 @@ class NetworkFile:
             weights = _weights(path, content)
             if not weights:
                 return cls(content, (), own)
-            lines = [f"{own} \n", *(f"{_file_digest(path.parent / name)} {name}\n" for name in weights)]
+            lines = [f"{own} \n", *(f"{file_digest(path.parent / name)} {name}\n" for name in weights)]
         except OSError as reason:
             raise ModelError(f"{path}: cannot be read ({reason}); check the file and its permissions") from reason
         return cls(content, weights, hashlib.sha256("".join(lines).encode()).hexdigest())
@@ -57,7 +57,8 @@ def network_digest(path: Path) -> str:
     return NetworkFile.read(path).digest
 
 
-def _file_digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of one file as hexadecimal text."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -69,7 +69,7 @@ class SharedRuns:
 _loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
-_DTYPES: Final[dict[str, Any]] = {
+DTYPES: Final[dict[str, Any]] = {
     "tensor(float)": np.float32,
     "tensor(float16)": np.float16,
     "tensor(double)": np.float64,
@@ -144,7 +144,7 @@ class OnnxModel:
             raise self._wrong(f"input {self._camera.name!r}", "a camera matrix", "none")
         shape = tuple(size if isinstance(size, int) else 1 for size in self._camera.shape)
         size = tensor.shape[-2:] if self.manifest.input.layout == "NCHW" else tensor.shape[1:3]
-        given = camera_tensor(matrix, shape, (size[0], size[1])).astype(_DTYPES[self._camera.type])
+        given = camera_tensor(matrix, shape, (size[0], size[1])).astype(DTYPES[self._camera.type])
         return self._run(names, self._feed(tensor) | {self._camera.name: given})
 
     def run_with_maps(
@@ -207,9 +207,11 @@ class OnnxModel:
             others = ", ".join(f"{node.name} {node.type} {node.shape}" for node in nodes.values() if node.name != name)
             raise self._wrong("inputs", "one image, input.intrinsics and input.constants", f"also {others}")
         node = nodes[name]
-        if _DTYPES.get(node.type) != np.dtype(spec.dtype):
+        if DTYPES.get(node.type) != np.dtype(spec.dtype):
             raise self._wrong(f"input {name!r}: type", spec.dtype, node.type)
-        shape = [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
+        shape = (
+            [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
+        )
         coarse = self.manifest.coarse_look
         for image in (spec,) if coarse is None else (spec, coarse.image(spec)):
             if not _fits(shape, image.shape):
@@ -325,9 +327,9 @@ def constant_tensor(value: Any, node: Any, size: tuple[int, int]) -> npt.NDArray
         given = np.broadcast_to(given, shape)
     elif given.ndim < len(node.shape):
         given = given.reshape((1,) * (len(node.shape) - given.ndim) + given.shape)
-    if node.type not in _DTYPES or given.ndim != len(node.shape):
+    if node.type not in DTYPES or given.ndim != len(node.shape):
         raise ModelError(f"input.constants: {node.name} is {value}; expected {node.type} {node.shape}")
-    return np.ascontiguousarray(given.astype(_DTYPES[node.type]))
+    return np.ascontiguousarray(given.astype(DTYPES[node.type]))
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:

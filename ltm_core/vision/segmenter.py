@@ -1,5 +1,7 @@
 """Segment photos of any size into label images with the network of a manifest."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.base.errors import ImageError, ModelError
+from ltm_core.base.errors import ConfigError, ImageError, ModelError
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.vision.label_head import LabelHead, find_label_head, read_label_head
 from ltm_core.vision.label_rules import against_green, agreed, doubt_of_photographs, load_calibration, withdraw
@@ -20,11 +22,15 @@ from ltm_core.vision.manifest import (
     NetworkManifest,
     Withdrawal,
 )
-from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.network_image import FittedImage, InputSpec, as_tensor, fitted, token_planes
-from ltm_core.vision.second_scale import with_coarse_look, with_distant_tiles
-from ltm_core.vision.tensors import upsampled_winner
-from ltm_core.vision.word_embeddings_io import load_text
+from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.second_scale import upsampled_winner, with_coarse_look, with_distant_tiles
+from ltm_core.vision.vocabulary import QueryMatch, Vocabulary, load_text, read_queries
+
+_COLORS = (
+    (222, 205, 95), (196, 120, 45), (30, 115, 55), (165, 150, 140), (35, 85, 190), (205, 50, 60), (150, 80, 170),
+    (90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (135, 190, 235),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class Segmenter:
         labels: LabelSet | None = None,
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
-    ) -> "Segmenter":
+    ) -> Segmenter:
         """Open a segmenter by its manifest's path, or the name of one in `config/models`, with a label head by its name
         or path.
 
@@ -276,6 +282,27 @@ class Segmenter:
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score
         return grouped
+
+
+def open_vocabulary(
+    manifest: NetworkManifest, queries: Sequence[str], threads: int = 1, vocabulary: Vocabulary | None = None
+) -> tuple[Segmenter, list[QueryMatch]]:
+    """Return a segmenter whose labels are the queries, in their order, and the match of each.
+
+    Among a text network's words only the queries compete; another network's classes that answer no query stay
+    unlabelled. Raises ConfigError for more than 255 queries and as `read_queries`; ModelError as Segmenter.
+    """
+    if len(queries) > UNLABELLED:
+        raise ConfigError(f"{len(queries)} classes; a label image can have {UNLABELLED} at most")
+    readings = read_queries(queries, manifest, Vocabulary.load() if vocabulary is None else vocabulary)
+    labels = LabelSet(
+        names=tuple(queries),
+        colors=tuple(_COLORS[i % len(_COLORS)] for i in range(len(queries))),
+        ground_cover=tuple(query != "sky" for query in queries),
+    )
+    mapping = {name: reading.query for reading in readings for name in reading.classes}
+    words = queries if manifest.text is not None else None
+    return Segmenter(manifest.model_copy(update={"mapping": mapping}), threads, labels, words), readings
 
 
 def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float32Array:
